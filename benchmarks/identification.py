@@ -22,9 +22,9 @@ from benchmarks.startup import HERE, emps
 from jointid.config import load
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM, stopping_tolerance
+from jointid.estimation.methods.search import least_squares as least_squares_of
+from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
-from jointid.estimation.search.history import least_squares as least_squares_of
 from jointid.paper.twin import Twin, twin
 from jointid.records.signals.filtering import Filtering
 from jointid.solvers.nelder_mead import NelderMead

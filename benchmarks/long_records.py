@@ -34,7 +34,7 @@ CHILD = "--identify"
 
 def laps() -> np.ndarray:
     """Return a reference that ends where it begins, at rest: there and back at three speeds, every 20 s."""
-    lap = ji.trapezoids((0.042, 0.083, 0.125), 0.83, 0.2, PERIOD)
+    lap = ji.excitation.trapezoids((0.042, 0.083, 0.125), 0.83, 0.2, PERIOD)
     return np.tile(np.concatenate([lap, np.zeros(round(LAP / PERIOD) - lap.size)]), round(PART / LAP))
 
 
@@ -43,7 +43,7 @@ def part(number: int, begin: Initial, drifting: bool) -> tuple[np.ndarray, Initi
     cooled = 0.2 * (1 - np.exp(-number * PART / 3600 / WARM)) if drifting else 0.0
     truth = {n: v * (1 - cooled) if n.endswith("viscous") else v for n, v in TABLE_2.items()}
     reference = laps()
-    injected = ji.pulses(reference.size, PERIOD, height=150.0, width=0.02, every=0.4, seed=number)
+    injected = ji.excitation.pulses(reference.size, PERIOD, height=150.0, width=0.02, every=0.4, seed=number)
     force = FORCE * np.random.default_rng(number).standard_normal(reference.size)
     record = ji.simulated_record(
         LOOP, reference, truth, sample_time=PERIOD, injected=injected, disturbance=force, initial=begin

@@ -41,16 +41,16 @@ class Law:
 
     Attributes:
         key, title: short, and in words.
-        kp, kd: N/m and N s/m.
+        position_gain, derivative_gain: N/m and N s/m.
         memory, now, before: of the velocity's filter.
         limit: N.
-        fed: whether the reference's velocity is fed forward through kd.
+        fed: whether the reference's velocity is fed forward through derivative_gain.
     """
 
     key: str
     title: str
-    kp: float
-    kd: float
+    position_gain: float
+    derivative_gain: float
     memory: float
     now: float
     before: float
@@ -66,7 +66,7 @@ STICK = Law("stick", "the stick's loop", 1.4e6, 15_000.0, 0.3, 0.7, 0.0, 1e3, Tr
 EMPS = Law(
     "emps", "the EMPS loop", _EMPS_KP * _EMPS_KV, _EMPS_KV, 0.0, 0.5, 0.5, 10.0 * 35.15065188, False,
 )  # fmt: skip
-"""The cascade of the public EMPS axis, 18 Hz on this mass: kv (kp (r - q) - v), v the mean of two differences."""
+"""The cascade of the public EMPS axis, 18 Hz on this mass: ``kv (kp (r - q) - v)``, v the mean of two differences."""
 
 LAWS = (STICK, EMPS)
 
@@ -89,8 +89,8 @@ class Loop:
     @property
     def feedforward(self) -> Array:
         """What of the torque does not depend on the motion, before the limit, N."""
-        fed = self.law.kd * self.reference_velocity if self.law.fed else 0.0
-        return np.asarray(self.law.kp * self.reference + fed + self.pulse)
+        fed = self.law.derivative_gain * self.reference_velocity if self.law.fed else 0.0
+        return np.asarray(self.law.position_gain * self.reference + fed + self.pulse)
 
     @property
     def samples(self) -> int:
@@ -117,7 +117,7 @@ class Loop:
             nonlocal last, velocity, moved
             velocity = memory * velocity + now * (position - last) + earlier * moved
             last, moved = position, position - last
-            wanted = float(w[period]) - law.kp * position - law.kd * velocity
+            wanted = float(w[period]) - law.position_gain * position - law.derivative_gain * velocity
             return min(max(wanted, -law.limit), law.limit)
 
         return torque

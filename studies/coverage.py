@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.progress import Progress, silent
+from jointid.common.messages import Progress, silent
 from jointid.estimation.methods.flexible import inverse_model_covariance, refined_least_squares
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.paper.twin import Twin, twin

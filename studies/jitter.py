@@ -16,21 +16,20 @@ from typing import Literal
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.progress import Progress, silent
+from jointid.common.messages import Progress, silent
 from jointid.common.text import aligned, number
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
-from jointid.models.joints import FlexibleJoint
+from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.paper.twin import CONTROLLERS, DURATION, SAMPLE_TIME, TABLE_2
 from jointid.records.columns import Column
 from jointid.records.formats import Table, write_table
 from jointid.records.reading import read
 from jointid.records.record import Record, Timing
 from jointid.records.resampling import Resampling
-from jointid.records.signals.excitation import pulses, trapezoids
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.loop_input import ClosedLoop
+from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.synthesis import simulated_record
 
 Late = Literal["samples", "stamps"]

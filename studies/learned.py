@@ -12,17 +12,16 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.progress import Progress, silent
+from jointid.common.messages import Progress, silent
 from jointid.common.text import aligned, number
 from jointid.controller_id.learn import SAME, learn_loop
-from jointid.controller_id.learned import LearnedLoop
+from jointid.controller_id.learned_loop import LearnedLoop
 from jointid.controller_id.structure_moves import canonical
 from jointid.controller_id.structures import ACCELERATION, INTEGRAL, Structure, controller
-from jointid.models.joints import RigidJoint
+from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Record, Tap
-from jointid.records.signals.excitation import pulses, trapezoids
 from jointid.simulation.closed_loop import Initial
-from jointid.simulation.loop_input import ClosedLoop
+from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.synthesis import simulated_record
 
 _PERIOD = 1e-3
@@ -138,20 +137,37 @@ def _deviations(made: LoopTwin, true: Structure, learned: LearnedLoop) -> tuple[
     """Return the numbers' deviations; those of a law that was drawn under another name are brought to that one."""
     value = {one.name: one.value for one in learned.numbers}
     std = {one.name: one.std for one in learned.numbers}
-    if true.law != made.structure.law:  # kp of the PD is kp kv of the cascade
+    if true.law != made.structure.law:  # position_gain of the PD is position_gain velocity_gain of the cascade
         names = [one.name for one in learned.numbers]
-        gains = value["kp"], value["kv"], value.get("ki", 0.0)
-        kp, kv, ki = gains
+        gains = value["position_gain"], value["velocity_gain"], value.get("integral_gain", 0.0)
+        position_gain, velocity_gain, integral_gain = gains
         period = _PERIOD / true.rate
-        slopes = {"kp": {"kp": kv, "kv": kp + ki, "ki": kv}, "kv": {"kv": 1 - ki * period, "ki": -kv * period}}
-        slopes["ki"] = {"kp": kv * ki, "kv": kp * ki, "ki": kv * kp}
-        moved = {"kp": kv * (kp + ki), "kv": kv * (1 - ki * period), "ki": kv * kp * ki}
+        slopes = {
+            "position_gain": {
+                "position_gain": velocity_gain,
+                "velocity_gain": position_gain + integral_gain,
+                "integral_gain": velocity_gain,
+            },
+            "velocity_gain": {"velocity_gain": 1 - integral_gain * period, "integral_gain": -velocity_gain * period},
+        }
+        slopes["integral_gain"] = {
+            "position_gain": velocity_gain * integral_gain,
+            "velocity_gain": position_gain * integral_gain,
+            "integral_gain": velocity_gain * position_gain,
+        }
+        moved = {
+            "position_gain": velocity_gain * (position_gain + integral_gain),
+            "velocity_gain": velocity_gain * (1 - integral_gain * period),
+            "integral_gain": velocity_gain * position_gain * integral_gain,
+        }
         spread = np.array([std[name] for name in names])
-        for name in ("kp", "kv", *(("ki",) if "ki" in value else ())):
+        for name in ("position_gain", "velocity_gain", *(("integral_gain",) if "integral_gain" in value else ())):
             weights = np.array([slopes[name].get(other, 0.0) for other in names]) * spread
             std[name] = math.sqrt(float(weights @ learned.correlation @ weights))
             value[name] = moved[name]
-    truth = {("kv" if name == "kd" and true.cascade else name): v for name, v in made.numbers.items()}
+    truth = {
+        ("velocity_gain" if name == "derivative_gain" and true.cascade else name): v for name, v in made.numbers.items()
+    }
     return tuple((value[name] - truth[name]) / std[name] for name in value if name in truth and name != INTEGRAL)
 
 
@@ -252,8 +268,12 @@ def _law(rng: np.random.Generator, inertia: float) -> tuple[Structure, dict[str,
 def _numbers(rng: np.random.Generator, structure: Structure, inertia: float) -> dict[str, float]:
     inner = 2 * math.pi * math.exp(rng.uniform(math.log(10), math.log(40)))  # rad/s
     outer, slow = inner / rng.uniform(2.5, 5.0), inner / rng.uniform(5, 20)
-    cascade = {"kp": outer, "kv": inertia * inner, "ki": slow}
-    others = {"kp": inertia * inner * outer, "kd": inertia * inner, "ki": inertia * inner * outer * slow / 3}
+    cascade = {"position_gain": outer, "velocity_gain": inertia * inner, "integral_gain": slow}
+    others = {
+        "position_gain": inertia * inner * outer,
+        "derivative_gain": inertia * inner,
+        "integral_gain": inertia * inner * outer * slow / 3,
+    }
     beside = {
         "velocity_feedforward": rng.uniform(0.5, 1.0),
         "acceleration_feedforward": inertia * rng.uniform(0.5, 1.0),

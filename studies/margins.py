@@ -19,17 +19,16 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.progress import Progress, silent
+from jointid.common.messages import Progress, silent
 from jointid.common.text import aligned
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM, refined_least_squares
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Cascade, Controller
-from jointid.models.joints import FlexibleJoint
+from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.records.record import Record
-from jointid.records.signals.excitation import pulses, trapezoids
-from jointid.simulation.loop_input import ClosedLoop
+from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.synthesis import simulated_record
 from jointid.tuning.margins import NAMES, joint_set
 from jointid.tuning.minimum_detectable_change import compute_minimum_detectable_change
@@ -284,9 +283,9 @@ def _drawn(rng: np.random.Generator, seed: int) -> RandomDrive:
         "offset": rng.uniform(-0.2, 0.2) * force,
     }
     controller = Cascade(
-        kp=rate * rng.uniform(0.1, 0.4),
-        kv=inertia * rate * rng.uniform(0.2, 0.6),
-        ki=rate * rng.uniform(0.01, 0.05) * (rng.random() < 0.3),
+        position_gain=rate * rng.uniform(0.1, 0.4),
+        velocity_gain=inertia * rate * rng.uniform(0.2, 0.6),
+        integral_gain=rate * rng.uniform(0.01, 0.05) * (rng.random() < 0.3),
         delay=period * float(rng.choice([0.0, 0.5, 1.0])),
         velocity_filter=(0.5, 0.5) if rng.random() < 0.5 else (1.0,),
     )

@@ -13,12 +13,12 @@ from typing import Literal
 
 import numpy as np
 
-from jointid.common.progress import Progress, silent
+from jointid.common.messages import Progress, silent
 from jointid.common.text import aligned, number
 from jointid.estimation.methods.flexible import refined_least_squares
+from jointid.estimation.methods.flexible_search import frequency_of, on_band
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.stiffness_identifiability import visible
-from jointid.estimation.search.flexible_search import frequency_of, on_band
 from jointid.paper.twin import Twin, twin
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import in_threads

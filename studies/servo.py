@@ -18,17 +18,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.progress import Progress, silent
+from jointid.common.messages import Progress, silent
 from jointid.estimation.methods.flexible import refined_least_squares
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.models.controllers import Cascade, FirstOrder, Notch
-from jointid.models.joints import FlexibleJoint
+from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.paper.twin import DURATION, RESIDUAL, TABLE_2, Twin
 from jointid.records.record import Channel, Injection, Record, Timing
-from jointid.records.signals.excitation import pulses, trapezoids
-from jointid.records.signals.filtering import Filtering, decimate
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import in_threads, require_finished, simulate_torque
-from jointid.simulation.loop_input import ClosedLoop, prepare
+from jointid.simulation.excitation import pulses, trapezoids
+from jointid.simulation.loop_input import prepare
 
 LOG = 2e-3
 """Seconds between the samples of the log, and between the commands."""
@@ -37,9 +37,9 @@ RATED = 1000.0
 """N: the rated force; the log resolves a thousandth of it."""
 
 SERVO = Cascade(
-    kp=80.0,
-    kv=8557.0,
-    ki=40.0,
+    position_gain=80.0,
+    velocity_gain=8557.0,
+    integral_gain=40.0,
     velocity_filter=FirstOrder(0.5e-3),
     velocity_feedforward=1.0,
     acceleration_feedforward=60.0,
@@ -141,7 +141,7 @@ def _truth(problem: ClosedLoopProblem) -> FloatArray:
 
 
 def _seen(force: FloatArray) -> FloatArray:
-    return decimate(force, FILTERING.resolved(LOG, "flexible"), LOG)
+    return FILTERING.resolved(LOG, "flexible").decimate(force, LOG)
 
 
 def _by_name(names: list[str], values: FloatArray) -> dict[str, float]:

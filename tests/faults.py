@@ -15,11 +15,12 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.estimation.methods.flexible import refined_least_squares
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
+from jointid.models.joints import ClosedLoop
 from jointid.paper.twin import twin
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Simulation, require_finished, simulate
-from jointid.simulation.loop_input import ClosedLoop, LoopInput, prepare
+from jointid.simulation.loop_input import LoopInput, prepare
 
 Loop = Literal["L19", "L30"]
 Noise = Literal["white", "disturbance"]
@@ -83,13 +84,13 @@ def later(seconds: float) -> Callable[[ClosedLoop], dict[str, float]]:
 
 
 def line_7(loop: ClosedLoop) -> dict[str, float]:
-    """Return kp +3 %, kv -4 %, 0.4 ms later."""
-    return law(kp=1.03, kv=0.96)(loop) | later(0.4e-3)(loop)
+    """Return position_gain +3 %, velocity_gain -4 %, 0.4 ms later."""
+    return law(position_gain=1.03, velocity_gain=0.96)(loop) | later(0.4e-3)(loop)
 
 
 FAULTS = {
-    "kp": Fault(law(kp=1.03)),
-    "kv": Fault(law(kv=0.96)),
+    "position_gain": Fault(law(position_gain=1.03)),
+    "velocity_gain": Fault(law(velocity_gain=0.96)),
     "delay": Fault(later(0.4e-3)),
     "offset": Fault(offset=True),
     "log_gain": Fault(log_gain=1.03),
@@ -100,13 +101,15 @@ FAULTS = {
 """Single faults by the name of the suspect that is right."""
 
 PAIRS = {
-    "kp, delay": replace(FAULTS["kp"], law=lambda loop: law(kp=1.03)(loop) | later(0.2e-3)(loop)),
-    "kv, offset": replace(FAULTS["kv"], offset=True),
+    "position_gain, delay": replace(
+        FAULTS["position_gain"], law=lambda loop: law(position_gain=1.03)(loop) | later(0.2e-3)(loop)
+    ),
+    "velocity_gain, offset": replace(FAULTS["velocity_gain"], offset=True),
     "delay, log_gain": replace(FAULTS["delay"], law=later(0.2e-3), log_gain=1.03),
     "offset, stribeck": Fault(offset=True, stribeck=True),
     "limit, log_delay": Fault(limit=SATURATION, log_shift=1),
-    "kp, log_delay": replace(FAULTS["kp"], log_shift=1),
-    "kv, stribeck": replace(FAULTS["kv"], stribeck=True),
+    "position_gain, log_delay": replace(FAULTS["position_gain"], log_shift=1),
+    "velocity_gain, stribeck": replace(FAULTS["velocity_gain"], stribeck=True),
 }
 """Two faults at once, by the names of the suspects that are right."""
 

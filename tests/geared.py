@@ -6,7 +6,7 @@ from jointid.common.transmission import Transmission
 from jointid.models.controllers import Cascade
 
 RATE = 1e-3
-LAW = Cascade(kp=25.0, kv=0.02, limit=3.0)
+LAW = Cascade(position_gain=25.0, velocity_gain=0.02, limit=3.0)
 """On the motor's side, where a drive closes its loops."""
 
 SCREW = Transmission(load="prismatic", lead=0.010)

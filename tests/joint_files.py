@@ -32,7 +32,7 @@ torque = { column = "i" }
 reference = { column = "r" }
 motor_position = { column = "q" }
 """
-CASCADE = '[controller]\nlaw = "cascade"\nkp = 100.0\nkv = 2000.0\n'
+CASCADE = '[controller]\nlaw = "cascade"\nposition_gain = 100.0\nvelocity_gain = 2000.0\n'
 SMALLEST = JOINT + CHANNELS + CASCADE
 FLEXIBLE = SMALLEST.replace(JOINT, JOINT + 'model = "flexible"\n')
 

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointid.models.controllers import Cascade
-from jointid.models.joints import FlexibleJoint
+from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.records.record import Record
-from jointid.records.signals.excitation import pulses, trapezoids
 from jointid.simulation.closed_loop import Outcome, simulate_torque
-from jointid.simulation.loop_input import ClosedLoop, prepare
+from jointid.simulation.excitation import pulses, trapezoids
+from jointid.simulation.loop_input import prepare
 from jointid.simulation.synthesis import simulated_record
 
 _GAIN = 35.15065188
@@ -61,7 +61,7 @@ def prismatic(seed: int) -> Case:
     rng = np.random.default_rng([seed, 1])
     reference = trapezoids((0.042, 0.083, 0.125), 0.83, 0.2, 1e-3, duration=24.0)
     known = pulses(reference.size, 1e-3, height=150.0, width=0.02, every=0.4, seed=seed)
-    controller = Cascade(kp=160.18, kv=243.45, velocity_filter=(0.5, 0.5), gain=_GAIN, limit=1e3)
+    controller = Cascade(position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=_GAIN, limit=1e3)
     while True:
         friction = (*rng.uniform(0.5, 1.5, 4) * (92.0, 10.0, 110.0, 10.4), rng.uniform(-5, 5))
         mode = math.exp(rng.uniform(math.log(15), math.log(55)))
@@ -94,7 +94,7 @@ def rotary(seed: int) -> Case:
         friction = (*level * (viscous, 0.5 * coulomb, viscous, 0.5 * coulomb), rng.uniform(-0.2, 0.2) * torque)
         truth = _values(inertia, share, mode, damping, friction)
         velocity = inertia * 2 * math.pi * mode * rng.uniform(0.25, 0.6)
-        controller = Cascade(kp=2 * math.pi * mode * rng.uniform(0.2, 0.6), kv=velocity)
+        controller = Cascade(position_gain=2 * math.pi * mode * rng.uniform(0.2, 0.6), velocity_gain=velocity)
         loop = ClosedLoop(FlexibleJoint(kind="revolute"), controller)
         case = _driven(loop, reference, known, truth, period, mode)
         if case is not None:

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tools.census import find_arrows
+
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "src" / "jointid"
 SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -20,6 +22,11 @@ def test_imports_run_one_way() -> None:
     program = "import sys; from importlinter.cli import lint_imports; sys.exit(lint_imports(no_cache=True))"
     found = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False)
     assert found.returncode == 0, found.stdout
+
+
+def test_rooms_that_need_nothing_of_each_other_have_no_arrow() -> None:
+    needless = {("output", "uncertainty"), ("config", "diagnostics")}
+    assert not needless & set(find_arrows(PACKAGE))
 
 
 def test_every_room_is_in_the_contract() -> None:

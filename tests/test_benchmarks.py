@@ -57,7 +57,12 @@ def test_the_problem_is_that_of_the_stick(bench_dir: Path) -> None:
     assert np.array_equal(theirs["pulse"], ours.pulse)
     gains = theirs["controller"]
     law = ours.law
-    assert (gains["kp"], gains["kd"], gains["alpha"], gains["umax"]) == (law.kp, law.kd, law.memory, law.limit)
+    assert (gains["kp"], gains["kd"], gains["alpha"], gains["umax"]) == (
+        law.position_gain,
+        law.derivative_gain,
+        law.memory,
+        law.limit,
+    )
     assert (law.now, law.before, theirs["sample_time"]) == (1 - gains["alpha"], 0.0, 1e-3)
 
 

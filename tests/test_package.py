@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from tools.licences import PAGE, pinned
+
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
@@ -22,11 +24,7 @@ def test_the_wheel_works_when_installed_alone(tmp_path: Path) -> None:
     if uv is None:
         pytest.skip("uv is not there to make a fresh environment with")
     clean = {name: value for name, value in os.environ.items() if name not in ("VIRTUAL_ENV", "PYTHONPATH")}
-    subprocess.run(
-        [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)],
-        cwd=ROOT, check=True, capture_output=True,
-    )  # fmt: skip
-    (wheel,) = tmp_path.glob("*.whl")
+    wheel = build(tmp_path)
     environment = tmp_path / "env"
     subprocess.run([uv, "venv", "-q", "--python", sys.executable, str(environment)], check=True, env=clean)
     python = environment / ("Scripts" if os.name == "nt" else "bin") / "python"
@@ -41,6 +39,57 @@ def test_the_wheel_works_when_installed_alone(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "torque.png").stat().st_size > 10_000
     typed = python.parent.parent.rglob("jointid/py.typed")
     assert next(typed, None) is not None
+
+
+def build(folder: Path) -> Path:
+    subprocess.run(
+        [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)],
+        cwd=ROOT, check=True, capture_output=True,
+    )  # fmt: skip
+    (wheel,) = folder.glob("*.whl")
+    return wheel
+
+
+@pytest.mark.slow
+def test_the_wheel_is_the_same_whenever_it_is_built_and_installs_with_the_pinned_files(tmp_path: Path) -> None:
+    uv = os.environ.get("UV") or shutil.which("uv")
+    if uv is None:
+        pytest.skip("uv is not there to make a fresh environment with")
+    first, second = build(tmp_path / "first"), build(tmp_path / "second")
+    assert first.read_bytes() == second.read_bytes()
+    clean = {name: value for name, value in os.environ.items() if name not in ("VIRTUAL_ENV", "PYTHONPATH")}
+    environment = tmp_path / "env"
+    subprocess.run([uv, "venv", "-q", "--python", sys.executable, str(environment)], check=True, env=clean)
+    python = environment / ("Scripts" if os.name == "nt" else "bin") / "python"
+    install = [uv, "--no-config", "pip", "install", "-q", "--python", str(python)]
+    subprocess.run([*install, "--require-hashes", "-r", str(ROOT / "requirements.txt")], check=True, env=clean)
+    subprocess.run([*install, "--no-deps", str(first)], check=True, env=clean)
+    subprocess.run([uv, "pip", "check", "-q", "--python", str(python)], check=True, env=clean)
+    subprocess.run([python.with_name("jointid"), "--version"], check=True, env=clean, capture_output=True)
+
+
+def test_what_is_pinned_is_what_is_tested_names_no_host_and_has_hashes() -> None:
+    text = (ROOT / "requirements.txt").read_text(encoding="utf-8")
+    assert "//" not in text
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    tested = dict(one.lower().replace(".", "-", one.split("==")[0].count(".")).split("==")
+                  for one in settings["tool"]["uv"]["constraint-dependencies"])  # fmt: skip
+    versions = pinned()
+    assert versions.keys() >= {"numpy", "h5py", "bokeh", "starlette", "control", "pandas"}
+    assert {name: version for name, version in versions.items() if name in tested} == {
+        name: version for name, version in tested.items() if name in versions
+    }
+    blocks = re.split(r"\n(?=[\w.-]+==)", text)[1:]
+    assert len(blocks) >= len(versions)
+    assert all("--hash=sha256:" in block for block in blocks)
+
+
+def test_the_table_of_licences_has_every_package_and_one_that_is_not_permissive() -> None:
+    rows = dict(re.findall(r"^\| ([\w-]+) \| [^|]+ \| ([^|]+) \|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE))
+    assert rows.keys() - {"package"} == pinned().keys()
+    assert [name for name, licence in rows.items() if "GPL" in licence] == ["nptdms"]
+    core = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["dependencies"]
+    assert not any("tdms" in one.lower() for one in core)
 
 
 def test_the_readme_has_the_two_commands() -> None:

@@ -14,18 +14,17 @@ from scipy.stats import norm
 from jointid.common.arrays import FloatArray
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.flexible_search import pseudo_regular
 from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
-from jointid.estimation.search.flexible_search import pseudo_regular
 from jointid.models.controllers import POSITION, SampledLaw
-from jointid.models.joints import FlexibleJoint, Joint, RigidJoint, frequencies
+from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.paper.twin import CONTROLLERS, TABLE_2, twin
 from jointid.records.record import Channel, Timing
-from jointid.records.signals.excitation import trapezoids
-from jointid.records.signals.filtering import Filtering, apply_window, decimate, differentiate_twice, window_torque
+from jointid.records.signals.filtering import Filtering, apply_window, differentiate_twice, window_torque
 from jointid.simulation.closed_loop import Initial
-from jointid.simulation.loop_input import ClosedLoop
+from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from jointid.solvers.regression import least_squares
 from jointid.uncertainty.covariance import bandwidth, sandwich
@@ -133,7 +132,7 @@ def test_the_apparent_mass_and_drag_below_resonance() -> None:
 
 
 def test_the_frequencies_are_the_pole_and_the_zero_of_the_apparent_mass() -> None:
-    hertz = frequencies(P)
+    hertz = FlexibleJoint.frequencies(P)
     shown = {"free_free": 29.51, "motor_locked": 24.13, "load_locked": 16.99}
     assert all(hertz[name] == pytest.approx(value, abs=0.005) for name, value in shown.items())
     assert (2 * math.pi * hertz["motor_locked"]) ** 2 * RHO_PER_W2 == pytest.approx(1.0)
@@ -172,7 +171,7 @@ def test_the_chord_bound(hertz: float) -> None:
 
 
 def test_the_gain_of_the_decimation_and_the_weights_of_the_window() -> None:
-    constant = decimate(np.ones(3000), Filtering(cutoff=60.0).resolved(T), T)
+    constant = Filtering(cutoff=60.0).resolved(T).decimate(np.ones(3000), T)
     assert constant[100] == pytest.approx(10 ** (-0.05 / 10), rel=1e-9)
     assert 1 / constant[100] - 1 == pytest.approx(0.0116, abs=5e-5)
     pulse = np.zeros(20)
@@ -208,7 +207,7 @@ def test_convergence_of_the_residual_form() -> None:
     made = simulated_record(loop, motion, RIGID, sample_time=T)
     joint = RigidJoint()
     off = {p.name: replace(p, start=1.2 * RIGID[p.name]) for p in joint.parameters}
-    settings = DIDIM(start="given", scaled_iterations=0, initial_state="reference")
+    settings = DIDIM("residual", start="given", scaled_iterations=0, initial_state="reference")
     law = loop.controller.law(T)
 
     def left(edge: float) -> tuple[list[float], float]:
@@ -234,7 +233,7 @@ def test_the_pseudo_regular_start_has_the_frequency_it_was_made_for() -> None:
     )
     rigid = identify(made, ClosedLoop(RigidJoint(), CONTROLLERS["L19"]))
     start = pseudo_regular(rigid.values, 30.0)
-    assert frequencies(start)["free_free"] == pytest.approx(30.0)
+    assert FlexibleJoint.frequencies(start)["free_free"] == pytest.approx(30.0)
     assert start["motor_inertia"] == start["load_inertia"] == pytest.approx(0.5 * rigid.values["inertia"])
     assert start["damping"] == pytest.approx(0.04 * start["stiffness"] / (2 * math.pi * 30.0))
 
@@ -300,7 +299,7 @@ def test_what_a_rigid_identification_of_the_twin_sees(loop: str, masses: tuple[f
     axis = twin(loop, noise="none")  # type: ignore[arg-type]
     rigid = ClosedLoop(RigidJoint(), axis.loop.controller)
     for edge, mass in zip((5.0, 10.0), masses, strict=True):
-        found = identify(axis.record, rigid, DIDIM(), filtering=Filtering(cutoff=edge))
+        found = identify(axis.record, rigid, DIDIM("residual"), filtering=Filtering(cutoff=edge))
         assert found.values["inertia"] == pytest.approx(mass, abs=0.006)
 
 

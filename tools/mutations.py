@@ -16,14 +16,15 @@ ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "jointid"
 
 FAULTS = (
-    ("the trust region's Jacobian in wrong units", "solvers/trust_region.py", "[1] * (unit / size)", "[1] * size"),
-    ("a larger damping after a step that went down", "solvers/levenberg_marquardt.py", "_EASIER, _HARDER = 0.1, 5.0",
+    ("the trust region's Jacobian in wrong units", "solvers/bounded_least_squares.py", "[1] * (unit / size)",
+     "[1] * size"),
+    ("a larger damping after a step that went down", "solvers/bounded_least_squares.py", "_EASIER, _HARDER = 0.1, 5.0",
      "_EASIER, _HARDER = 50.0, 5.0"),
     ("Gauss-Newton goes uphill", "solvers/gauss_newton.py", "at.x - solution(", "at.x + solution("),
-    ("instruments step uphill", "solvers/instrumental_variables.py", "-projection(", "projection("),
-    ("the worst of several starts", "solvers/multistart.py", "np.argmin(costs)", "np.argmax(costs)"),
+    ("instruments step uphill", "solvers/regression.py", "-projection(", "projection("),
+    ("the worst of several starts", "solvers/solve.py", "np.argmin(costs)", "np.argmax(costs)"),
     ("Nelder-Mead minimises the norm of nothing", "solvers/nelder_mead.py", "return norm * norm", "return 0.0 * norm"),
-    ("upper bounds are not kept", "solvers/solve.py", "np.minimum(np.maximum(x, self.lower), self.upper)",
+    ("upper bounds are not kept", "common/parameters.py", "np.minimum(np.maximum(x, self.lower), self.upper)",
      "np.maximum(x, self.lower)"),
     ("the closed loop's derivatives with the wrong sign", "estimation/problems/closed_loop.py",
      "return error, -slopes", "return error, slopes"),

@@ -100,7 +100,7 @@ def _period(loop: Loop, setting: Setting) -> Any:
     phi, c1, c2 = ca.reshape(given[:24], 4, 6), given[24], given[25]
     x, velocity, last, moved = state[:4], state[4], state[5], state[6]
     velocity = law.memory * velocity + (law.now * (x[0] - last) + law.before * moved) / PERIOD
-    torque = _clip(fed - law.kp * x[0] - law.kd * velocity, law.limit)
+    torque = _clip(fed - law.position_gain * x[0] - law.derivative_gain * velocity, law.limit)
     law_state = ca.vertcat(velocity, x[0], x[0] - last)
     for _ in range(setting.steps):
         free = phi[:, :4] @ x + phi[:, 4] * torque

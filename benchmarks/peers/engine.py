@@ -81,17 +81,18 @@ _SMALL = 100  # what is larger is a signal, not a state
 
 def _closed(law: Law) -> Any:
     from jointid.models.controllers import PD, Cascade, DigitalFilter
-    from jointid.models.joints import FlexibleJoint
-    from jointid.simulation.loop_input import ClosedLoop
+    from jointid.models.joints import ClosedLoop, FlexibleJoint
 
     filtered = DigitalFilter((law.now, law.before), (1.0, -law.memory))
     if law.fed:
         controller = PD(
-            kp=law.kp, kd=law.kd, reference_velocity="channel", velocity_filter=filtered, limit=law.limit
+            position_gain=law.position_gain, derivative_gain=law.derivative_gain, reference_velocity="channel",
+            velocity_filter=filtered, limit=law.limit
         )  # fmt: skip
         return ClosedLoop(FlexibleJoint(), controller)
     return ClosedLoop(
-        FlexibleJoint(), Cascade(kp=law.kp / law.kd, kv=law.kd, velocity_filter=filtered, limit=law.limit)
+        FlexibleJoint(), Cascade(position_gain=law.position_gain / law.derivative_gain,
+        velocity_gain=law.derivative_gain, velocity_filter=filtered, limit=law.limit)
     )  # fmt: skip
 
 

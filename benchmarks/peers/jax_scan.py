@@ -75,7 +75,7 @@ def _simulation(loop: Loop, setting: Setting) -> Any:
         def period(carry: Any, fed: Any) -> Any:
             x, velocity, last, moved = carry
             velocity = law.memory * velocity + (law.now * (x[0] - last) + law.before * moved) / PERIOD
-            torque = jnp.clip(fed - law.kp * x[0] - law.kd * velocity, -law.limit, law.limit)
+            torque = jnp.clip(fed - law.position_gain * x[0] - law.derivative_gain * velocity, -law.limit, law.limit)
             moved, last = x[0] - last, x[0]
             for _ in range(setting.steps):
                 x = _step(phi, coulomb, x, torque, setting, jnp)

@@ -33,7 +33,8 @@ class MujocoRollout(Peer):
         super().__init__(loop, setting)
         law, steps = loop.law, setting.steps
         self.actuator = (
-            f'<general name="drive" joint="motor" gainprm="1" biastype="affine" biasprm="0 {-law.kp!r} {-law.kd!r}" '
+            f'<general name="drive" joint="motor" gainprm="1" biastype="affine" '
+            f'biasprm="0 {-law.position_gain!r} {-law.derivative_gain!r}" '
             f'forcerange="{-law.limit!r} {law.limit!r}"/>'
         )
         self.compiled = model_of(setting, self.actuator)

@@ -70,6 +70,8 @@ class MujocoStep(Peer):
             q = position[:, 0]
             velocity = law.memory * velocity + (law.now * (q - last) + law.before * moved) / PERIOD
             moved, last = q - last, q.copy()
-            control[:, 0] = found[period] = np.clip(w[period] - law.kp * q - law.kd * velocity, -law.limit, law.limit)
+            control[:, 0] = found[period] = np.clip(
+                w[period] - law.position_gain * q - law.derivative_gain * velocity, -law.limit, law.limit
+            )
             batch.step(nstep=self.setting.steps)
         return list(found.T)

@@ -42,8 +42,18 @@ def with_toolbox(axis: Twin, problem: ClosedLoopProblem, starts: Array, best: fl
 def loop_of_twin(axis: Twin) -> Loop:
     """Return the twin's loop as the peers read it; its pulses act behind a limit that is never reached."""
     controller = CONTROLLERS["L19"]
-    kv = controller.kv * controller.gain
-    law = Law("twin", "the twin's loop", controller.kp * kv, kv, EMPS.memory, EMPS.now, EMPS.before, 1e9, False)
+    velocity_gain = controller.velocity_gain * controller.gain
+    law = Law(
+        "twin",
+        "the twin's loop",
+        controller.position_gain * velocity_gain,
+        velocity_gain,
+        EMPS.memory,
+        EMPS.now,
+        EMPS.before,
+        1e9,
+        False,
+    )
     reference, injected = axis.record.reference, axis.record.injected
     assert isinstance(reference, Channel)
     assert injected is not None

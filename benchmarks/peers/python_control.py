@@ -58,7 +58,7 @@ def _system(loop: Loop, setting: Setting, parameters: Array) -> Any:
         return float(law.memory * state[4] + moved / PERIOD)
 
     def output(_t: float, state: Array, fed: Array, _p: object) -> float:
-        torque = fed[0] - law.kp * state[0] - law.kd * filtered(state)
+        torque = fed[0] - law.position_gain * state[0] - law.derivative_gain * filtered(state)
         return float(min(max(torque, -law.limit), law.limit))
 
     def update(t: float, state: Array, fed: Array, given: object) -> Array:

@@ -156,6 +156,8 @@ def _kind(leaf: Mapping[str, Any], schema: Mapping[str, Any]) -> str:
     if leaf.get("type") == "array":
         items = re.sub(r"\b(number|list|table|text)\b", r"\1s", _values(leaf.get("items", {}), schema))
         return f"list of {items}"
+    if leaf.get("description") == "a number with its unit":
+        return "text with a unit"
     if leaf.get("type") in _WORDS:
         return _WORDS[leaf["type"]]
     word = "whole number" if leaf.get("type") == "integer" else "number"

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import joint_file_keys
 
 import jointid
-from jointid.estimation.result.params import Params
+from jointid.estimation.result.parts import Params
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
@@ -39,11 +39,8 @@ BY_MODULE = (
     "models.disturbances.Drift",
     "models.disturbances.PositionHarmonics",
     "models.linear.frequency_response",
-    "models.parameters.Parameter",
+    "common.parameters.Parameter",
     "output.export.read_estimated",
-    "output.figures.save",
-    "output.figures.tuning_figure",
-    "output.report.report.report_file",
     "records.record.Injection",
     "records.record.InjectionPoint",
     "records.record.Tap",

@@ -12,15 +12,11 @@ import tempfile
 from pathlib import Path
 
 from PIL import Image
-from playwright.sync_api import sync_playwright
 
 from jointid.apps.cli import main
 
 ROOT = Path(__file__).resolve().parents[2]
 IMAGES = ROOT / "docs" / "images"
-sys.path.insert(0, str(ROOT))
-
-from tests.browser import browser_path  # noqa: E402
 
 
 def run(*words: object) -> None:
@@ -37,27 +33,13 @@ def figure(record: Path) -> None:
     run("identify", ROOT / "examples/emps/joint.toml", "--record", record, "--figure", IMAGES / "emps.png", "-q")
 
 
-def report(record: Path, folder: Path) -> None:
-    """What a report on it begins with."""
-    page, picture = folder / "report.html", folder / "report.png"
-    run("report", ROOT / "examples/emps/joint.toml", "--record", record, "--html", page, "-q")
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=browser_path(), args=["--no-sandbox"])
-        opened = browser.new_page(viewport={"width": 1280, "height": 1180})
-        opened.goto(page.as_uri())
-        opened.wait_for_load_state("networkidle")
-        opened.screenshot(path=picture)
-        browser.close()
-    saved(picture, "report.png", 960)
-
-
 def web_page(folder: Path) -> None:
     """Two steps of the page in the browser, as its test comes by them."""
     test = "tests/apps/web/test_in_the_browser.py::test_emps_end_to_end"
     words = [sys.executable, "-m", "pytest", "-q", "-m", "browser", "-n", "0", "-p", "no:cacheprovider", test]
     subprocess.run(words, cwd=ROOT, env=os.environ | {"JOINTID_SHOTS": str(folder)}, check=True)  # noqa: S603
     saved(folder / "1280-2-channels.png", "page-channels.png", 800, 831)
-    saved(folder / "820-5-report.png", "page-report.png", 640, 500)
+    saved(folder / "1280-5-answer.png", "page-report.png", 800, 620)
 
 
 def saved(picture: Path, name: str, width: int, height: int | None = None) -> None:
@@ -75,5 +57,4 @@ if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as scratch:
         emps = Path(os.environ["JOINTID_DATA"]) / "emps" / "DATA_EMPS.mat"
         figure(emps)
-        report(emps, Path(scratch))
         web_page(Path(scratch))

@@ -20,8 +20,8 @@ torque = { column = "i" }
 reference = { column = "r" }
 [controller]
 law = "cascade"
-kp = 100.0
-kv = 2000.0
+position_gain = 100.0
+velocity_gain = 2000.0
 torque_filters = [{ kind = "notch", frequency = 80.0, bandwidth = 20.0 }, { kind = "second_order", frequency = 300.0 }]
 [parameters]
 offset = 0.0
@@ -37,7 +37,7 @@ offset = 0.0
         ('method.name="idim"', {"method": {"name": "idim"}}),
         ("joint.name=axis=3", None),
         ('joint.name="axis = 3"', {"joint": {"name": "axis = 3"}}),
-        ("method.free=['kp', 'delay']", {"method": {"free": ["kp", "delay"]}}),
+        ("method.free=['position_gain', 'delay']", {"method": {"free": ["position_gain", "delay"]}}),
         ("record.header=true", {"record": {"header": True}}),
         ("parameters.inertia.upper=inf", {"parameters": {"inertia": {"upper": float("inf")}}}),
         ("parameters.inertia={upper = 120.0}", {"parameters": {"inertia": {"upper": 120.0}}}),
@@ -59,9 +59,13 @@ def test_a_change_leaves_all_else_and_the_last_one_wins() -> None:
 
 
 def test_what_is_changed_is_what_is_loaded() -> None:
-    file = loads(FILE, changes=["method.frequency=30", "controller.torque_filters.0.frequency=70", "controller.ki=5"])
+    file = loads(
+        FILE, changes=["method.frequency=30", "controller.torque_filters.0.frequency=70", "controller.integral_gain=5"]
+    )
     assert file == loads(
-        FILE.replace("frequency = 80.0", "frequency = 70.0").replace("kv =", "ki = 5.0\nkv =")
+        FILE.replace("frequency = 80.0", "frequency = 70.0").replace(
+            "velocity_gain =", "integral_gain = 5.0\nvelocity_gain ="
+        )
         + "[method]\nfrequency = 30\n"
     )
 
@@ -76,7 +80,10 @@ def test_the_records_of_a_list_are_counted_from_1() -> None:
     [
         ("method.frequenzy=30", "method.frequenzy is not a known key; expected one of "),
         ("method.frequency=-3", "method.frequency is -3; expected a positive number: correct it, or leave it out."),
-        ("controller.kp=fast", 'controller.kp is "fast"; expected a number, 0 or more: correct it.'),
+        (
+            "controller.position_gain=fast",
+            'controller.position_gain is "fast"; expected a number, 0 or more: correct it.',
+        ),
         ("method.form=paper", "method.form is for DIDIM of a rigid joint, but the joint is flexible: "),
         ("method", '--set "method" is not key=value; write it as "method.frequency=30".'),
         ("a b=1", '--set "a b=1" names no key; expected one with points, as method.frequency: correct it.'),

@@ -19,10 +19,9 @@ from jointid.config import (
 )
 from jointid.config.schema import FILTERINGS
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.methods.open_loop import OpenLoopFit
+from jointid.estimation.methods.prescribed import DriveSideFit, OpenLoopFit
 from jointid.estimation.methods.registry import METHODS, MODELS
 from jointid.models.controllers import (
     PD,
@@ -39,7 +38,7 @@ from jointid.models.friction import AsymmetricFriction, SymmetricFriction
 from jointid.models.gravity import GRAVITY_PARAMETERS, Counterbalance, Gravity
 from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.records.columns import Column
-from jointid.records.drives.drive import Drive
+from jointid.records.drives import Drive
 from jointid.records.record import InjectionPoint, Tap, Timing
 from jointid.records.resampling import Resampling
 from jointid.records.signals.filtering import Filtering
@@ -60,7 +59,7 @@ def test_every_default() -> None:
         joint=RigidJoint("prismatic", SymmetricFriction()),
         columns={"torque": Column("i"), "reference": Column("r"), "motor_position": Column("q")},
         method=DIDIM(),
-        controller=Cascade(kp=100.0, kv=2000.0),
+        controller=Cascade(position_gain=100.0, velocity_gain=2000.0),
         filtering=Filtering(),
         parameters={},
         source=Source(),
@@ -82,8 +81,8 @@ def test_every_key_that_is_written_at_its_default_changes_nothing() -> None:
         motor_position = { column = "q" }
         [controller]
         law = "cascade"
-        kp = 100
-        kv = 2000
+        position_gain = 100
+        velocity_gain = 2000
         gain = 1
         delay = 0
         limit = inf
@@ -94,7 +93,7 @@ def test_every_key_that_is_written_at_its_default_changes_nothing() -> None:
         aliasing = "refused"
         [method]
         name = "didim"
-        form = "residual"
+        form = "least-squares"
         start = "inversion"
         scaled_iterations = 2
         tolerance = 1e-7
@@ -182,8 +181,8 @@ def test_all_of_a_file() -> None:
         injected = { column = "x", unit = "A", at = "after_limit", in_torque = false }
         [controller]
         law = "pd"
-        kp = 3.0
-        kd = 0.1
+        position_gain = 3.0
+        derivative_gain = 0.1
         reference_velocity = "channel"
         velocity_filter = { numerator = [0.2], denominator = [1.0, -0.8] }
         gain = 2.0
@@ -206,7 +205,7 @@ def test_all_of_a_file() -> None:
         simulations = 500
         restarts = 0
         statistics = "inverse-model"
-        free = ["kp", "delay"]
+        free = ["position_gain", "delay"]
         [parameters]
         stiffness = { start = 8e5, lower = 1e3, upper = 1e7 }
         damping = 126
@@ -226,10 +225,10 @@ def test_all_of_a_file() -> None:
             "load_position": Column("p", optional=True, sample_time=0.002),
             "injected": Column("x", "A", in_torque=False),
         },
-        method=FlexibleDIDIM("nelder-mead", 25.0, 4.0, 1e-3, 500, 0, "inverse-model", ("kp", "delay")),
+        method=FlexibleDIDIM("nelder-mead", 25.0, 4.0, 1e-3, 500, 0, "inverse-model", ("position_gain", "delay")),
         controller=PD(
-            kp=3.0,
-            kd=0.1,
+            position_gain=3.0,
+            derivative_gain=0.1,
             reference_velocity="channel",
             velocity_filter=DigitalFilter((0.2,), (1.0, -0.8)),
             gain=2.0,

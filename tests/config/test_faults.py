@@ -26,19 +26,23 @@ from tests.joint_files import (
 FAULTS = [
     # keys
     (
-        SMALLEST + "kpp = 3",
-        "controller.kpp is not a known key; expected one of law, side, gain, limit, period, delay, interpolation, "
-        "reference_delay, velocity_filter, torque_filters, filters_at, acceleration_feedforward, viscous_feedforward, "
-        "coulomb_feedforward, constant_feedforward, torque_feedforward_delay, kp, kv, ki, anti_windup, "
-        "velocity_feedforward, velocity_feedforward_delay, reference_velocity, velocity_limit, position_period, "
-        "position_offset: did you mean kp?",
+        SMALLEST + "position_gian = 3",
+        "controller.position_gian is not a known key; expected one of law, side, gain, limit, period, delay, "
+        "interpolation, reference_delay, velocity_filter, torque_filters, filters_at, acceleration_feedforward, "
+        "viscous_feedforward, coulomb_feedforward, constant_feedforward, torque_feedforward_delay, position_gain, "
+        "velocity_gain, integral_gain, anti_windup, velocity_feedforward, "
+        "velocity_feedforward_delay, reference_velocity, velocity_limit, position_period, "
+        "position_offset, integral_time: did you mean position_gain?",
     ),
     (
-        SMALLEST.replace("kv = 2000.0", "kd = 3.0\nki = 1.0").replace("cascade", "pd"),
-        "controller.ki is not a known key; expected one of law, side, gain, limit, period, delay, interpolation, "
+        SMALLEST.replace("velocity_gain = 2000.0", "derivative_gain = 3.0\nintegral_gain = 1.0").replace(
+            "cascade", "pd"
+        ),
+        "controller.integral_gain is not a known key; expected one of law, side, gain, limit, period, delay, "
+        "interpolation, "
         "reference_delay, velocity_filter, torque_filters, filters_at, acceleration_feedforward, viscous_feedforward, "
-        "coulomb_feedforward, constant_feedforward, torque_feedforward_delay, kp, kd, reference_velocity: leave it "
-        "out.",
+        "coulomb_feedforward, constant_feedforward, torque_feedforward_delay, position_gain, derivative_gain, "
+        "reference_velocity, derivative_time: leave it out.",
     ),
     (
         SMALLEST + "[methods]",
@@ -56,8 +60,8 @@ FAULTS = [
         "filtering, method, parameters, records, together: leave it out.",
     ),
     (
-        SMALLEST.replace("kp = 100.0\n", ""),
-        "controller.kp is missing; expected a number, 0 or more (position gain [1/s]): add it.",
+        SMALLEST.replace("position_gain = 100.0\n", ""),
+        "controller.position_gain is missing; expected a number, 0 or more (position gain [1/s]): add it.",
     ),
     (
         SMALLEST.replace(JOINT, "[joint]\n"),
@@ -92,17 +96,18 @@ FAULTS = [
     ),
     # values
     (
-        SMALLEST.replace("kp = 100.0", 'kp = "160.18"'),
-        'controller.kp is "160.18"; expected a number, 0 or more: write it without quotes.',
+        SMALLEST.replace("position_gain = 100.0", 'position_gain = "160.18"'),
+        'controller.position_gain is "160.18"; expected a number, 0 or more: write it without quotes.',
     ),
     (
-        SMALLEST.replace("kp = 100.0", "kp = -3"),
-        "controller.kp is -3; expected a number, 0 or more: turn the torque or the positions round, with sign = "
+        SMALLEST.replace("position_gain = 100.0", "position_gain = -3"),
+        "controller.position_gain is -3; expected a number, 0 or more: turn the torque or the positions round, with "
+        "sign = "
         "-1 on their channels.",
     ),
     (
-        SMALLEST.replace("kp = 100.0", "kp = nan"),
-        "controller.kp is nan; expected a number, 0 or more: correct it.",
+        SMALLEST.replace("position_gain = 100.0", "position_gain = nan"),
+        "controller.position_gain is nan; expected a number, 0 or more: correct it.",
     ),
     (
         SMALLEST + "gain = -1.5",
@@ -135,7 +140,7 @@ FAULTS = [
         "not start with 0, of finite numbers; received (1.0,) / (0.0,).",
     ),
     (
-        SMALLEST + "velocity_filter = { frequency = 80.0 }",
+        SMALLEST + "velocity_filter = { frequency = 80.0, samples = 3 }",
         'controller.velocity_filter.kind is missing; expected "digital", "moving_average", "first_order", '
         '"second_order" or "notch" (which filter): add it.',
     ),
@@ -201,20 +206,22 @@ FAULTS = [
         'controller.interpolation is "zoh"; expected "hold", "linear" or "cubic": choose one of them.',
     ),
     (
-        SMALLEST.replace("kv = 2000.0", "kd = 3.0").replace("cascade", "pid"),
-        "controller.ki is missing; expected a number, 0 or more (integral gain [controller units per m s or rad s]): "
-        "add it.",
+        SMALLEST.replace("velocity_gain = 2000.0", "derivative_gain = 3.0").replace("cascade", "pid"),
+        "controller.integral_gain is missing; expected a number, 0 or more (integral gain [controller units per m s "
+        "or rad s]): "
+        "add it, or integral_time.",
     ),
     (
-        SMALLEST + 'velocity_filter = [0.5, 0.5]\n[method]\nfree = ["kp", "velocity_filter.time_constant"]',
+        SMALLEST + 'velocity_filter = [0.5, 0.5]\n[method]\nfree = ["position_gain", "velocity_filter.time_constant"]',
         'method.free: Nothing around this joint is called "velocity_filter.time_constant"; what can be freed is '
         "initial_position, initial_velocity, drive_gain, log_gain, log_delay, gain, limit, delay, reference_delay, "
         "acceleration_feedforward, viscous_feedforward, coulomb_feedforward, constant_feedforward, "
-        "torque_feedforward_delay, kp, kv, ki, velocity_feedforward, velocity_feedforward_delay, velocity_limit.",
+        "torque_feedforward_delay, position_gain, velocity_gain, integral_gain, velocity_feedforward, "
+        "velocity_feedforward_delay, velocity_limit.",
     ),
     (
-        SMALLEST + '[together]\nfree = ["ki"]',
-        "together.free: The ki of this controller is 0, so it has no such part; declare a start above 0.",
+        SMALLEST + '[together]\nfree = ["integral_gain"]',
+        "together.free: The integral_gain of this controller is 0, so it has no such part; declare a start above 0.",
     ),
     (
         SMALLEST.replace('"i"', '"i", gain = -3.0'),
@@ -362,19 +369,19 @@ FAULTS = [
         "drive.axis is 0; expected a whole number, 1 or more: correct it, or leave it out.",
     ),
     (
-        SMALLEST + "[drive]\nrated_torque = 1\nrated_current = 2\ntorque_constant = 0.7",
+        SMALLEST.replace(JOINT, JOINT + "torque_constant = 0.7\n") + "[drive]\nrated_torque = 1\nrated_current = 2",
         "drive: The drive's rated_torque is 1, and rated_current x torque_constant 1.4, 1.4 times as much (peak and "
         "rms ampere differ by 1.41); correct one, or leave rated_current out.",
     ),
     (
         SMALLEST.replace('"i"', '"i", unit = "permille"'),
         'record.channels.torque is in "permille", a share of the rated torque, which needs the drive\'s rated_torque: '
-        "give it, or rated_current and torque_constant.",
+        "give it below [drive], or rated_current there and torque_constant below [joint].",
     ),
     (
         SMALLEST.replace('"r"', '"r", unit = "counts"') + "[drive]\ncounts_per_turn = 4096",
-        'record.channels.reference is in "counts", which needs the drive\'s counts_per_metre: give it, or gain and '
-        "another unit.",
+        'record.channels.reference is in "counts", which needs the drive\'s counts_per_metre: give it below [drive], '
+        "or gain and another unit.",
     ),
     (
         SMALLEST.replace('{ column = "i" }', "{ gain = 2.0 }"),
@@ -402,7 +409,9 @@ FAULTS = [
         "which needs only torque, reference and controller.",
     ),
     (
-        JOINT + CHANNELS + '[controller]\nlaw = "pd"\nkp = 1.0\nkd = 1.0\nreference_velocity = "channel"',
+        JOINT
+        + CHANNELS
+        + '[controller]\nlaw = "pd"\nposition_gain = 1.0\nderivative_gain = 1.0\nreference_velocity = "channel"',
         'record.channels.reference_velocity is missing, but DIDIM needs it: add it, or use method.name = "idim", '
         "which needs only torque and motor_position.",
     ),
@@ -625,7 +634,10 @@ def test_a_fault_is_one_sentence(text: str, sentence: str) -> None:
 @pytest.mark.parametrize(
     ("wrong", "meant"),
     [
-        (SMALLEST + "KI = 3.0", "controller.KI is not a known key; .* did you mean ki"),
+        (
+            SMALLEST + "INTEGRAL_GAIN = 3.0",
+            "controller.INTEGRAL_GAIN is not a known key; .* did you mean integral_gain",
+        ),
         (SMALLEST + "[Method]", "Method is not a known key; .* did you mean method"),
         (SMALLEST + "[drive]\nratedTorque = 3.0", "drive.ratedTorque is not a known key; .* did you mean rated_torque"),
         (SMALLEST + "torque_filters = [{ D = 1.0, numerator = [1.0] }]", "0.D is not a known key; .*: leave it out."),
@@ -651,7 +663,7 @@ def test_all_faults_come_at_once() -> None:
         reference = { column = "r", unit = "deg" }
         motor_position = 3
         [controller]
-        kp = "a"
+        position_gain = "a"
         [filtering]
         preset = "published"
         borders = [1, 2]
@@ -682,7 +694,7 @@ def test_all_faults_come_at_once() -> None:
 
 
 def test_a_joint_with_other_faults_still_has_its_model() -> None:
-    found = faults(FLEXIBLE.replace('"flexible"', '"flexible"\nfriktion = 3') + "[method]\niterations = 3")
+    found = faults(FLEXIBLE.replace('"flexible"', '"flexible"\nfriktion = "symmetric"') + "[method]\niterations = 3")
     assert [sentence.split()[0] for sentence in found] == ["joint.friktion", "method.iterations"]
     for unknown in (FLEXIBLE.replace("flexible", "flexibel"), SMALLEST.replace(JOINT, "joint = 3\n")):
         (sentence,) = faults(f"{unknown}[method]\niterations = 3\nminimiser = 'nelder-mead'")
@@ -697,3 +709,24 @@ def test_a_file_that_is_not_there_or_no_text(tmp_path: Path) -> None:
         load(tmp_path / "joint.toml")
     (tmp_path / "marked.toml").write_text(SMALLEST, encoding="utf-8-sig")
     assert load(tmp_path / "marked.toml") == loads(SMALLEST)
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "sentence"),
+    [
+        ("[controller]", "[contoller]", "contoller is not a known key;"),
+        ("[joint]", "[jont]", "jont is not a known key;"),
+        ("[record.channels]", "[record.chanels]", "record.chanels is not a known key;"),
+    ],
+)
+def test_nothing_is_missed_that_is_there_with_its_name_misspelt(right: str, wrong: str, sentence: str) -> None:
+    text = SMALLEST.replace("motor_position", "load_position")
+    assert right in text
+    (found,) = faults(text.replace(right, wrong))
+    assert found.startswith(sentence)
+    assert found.endswith(f"did you mean {right.strip('[]').rpartition('.')[2]}?")
+
+
+def test_a_unit_that_is_nearly_known_is_told_the_one_that_may_be_meant() -> None:
+    (found,) = faults(SMALLEST + 'delay = "1 Ms"\n')
+    assert found == 'controller.delay is "1 Ms"; "Ms" is no unit that is known; write "ms" if that is meant.'

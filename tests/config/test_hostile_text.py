@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import time
 import tomllib
+from pathlib import Path
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from jointid.common.errors import JointFileError
 from jointid.config import (
     JointFile,
+    load,
     loads,
 )
+from jointid.config.loading import load_to_learn
+from jointid.config.toml_text import deepest_key, split_sections
 from jointid.models.controllers import (
     StateSpaceController,
 )
@@ -80,3 +86,56 @@ def read_or_refused(text: str) -> None:
         loads(text)
     except JointFileError as error:
         in_our_words(error)
+
+
+@pytest.mark.parametrize("line", ["x{} = [1, 2]", "[x{}]", "x = {{ y{} = 1, z = 2 }}", "x = [1,\n2]\ny{} = 'a, b'"])
+def test_a_key_of_many_parts_is_refused_before_it_is_parsed(line: str) -> None:
+    """The parser takes the square of the parts: half a minute for 120,000."""
+    begin = time.process_time()
+    with pytest.raises(JointFileError, match="nests lists or tables too deeply"):
+        loads(line.format(".a" * 120_000) + "\n")
+    assert time.process_time() - begin < 5
+    with pytest.raises(JointFileError, match="names no key"):
+        loads("", changes=[f"x{'.a' * 120_000}=1"])
+
+
+def test_points_in_strings_comments_and_numbers_are_none_of_a_key() -> None:
+    dots = "." * 1000
+    text = (
+        f'a = \'{dots}\' # {dots}\nb = "{dots}\\"{dots}"\nc = \'\'\'\n{dots}\'\n\'\'\'\nd = """{dots}"""""\ne.f = 1.5\n'
+    )
+    assert tomllib.loads(text)["e"] == {"f": 1.5}
+    assert deepest_key(text) == 1
+
+
+def test_a_text_is_cut_before_headings_and_nowhere_else() -> None:
+    text = (
+        "a = [\n[1],\n  [2], # ]\n]\n[b] # [\nc = '[d]'\n[[e]]\nf = '''\n[g]\n'''\n"
+        'h = """\n[i]\\"""\n[j]\n"""\nk = { l = [\n[3]\n] }\n  [m]\n'
+    )
+    assert tomllib.loads(text).keys() == {"a", "b", "e", "m"}
+    sections = split_sections(text)
+    assert "".join(sections) == text
+    assert [section.split("\n")[0] for section in sections] == ["a = [", "[b] # [", "[[e]]", "  [m]"]
+    long = "a = [\n" + "[1],\n" * 100_000 + "]\n[b]\n"  # once the parser had each of these lines anew
+    begin = time.process_time()
+    assert len(split_sections(long)) == 2
+    assert time.process_time() - begin < 5
+
+
+def test_a_device_without_end_is_no_joint_file(tmp_path: Path) -> None:
+    path = tmp_path / "joint.toml"
+    path.symlink_to("/dev/zero")
+    for read in (load, load_to_learn):
+        with pytest.raises(JointFileError, match=r"has \d+ bytes \(a joint file has at most"):
+            read(path)
+
+
+def test_a_filter_of_thousands_of_numbers_is_refused() -> None:
+    text = EXAMPLE.read_text(encoding="utf-8")
+    numbers = ", ".join(["1.0"] * 50_000)
+    with pytest.raises(JointFileError, match=r"A digital filter of 50000 numbers is given \(at most 1000\)") as error:
+        loads(text, changes=[f"controller.velocity_filter={{ numerator = [{numbers}] }}"])
+    assert len(str(error.value)) < 1000
+    with pytest.raises(JointFileError):
+        loads(text, changes=[f"controller.velocity_filter={{ numerator = [1{'0' * 400}] }}"])

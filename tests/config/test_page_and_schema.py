@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import subprocess
 import sys
@@ -17,11 +18,12 @@ from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.flexible import FlexibleDIDIM, stopping_tolerance
 from jointid.models.controllers import (
     Cascade,
+    FirstOrder,
 )
 from jointid.models.friction import AsymmetricFriction, SymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.records.columns import known_units
-from jointid.records.drives.drive import Drive
+from jointid.records.drives import Drive
 from jointid.records.signals.filtering import Filtering
 from tests.joint_files import (
     PAGE,
@@ -72,11 +74,15 @@ def test_the_page_has_the_defaults_that_depend_on_the_model() -> None:
 
 def test_the_files_on_the_page_are_right() -> None:
     texts = re.findall(r"```toml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
-    assert len(texts) == 6
-    smallest, geared, traced, drive, several, whole = map(loads, texts)
+    assert len(texts) == 7
+    smallest, geared, traced, united, drive, several, whole = map(loads, texts)
     assert geared.joint.transmission == Transmission(load="revolute", ratio=100.0)
     assert geared.columns["reference"].side == "load"
     assert traced.drive == Drive("cia402", rated_torque=1.27, counts_per_turn=1048576.0)
+    assert united.controller == Cascade(
+        position_gain=1 / 0.06, velocity_gain=0.8, integral_gain=1 / 0.006, velocity_limit=100 * math.pi, gain=0.72,
+        velocity_filter=FirstOrder(1 / (600 * math.pi)),
+    )  # fmt: skip
     assert [one.added_inertia for one in several.runs] == [0.0, 10.0]
     assert isinstance(smallest.method, DIDIM)
     assert isinstance(drive.controller, Cascade)

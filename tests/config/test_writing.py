@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jointid.common.errors import JointFileError
+from jointid.common.parameters import Parameter
 from jointid.common.transmission import SIDES, Transmission
 from jointid.config import (
     JointFile,
@@ -22,10 +23,12 @@ from jointid.config import (
     controller_text,
     dumps,
     load,
+    load_to_learn,
     loads,
     save,
-    with_controller,
     with_paths,
+    with_record,
+    with_table,
 )
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.flexible import FlexibleDIDIM
@@ -46,9 +49,8 @@ from jointid.models.disturbances import Drift, PositionHarmonics
 from jointid.models.friction import AsymmetricFriction, SymmetricFriction
 from jointid.models.gravity import Counterbalance, Gravity
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
-from jointid.models.parameters import Parameter
 from jointid.records.columns import Column, known_units
-from jointid.records.drives.drive import Drive, profile_names
+from jointid.records.drives import Drive, profile_names
 from jointid.records.record import InjectionPoint, Tap, Timing
 from jointid.records.signals.filtering import Filtering
 from tests.joint_files import (
@@ -78,7 +80,7 @@ law = {
     "delay": none_or_more,
     "interpolation": st.sampled_from((None, "hold", "linear", "cubic")),
     "reference_delay": seconds,
-    "kp": positive,
+    "position_gain": positive,
     "velocity_filter": row | filters,
     "torque_filters": st.lists(filters, max_size=3).map(tuple),
     "filters_at": st.sampled_from(("before_limit", "after_limit")),
@@ -97,8 +99,8 @@ def controllers(ratio: st.SearchStrategy[float]) -> st.SearchStrategy[Controller
     return st.one_of(
         st.builds(
             Cascade,
-            kv=positive,
-            ki=none_or_more,
+            velocity_gain=positive,
+            integral_gain=none_or_more,
             anti_windup=windups,
             velocity_feedforward=none_or_more,
             velocity_feedforward_delay=seconds,
@@ -106,8 +108,15 @@ def controllers(ratio: st.SearchStrategy[float]) -> st.SearchStrategy[Controller
             velocity_limit=positive | st.just(np.inf),
             **shared,
         ),
-        st.builds(PD, kd=positive, reference_velocity=velocities, **shared),
-        st.builds(PID, kd=positive, ki=none_or_more, anti_windup=windups, reference_velocity=velocities, **shared),
+        st.builds(PD, derivative_gain=positive, reference_velocity=velocities, **shared),
+        st.builds(
+            PID,
+            derivative_gain=positive,
+            integral_gain=none_or_more,
+            anti_windup=windups,
+            reference_velocity=velocities,
+            **shared,
+        ),
     )
 
 
@@ -172,7 +181,7 @@ def joint_files(draw: st.DrawFn) -> JointFile:
         simulations=whole,
         restarts=whole,
         statistics=st.sampled_from(("sensitivities", "inverse-model")),
-        free=st.sampled_from(((), ("kp",), ("kp", "delay"))),
+        free=st.sampled_from(((), ("position_gain",), ("position_gain", "delay"))),
     )
     estimators = st.sampled_from(("ols", "weighted", "robust", "iv"))
     ripple = st.builds(PositionHarmonics, st.none() | positive, st.integers(1, 9))
@@ -225,7 +234,7 @@ def joint_files(draw: st.DrawFn) -> JointFile:
                     st.sampled_from(("run.csv", "runs/run 2.TXT")),
                     added_inertia=st.just(0.0) | positive,
                     own=st.lists(st.sampled_from([p.name for p in joint.parameters])).map(tuple),
-                    controller=st.fixed_dictionaries({}, optional={"kp": positive}),
+                    controller=st.fixed_dictionaries({}, optional={"position_gain": positive}),
                 ),
                 max_size=2,
             ).map(tuple)
@@ -241,26 +250,28 @@ def test_what_is_written_is_read_back(file: JointFile) -> None:
     assert loads(dumps(file)) == file
 
 
-SLOW = Cascade(kp=1.0, kv=2.0, period=125e-6, position_period=1e-3, position_offset=250e-6)
-NOTCHED = PID(kp=1.0, ki=2.0, kd=3.0, torque_filters=(FirstOrder(1e-3), Notch(80.0, 20.0, 0.1)))
+SLOW = Cascade(position_gain=1.0, velocity_gain=2.0, period=125e-6, position_period=1e-3, position_offset=250e-6)
+NOTCHED = PID(
+    position_gain=1.0, integral_gain=2.0, derivative_gain=3.0, torque_filters=(FirstOrder(1e-3), Notch(80.0, 20.0, 0.1))
+)
 
 
-@pytest.mark.parametrize("controller", [SLOW, NOTCHED, Cascade(kp=1.0, kv=2.0)])
+@pytest.mark.parametrize("controller", [SLOW, NOTCHED, Cascade(position_gain=1.0, velocity_gain=2.0)])
 def test_a_controller_is_put_into_the_text_of_a_file(controller: Cascade | PID) -> None:
     before = f"# a joint\n{JOINT}{CHANNELS}"
     nested = '[controller]  # drive\nlaw = "state_space"\nC = [1.0]\nA = [\n  [0.5]\n]\n[controller.B]\n'
     nested += "position = [1.0]\n[controller.D]\nreference = 1.0\n\n"
     after = "[parameters]\noffset = 0.0  # kept\n"
     for old in ("", CASCADE, nested, '[[controller.torque_filters]]\nkind = "notch"\n'):
-        made = with_controller(before + old + after, controller)
+        made = with_table(before + old + after, controller_text(controller))
         assert loads(made) == dataclasses.replace(loads(before + after), controller=controller, method=DIDIM())
         assert made.startswith(before)
         assert "# kept" in made
-    inline = with_controller("controller = { law = 'pd' }\n" + before, controller)
+    inline = with_table("controller = { law = 'pd' }\n" + before, controller_text(controller))
     assert loads(inline).controller == controller
-    assert tomllib.loads(with_controller("", controller)) == tomllib.loads(controller_text(controller))
+    assert tomllib.loads(with_table("", controller_text(controller))) == tomllib.loads(controller_text(controller))
     with pytest.raises(JointFileError, match="is not TOML"):
-        with_controller("[joint", controller)
+        with_table("[joint", controller_text(controller))
 
 
 @pytest.mark.parametrize(
@@ -306,8 +317,58 @@ def test_a_saved_file_is_loaded(tmp_path: Path) -> None:
     file = load(EXAMPLE)
     save(file, tmp_path / "copy.toml")
     assert load(tmp_path / "copy.toml") == file
-    with pytest.raises(JointFileError, match=r"cannot be written \(.*\); check the folder"):
+    with pytest.raises(JointFileError, match=r"cannot be written \(.*\); choose another place"):
         save(file, tmp_path / "none" / "joint.toml")
+
+
+@pytest.mark.parametrize(
+    "record",
+    [
+        "[record]\nfile = 'old.csv'  # of Monday\ntime = 't'\n",
+        "[record]  # a log\ntime = 't'\n",
+        "",
+    ],
+)
+def test_a_file_is_made_to_name_another_record(record: str) -> None:
+    before = f"# an axis\n[joint]\nkind = 'prismatic'\n\n{record}"
+    text = f"{before}[record.channels]\ntorque = {{ unit = 'N' }}\n[drive]\nprofile = 'generic'\n"
+    made = with_record(text, "logs/run 1.csv")
+    expected = tomllib.loads(text)
+    expected["record"]["file"] = "logs/run 1.csv"
+    assert tomllib.loads(made) == expected
+    assert made.startswith("# an axis\n") and ("# of Monday" in made) == ("# of Monday" in record)
+
+
+def test_units_stand_beside_the_gains_of_a_written_controller() -> None:
+    law = Cascade(position_gain=40.0, velocity_gain=2.0, velocity_filter=FirstOrder(2e-3), gain=3.0)
+    joint = loads(f"{JOINT}{CHANNELS}").joint
+    text = controller_text(law, joint=joint)
+    assert "position_gain = 40.0  # 1/s\n" in text
+    assert "velocity_gain = 2.0  # controller units per " in text
+    assert "time_constant = 0.002  # s\n" in text
+    assert tomllib.loads(text) == tomllib.loads(controller_text(law))
+    plain = controller_text(dataclasses.replace(law, gain=1.0), joint=joint)
+    assert f"velocity_gain = 2.0  # {joint.force_unit} per " in plain
+
+
+@pytest.mark.parametrize(
+    ("table", "gain"),
+    [("", 1.0), ("[controller]\ngain = 35.0\n", 35.0), ("[controller]\nlaw = 'pid'\ngain = 2.0\n", 2.0)],
+)
+def test_a_file_whose_controller_is_to_be_learned_needs_no_gains(table: str, gain: float, tmp_path: Path) -> None:
+    """Nor a method that does without a controller: a flexible joint has none from torque and motor position."""
+    path = tmp_path / "joint.toml"
+    path.write_text(
+        "[joint]\nkind = 'revolute'\nmodel = 'flexible'\n[record.channels]\n"
+        "torque = { column = 'u', unit = 'N m', timing = 'held', tap = 'command' }\n"
+        "reference = { column = 'r', unit = 'rad' }\n"
+        f"motor_position = {{ column = 'q', unit = 'rad' }}\n{table}",
+        encoding="utf-8",
+    )
+    file = load_to_learn(path)
+    assert isinstance(file.controller, Cascade | PID) and file.controller.gain == gain
+    with pytest.raises(JointFileError, match=r"controller"):
+        load(path)
 
 
 def test_a_state_space_law_is_written() -> None:
@@ -323,13 +384,13 @@ def test_what_a_joint_file_cannot_say_is_not_written() -> None:
     file = loads(SMALLEST)
 
     class Other(Cascade):
-        pass
+        """A law that no word is for."""
 
     class OtherFriction(SymmetricFriction):
-        pass
+        """A friction that no word is for."""
 
     with pytest.raises(JointFileError, match="no word for the controller Other; give a StateSpaceController"):
-        dumps(dataclasses.replace(file, controller=Other(kp=1.0, kv=1.0)))
+        dumps(dataclasses.replace(file, controller=Other(position_gain=1.0, velocity_gain=1.0)))
     loads_only = IDIM(effects=(PositionHarmonics(0.1, side="load"),))
     with pytest.raises(JointFileError, match="has words for one PositionHarmonics, then one Drift, both on the motor"):
         dumps(dataclasses.replace(file, method=loads_only))

@@ -14,9 +14,8 @@ from jointid.controller_id.fitting import Task
 from jointid.controller_id.loop_record import prepare_loop_record
 from jointid.controller_id.noise import band_means, band_power, band_widths
 from jointid.models.controllers import POSITION, Cascade
-from jointid.models.joints import RigidJoint
-from jointid.records.signals.excitation import trapezoids
-from jointid.simulation.loop_input import ClosedLoop
+from jointid.models.joints import ClosedLoop, RigidJoint
+from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from studies.learned import LoopTwin, loop_twin
 
@@ -57,7 +56,7 @@ def test_noise_is_not_heard() -> None:
 
 def test_a_position_that_is_all_rounding_is_heard_if_the_controller_saw_it() -> None:
     """The drive's own counts, as they are in its own log; an encoder that only the log rounds tells nothing there."""
-    law = Cascade(kp=60.0, kv=500.0)
+    law = Cascade(position_gain=60.0, velocity_gain=500.0)
     reference = trapezoids([0.1, 0.3, 0.5], 2.0, 0.2, 1e-3, 0.1, 6.0)
     values = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 1.0}
     record = simulated_record(ClosedLoop(RigidJoint(), law), reference, values, sample_time=1e-3, encoder_step=1e-6)
@@ -115,7 +114,7 @@ def test_a_slower_position_loop_folds_the_position_s_error(seed: int) -> None:
 
 def test_a_long_record_needs_no_memory_for_all_columns_at_once() -> None:
     """Some two hundred of them, of eight bytes a sample: an hour's would fill a machine."""
-    law, peaks = Cascade(kp=60.0, kv=500.0), []
+    law, peaks = Cascade(position_gain=60.0, velocity_gain=500.0), []
     values = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 1.0}
     for duration in (20.0, 60.0):
         reference = trapezoids([0.1, 0.3, 0.5], 2.0, 0.2, 1e-3, 0.1, duration)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,20 +14,22 @@ import pytest
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
 from jointid.config import controller_text, load, save_with_controller
-from jointid.controller_id.fitting import FittedLaw, Task, fit, order_rates
-from jointid.controller_id.learn import covariance, learn_loop
-from jointid.controller_id.learned import LearnedLoop, LimitationCode
+from jointid.controller_id import search
+from jointid.controller_id.fitting import FittedLaw, Task, covariance, fit, order_rates
+from jointid.controller_id.learn import learn_loop
+from jointid.controller_id.learned_loop import LearnedLoop
+from jointid.controller_id.limitations import LimitationCode
 from jointid.controller_id.loop_record import prepare_loop_record
 from jointid.controller_id.noise import position_error
-from jointid.controller_id.search import Rival
+from jointid.controller_id.ranking import Rival
+from jointid.controller_id.regression import regression
 from jointid.controller_id.structure_moves import canonical
 from jointid.controller_id.structures import INTEGRAL, Structure
 from jointid.estimation.identify import identify
 from jointid.models.controllers import Cascade, Controller, FirstOrder
-from jointid.models.joints import RigidJoint
+from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Injection, InjectionPoint, Record, Timing
-from jointid.records.signals.excitation import trapezoids
-from jointid.simulation.loop_input import ClosedLoop
+from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from studies.learned import LoopTwin, learn_twins, loop_twin
 
@@ -53,8 +57,8 @@ def emps(emps_path: Path) -> tuple[Record, LearnedLoop]:
 def test_the_public_record_gives_its_law(emps: tuple[Record, LearnedLoop]) -> None:
     _, learned = emps
     assert str(learned.structure) == "P-P, velocity filter mean of 2 samples"
-    assert learned["kp"].value == pytest.approx(160.18, rel=5e-3)
-    assert learned["kv"].value == pytest.approx(243.45, rel=5e-3)
+    assert learned["position_gain"].value == pytest.approx(160.18, rel=5e-3)
+    assert learned["velocity_gain"].value == pytest.approx(243.45, rel=5e-3)
     assert isinstance(learned.controller, Cascade)
     assert learned.controller.delay == 0.0
     codes = [one.code for one in learned.limitations]
@@ -83,8 +87,8 @@ def test_the_learned_table_is_a_joint_file_s(emps: tuple[Record, LearnedLoop], t
         EMPS.path.read_text(encoding="utf-8").splitlines()[0] == (tmp_path / "joint.toml").read_text().splitlines()[0]
     )
     assert (
-        tomllib.loads(controller_text(learned.controller, learned.transmission))["controller"]["kp"]
-        == learned["kp"].value
+        tomllib.loads(controller_text(learned.controller, learned.transmission))["controller"]["position_gain"]
+        == learned["position_gain"].value
     )
 
 
@@ -92,10 +96,15 @@ def test_the_learned_table_is_a_joint_file_s(emps: tuple[Record, LearnedLoop], t
 @pytest.mark.parametrize(
     ("controller", "words"),
     [
-        (Cascade(kp=60.0, kv=500.0), "P-P"),
-        (Cascade(kp=60.0, kv=500.0, ki=15.0, velocity_feedforward=0.7), "P-PI, velocity feed-forward"),
+        (Cascade(position_gain=60.0, velocity_gain=500.0), "P-P"),
         (
-            Cascade(kp=60.0, kv=500.0, acceleration_feedforward=4.0, velocity_filter=FirstOrder(2e-3)),
+            Cascade(position_gain=60.0, velocity_gain=500.0, integral_gain=15.0, velocity_feedforward=0.7),
+            "P-PI, velocity feed-forward",
+        ),
+        (
+            Cascade(
+                position_gain=60.0, velocity_gain=500.0, acceleration_feedforward=4.0, velocity_filter=FirstOrder(2e-3)
+            ),
             "P-P, acceleration feed-forward, velocity filter first order",
         ),
     ],
@@ -104,7 +113,7 @@ def test_the_learned_table_is_a_joint_file_s(emps: tuple[Record, LearnedLoop], t
 def test_a_law_is_found_with_its_numbers(controller: Cascade, words: str) -> None:
     learned = learn_loop(made(controller))
     assert str(learned.structure) == words
-    for name in ("kp", "kv"):
+    for name in ("position_gain", "velocity_gain"):
         one = learned[name]
         assert 0.0 < one.std < 1e-3 * one.value
         assert one.value == pytest.approx(getattr(controller, name), rel=2e-3)
@@ -112,15 +121,15 @@ def test_a_law_is_found_with_its_numbers(controller: Cascade, words: str) -> Non
 
 @pytest.mark.slow
 def test_a_limit_is_read_from_the_log() -> None:
-    learned = learn_loop(made(Cascade(kp=60.0, kv=500.0, limit=19.0)))
+    learned = learn_loop(made(Cascade(position_gain=60.0, velocity_gain=500.0, limit=19.0)))
     assert learned["limit"].value == pytest.approx(19.0, rel=1e-3)
-    assert learned["kv"].value == pytest.approx(500.0, rel=5e-3)
+    assert learned["velocity_gain"].value == pytest.approx(500.0, rel=5e-3)
 
 
 @pytest.mark.slow
 def test_a_slower_position_loop_counts_from_the_first_sample_of_the_file() -> None:
     """The record was cut by two samples at its begin, as a torque that is refreshed slowly has it cut."""
-    record = made(Cascade(kp=60.0, kv=500.0, position_period=4 * T, position_offset=T))
+    record = made(Cascade(position_gain=60.0, velocity_gain=500.0, position_period=4 * T, position_offset=T))
     learned = learn_loop(replace(record, begin=2 * T))
     assert isinstance(learned.controller, Cascade)
     assert learned.controller.position_period == pytest.approx(4 * T)
@@ -129,9 +138,11 @@ def test_a_slower_position_loop_counts_from_the_first_sample_of_the_file() -> No
 
 @pytest.mark.slow
 def test_a_coarse_position_does_not_bend_the_gains() -> None:
-    learned = learn_loop(made(Cascade(kp=60.0, kv=500.0), step=2e-6))
+    learned = learn_loop(made(Cascade(position_gain=60.0, velocity_gain=500.0), step=2e-6))
     assert 0.0 < learned.position_noise < 2e-6
-    assert all(abs(learned[n].value - v) <= 3 * learned[n].std for n, v in (("kp", 60.0), ("kv", 500.0)))
+    assert all(
+        abs(learned[n].value - v) <= 3 * learned[n].std for n, v in (("position_gain", 60.0), ("velocity_gain", 500.0))
+    )
 
 
 @pytest.mark.parametrize("number", [600, 601])
@@ -139,14 +150,14 @@ def test_what_is_told_of_a_law_that_a_search_found(number: int, monkeypatch: pyt
     """The search itself takes long; here it finds the law of a twin at once, or the law of another torque."""
     twin = loop_twin(number)
 
-    def found(task: Task, *_: object) -> tuple[FittedLaw, tuple[Rival, ...]]:
+    def found(task: Task, *_: object) -> tuple[FittedLaw, tuple[Rival, ...], bool]:
         law = fit(task, twin.structure, twin.numbers, task.noise(twin.structure, twin.numbers), steps=12)
-        return law or FittedLaw(twin.structure, twin.numbers, 0.0, task.noise(twin.structure, twin.numbers)), ()
+        return law or FittedLaw(twin.structure, twin.numbers, 0.0, task.noise(twin.structure, twin.numbers)), (), True
 
     monkeypatch.setattr("jointid.controller_id.learn.search", found)
     learned = learn_loop(twin.record)
     assert str(learned.structure) == str(twin.structure)
-    for name in ("kp", "kv"):
+    for name in ("position_gain", "velocity_gain"):
         if name in twin.numbers:
             assert abs(learned[name].value - twin.numbers[name]) <= 4 * learned[name].std, name
     assert learned.share < 0.05
@@ -154,6 +165,116 @@ def test_what_is_told_of_a_law_that_a_search_found(number: int, monkeypatch: pyt
     turned = replace(twin.record, torque=replace(twin.record.torque, values=-twin.record.torque.values))
     with pytest.raises(MethodError, match="Check units, signs and sides"):
         learn_loop(turned)
+
+
+def begun(task: Task, structure: Structure, numbers: dict[str, float]) -> FittedLaw:
+    """A law fitted from near its numbers."""
+    law = fit(task, structure, numbers, task.noise(structure, numbers), steps=12)
+    assert law is not None
+    return law
+
+
+GAINS = {"position_gain": 60.0, "velocity_gain": 500.0}
+
+
+def test_an_interval_spans_the_laws_that_the_record_does_not_distinguish(monkeypatch: pytest.MonkeyPatch) -> None:
+    record = made(Cascade(position_gain=60.0, velocity_gain=500.0))
+    task = Task(prepare_loop_record(record), 1.0)
+    best = begun(task, Structure(), GAINS)
+    apart = begun(task, Structure(velocity_filter="mean 2"), GAINS)
+    filtered = begun(task, Structure(velocity_filter="first order"), {**GAINS, "velocity_filter.time_constant": 2e-4})
+    pd = begun(task, Structure("PD", "difference", "mean 2"), {"position_gain": 3e4, "derivative_gain": 500.0})
+
+    def found(*worse: float) -> LearnedLoop:
+        rivals = tuple(Rival(one, by, 0.01) for one, by in zip((apart, filtered, pd), worse, strict=True))
+        monkeypatch.setattr("jointid.controller_id.learn.search", lambda *_: (best, rivals, True))
+        return learn_loop(record)
+
+    alone = found(50.0, 50.0, 1.0)["velocity_gain"]  # a PD's gains are others
+    assert (alone.lower, alone.upper) == pytest.approx((alone.value - 2 * alone.std, alone.value + 2 * alone.std))
+    spanned = found(5.0, 5.0, 1.0)
+    for name in GAINS:
+        one = spanned[name]
+        for other in (best, apart, filtered):
+            assert one.lower <= other.numbers[name] <= one.upper, name
+        deviation = covariance(task, filtered).std[list(filtered.numbers).index(name)]
+        assert one.upper >= filtered.numbers[name] + 1.99 * deviation
+    assert spanned["velocity_gain"].spread > 10 * 2 * alone.std
+    assert max(map(len, str(spanned).splitlines())) <= 80
+    text = " ".join(str(spanned).split())
+    assert "spans 3 other laws" in text
+    assert "ruled out" not in text
+    for law in (apart, filtered, pd):
+        assert text.count(f"{law.structure}: 1 %") == 1
+    told = " ".join(str(found(5.0, 50.0, 70.0)).split())
+    assert "2 other laws were tried and ruled out" in told and str(apart.structure) in told
+    assert str(pd.structure) not in told.replace(f"nearest is {filtered.structure}", "")
+    assert [(one.name, one.unit) for one in spanned.numbers] == [
+        ("position_gain", "1/s"), ("velocity_gain", "N per m/s"),
+    ]  # fmt: skip
+
+
+def test_an_interrupt_keeps_the_best_law_so_far(monkeypatch: pytest.MonkeyPatch) -> None:
+    record, said = made(Cascade(position_gain=60.0, velocity_gain=500.0)), list[str]()
+
+    def start(task: Task, *_: object) -> tuple[search._SearchData, list[object], FittedLaw, bool]:
+        data = search._SearchData(task, replace(regression(task.log), own=True))
+        return data, [], begun(task, Structure(), {"position_gain": 70.0, "velocity_gain": 400.0}), True
+
+    def interrupted(*_: object) -> list[FittedLaw]:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(search, "_start_search", start)
+    monkeypatch.setattr(search, "_fit_nearby", interrupted)
+    learned = learn_loop(record, progress=said.append)
+    assert learned.interrupted and "interrupted" in str(learned)
+    assert learned["velocity_gain"].value == pytest.approx(500.0, rel=2e-3)
+    assert re.match(r"learning the controller from \d+ samples; this takes some \d+ s", said[0])
+    assert any("best law so far" in one for one in said[1:])
+
+
+@pytest.mark.slow
+def test_an_interrupt_of_the_first_fits_keeps_their_best(monkeypatch: pytest.MonkeyPatch) -> None:
+    record, said, fits = made(Cascade(position_gain=60.0, velocity_gain=500.0)), list[str](), 0
+    trim = search._trim
+
+    def interrupted(*given: Any) -> Any:
+        nonlocal fits
+        fits += 1
+        if fits == 3:
+            raise KeyboardInterrupt
+        return trim(*given)
+
+    monkeypatch.setattr(search, "_trim", interrupted)
+    learned = learn_loop(record, progress=said.append)
+    assert learned.interrupted and fits == 3
+    assert learned["velocity_gain"].value == pytest.approx(500.0, rel=0.02)
+
+
+def test_an_interrupt_before_any_fit_says_that_there_is_no_law_yet(monkeypatch: pytest.MonkeyPatch) -> None:
+    record, said = made(Cascade(position_gain=60.0, velocity_gain=500.0)), list[str]()
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(search, "rank_candidates", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        learn_loop(record, progress=said.append)
+    assert said[-1] == "interrupted before any law was fitted: there is none to keep yet"
+
+
+def test_a_longer_record_is_expected_to_take_longer_only_where_all_of_it_is_judged() -> None:
+    task = Task(prepare_loop_record(made(Cascade(position_gain=60.0, velocity_gain=500.0))), 1.0)
+    short, long = search.expect_seconds(task, task), search.expect_seconds(task, task.segment(task.log.samples // 10))
+    assert all(seconds > 0 for seconds in short.values())
+    assert long["judging on the whole record"] / sum(long.values()) > short["judging on the whole record"] / sum(
+        short.values()
+    )
+
+
+def test_a_slower_loop_s_first_period_is_counted_as_people_do() -> None:
+    assert str(Structure(every=4, offset=0)).endswith("position loop every 4 periods, from the 1st")
+    assert str(Structure(every=4, offset=2)).endswith("from the 3rd")
 
 
 def test_one_law_has_one_name() -> None:
@@ -165,7 +286,7 @@ def test_one_law_has_one_name() -> None:
 
 @pytest.mark.slow
 def test_a_torque_with_the_wrong_sign_is_refused() -> None:
-    record = made(Cascade(kp=60.0, kv=500.0))
+    record = made(Cascade(position_gain=60.0, velocity_gain=500.0))
     assert record.torque is not None
     turned = replace(record, torque=replace(record.torque, values=-record.torque.values))
     with pytest.raises(MethodError, match="Check units, signs and sides"):
@@ -173,7 +294,7 @@ def test_a_torque_with_the_wrong_sign_is_refused() -> None:
 
 
 def test_a_torque_that_is_all_injected_shows_no_law() -> None:
-    record = made(Cascade(kp=60.0, kv=500.0))
+    record = made(Cascade(position_gain=60.0, velocity_gain=500.0))
     assert record.torque is not None
     injected = Injection(replace(record.torque, timing=Timing.HELD), InjectionPoint.AFTER_LIMIT)
     with pytest.raises(RecordError, match="less what was injected, is constant"):
@@ -189,9 +310,14 @@ def test_a_position_noisier_than_its_log_s_digits_has_no_rounding() -> None:
 
 
 def test_a_record_that_cannot_tell_says_so() -> None:
-    record = made(Cascade(kp=60.0, kv=500.0))
-    with pytest.raises(RecordError, match="Learning a controller needs motor_position"):
+    record = made(Cascade(position_gain=60.0, velocity_gain=500.0))
+    with pytest.raises(RecordError) as lacking:
         learn_loop(record.without("motor_position"))
+    assert str(lacking.value) == (
+        f"A controller is learned from torque, reference and the measured motor position; {record.name} is read with "
+        "torque and reference, without motor_position: name the column of motor_position below [record.channels], or "
+        "declare the law."
+    )
     with pytest.raises(MethodError, match="positive number; received 0"):
         learn_loop(record, gain=0.0)
     assert record.reference is not None
@@ -212,6 +338,7 @@ def given(twin: LoopTwin) -> FloatArray:
     return np.array([(numbers[name] - twin.numbers[name]) for name in numbers])[kept] / std[kept]
 
 
+@pytest.mark.slow
 def test_the_true_structure_has_its_numbers_within_their_intervals() -> None:
     twins = [twin for twin in map(loop_twin, range(600, 616)) if twin.structure.rate == 1]
     deviations = np.concatenate([given(twin) for twin in twins])
@@ -221,29 +348,44 @@ def test_the_true_structure_has_its_numbers_within_their_intervals() -> None:
 
 
 def test_of_two_rates_that_may_be_exchanged_the_larger_is_the_position_loop_s() -> None:
-    """On the reference's full velocity kp and ki are two roots of one equation: the same torque, to rounding."""
+    """On the reference's full velocity two gains are two roots of one equation: the same torque, to rounding."""
     twin = loop_twin(117)
     assert (twin.structure.law, twin.structure.reference_velocity) == ("P-PI", "full")
     task, numbers = Task(prepare_loop_record(twin.record), 1.0), twin.numbers
-    kp, kv, ki = numbers["kp"], numbers["kv"], numbers["ki"]
-    # As the PID that it is: kv (kp + ki), kv (1 - ki T), kv kp ki; solved for the other root.
-    sides = np.array([kv * (kp + ki), kv * (1 - ki * T), kv * kp * ki])
+    position_gain, velocity_gain, integral_gain = (
+        numbers["position_gain"],
+        numbers["velocity_gain"],
+        numbers["integral_gain"],
+    )
+    # As the PID that it is: velocity_gain (position_gain + integral_gain), velocity_gain (1 - integral_gain T),
+    # velocity_gain position_gain integral_gain; solved for the other root.
+    sides = np.array(
+        [
+            velocity_gain * (position_gain + integral_gain),
+            velocity_gain * (1 - integral_gain * T),
+            velocity_gain * position_gain * integral_gain,
+        ]
+    )
     roots = np.roots([sides[0] * T / sides[1] + 1.0, -(sides[0] + sides[2] * T) / sides[1], sides[2] / sides[1]])
     other = float(max(roots))
     swapped = sides[1] / (1 - other * T)
-    exchanged = numbers | {"kp": sides[2] / (swapped * other), "kv": swapped, "ki": other}
-    assert exchanged["kp"] < exchanged["ki"]
+    exchanged = numbers | {
+        "position_gain": sides[2] / (swapped * other),
+        "velocity_gain": swapped,
+        "integral_gain": other,
+    }
+    assert exchanged["position_gain"] < exchanged["integral_gain"]
     same = task.residual(twin.structure, exchanged) - task.residual(twin.structure, numbers)
     assert np.std(same) < 1e-9 * np.std(task.log.torque)
     noise = task.noise(twin.structure, numbers)
     found = order_rates(task, FittedLaw(twin.structure, exchanged, 0.0, noise))
-    assert found.numbers["kp"] == pytest.approx(kp, rel=1e-3)
-    assert found.numbers["ki"] == pytest.approx(ki, rel=1e-2)
+    assert found.numbers["position_gain"] == pytest.approx(position_gain, rel=1e-3)
+    assert found.numbers["integral_gain"] == pytest.approx(integral_gain, rel=1e-2)
     assert order_rates(task, found) is found
 
 
 def test_slopes_are_the_derivatives_whatever_the_gains() -> None:
-    twin = loop_twin(306)  # kv 9600, time constant 0.8 ms
+    twin = loop_twin(306)  # velocity_gain 9600, time constant 0.8 ms
     task, names = Task(prepare_loop_record(twin.record), 1.0), twin.structure.names
     noise, x = task.noise(twin.structure, twin.numbers), np.array([twin.numbers[name] for name in names])
 
@@ -265,13 +407,47 @@ def test_what_is_added_is_as_late_in_a_late_log_as_the_output() -> None:
 @pytest.mark.statistical
 def test_random_loops_are_mostly_right() -> None:
     """`python -m studies.learned` makes the table of 200."""
-    found = learn_twins(range(8))
-    assert found.right >= 0.85  # measured: 8 of 8
-    assert found.covered >= 0.85  # of 30 numbers
+    found = learn_twins(range(4))
+    assert found.right == 1.0
+    assert found.covered >= 0.7  # of some 15 numbers
+
+
+def _found_at_once(monkeypatch: pytest.MonkeyPatch, twin: LoopTwin, *, ended: bool = True) -> None:
+    """Let the search find the law of a twin at once."""
+
+    def found(task: Task, *_: object) -> tuple[FittedLaw, tuple[Rival, ...], bool]:
+        law = FittedLaw(twin.structure, twin.numbers, 0.0, task.noise(twin.structure, twin.numbers))
+        return law, (), ended
+
+    monkeypatch.setattr("jointid.controller_id.learn.search", found)
+
+
+def test_a_law_that_leaves_what_no_noise_leaves_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pulses that were not declared: with what was left, and the channel that is missing. Half of it was noise once."""
+    twin = loop_twin(601)
+    _found_at_once(monkeypatch, twin)
+    torque = twin.record.torque
+    assert torque is not None
+    rng, size = np.random.default_rng(4), torque.values.size
+    pulses = np.repeat(rng.choice([-1.0, 0.0, 1.0], size // 20 + 1), 20)[:size]
+    pulsed = replace(torque, values=torque.values + 0.5 * float(np.std(torque.values)) * pulses)
+    with pytest.raises(MethodError, match=r"leaves 3\d\.?\d* % of it, 3\d.* averaged over 10 samples") as raised:
+        learn_loop(replace(twin.record, torque=pulsed))
+    assert "channel injected" in str(raised.value)
+    _found_at_once(monkeypatch, twin, ended=False)  # of an interrupted search the best so far is told
+    pulsed = replace(torque, values=torque.values + 0.1 * float(np.std(torque.values)) * pulses)
+    assert learn_loop(replace(twin.record, torque=pulsed)).interrupted
+
+
+def test_a_law_under_much_noise_is_not_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An encoder's steps and noise leave 12 % of the torque of a law that is right, and 1 % of it averaged."""
+    twin = loop_twin(12)
+    _found_at_once(monkeypatch, twin)
+    assert learn_loop(twin.record).share > 0.1
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [1, 2, 3])
+@pytest.mark.parametrize("number", [1, 3])
 def test_no_law_is_made_up_where_the_record_shows_none(data_dir: Path, number: int) -> None:
     """The KR300's axes: a robot's controller looks at all of them, and at its model."""
     file = load(Path(__file__).resolve().parents[2] / "examples" / "kr300" / f"axis{number}.toml")
@@ -281,11 +457,11 @@ def test_no_law_is_made_up_where_the_record_shows_none(data_dir: Path, number: i
 
 @pytest.mark.slow
 def test_what_the_record_does_not_show_is_kept_as_declared() -> None:
-    loop = ClosedLoop(RigidJoint(), Cascade(kp=60.0, kv=500.0))
+    loop = ClosedLoop(RigidJoint(), Cascade(position_gain=60.0, velocity_gain=500.0))
     reference = trapezoids([0.1, 0.3], 2.0, 0.2, 1e-3, 0.1, 6.0)
     values = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 0.0}
     record = simulated_record(loop, reference, values, sample_time=1e-3, encoder_step=1e-7)
-    declared = Cascade(kp=1.0, kv=1.0, limit=900.0, delay=5e-4)
+    declared = Cascade(position_gain=1.0, velocity_gain=1.0, limit=900.0, delay=5e-4)
     learned = learn_loop(record, declared=declared)
     assert isinstance(learned.controller, Cascade)
     assert (learned.controller.limit, learned.controller.delay) == (900.0, 5e-4)

@@ -14,14 +14,13 @@ from jointid.controller_id.fitting import Task
 from jointid.controller_id.loop_record import prepare_loop_record
 from jointid.controller_id.noise import position_error, position_response
 from jointid.controller_id.regression import RegressionFit, initial_weighting, law_numbers, regression
-from jointid.controller_id.search import start_law
+from jointid.controller_id.screening import start_law
 from jointid.controller_id.structure_moves import canonical, list_laws, list_neighbours, list_simpler
 from jointid.controller_id.structures import LATE, RATES, SLOWER, Structure
 from jointid.models.controllers import INPUTS, PD, POSITION, Cascade, FirstOrder, SecondOrder, run
-from jointid.models.joints import RigidJoint
+from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Timing
-from jointid.records.signals.excitation import pulses, trapezoids
-from jointid.simulation.loop_input import ClosedLoop
+from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.synthesis import simulated_record
 from studies.learned import loop_twin
 
@@ -34,14 +33,19 @@ def test_a_law_s_own_regression_predicts_what_the_law_does(seed: int) -> None:
     twin = loop_twin(seed)
     task, structure = Task(prepare_loop_record(twin.record), 1.0), twin.structure
     on = regression(task.log)
-    nonlinear = ("velocity_filter", "torque_filters", "reference_delay", *(("ki",) if structure.cascade else ()))
+    nonlinear = (
+        "velocity_filter",
+        "torque_filters",
+        "reference_delay",
+        *(("integral_gain",) if structure.cascade else ()),
+    )
     numbers = {name: value for name, value in twin.numbers.items() if name.startswith(nonlinear)}
     weighting = initial_weighting(on)
     for _ in range(2):
         found = on.fit_gains(structure, numbers, weighting, free=False)[0]
         weighting = on.weighting(found)
     gains = law_numbers(found, 1.0)
-    for name in ("kp", "kv", "kd"):
+    for name in ("position_gain", "velocity_gain", "derivative_gain"):
         assert gains.get(name, 1.0) == pytest.approx(twin.numbers.get(name, 1.0), rel=2e-2), name
     residual = np.concatenate([task.residual(structure, gains)[structure.late :], np.zeros(structure.late)])
     difference = residual * on.kept - found.residual
@@ -64,10 +68,13 @@ def test_an_integral_s_content_is_that_at_the_first_sample_of_a_stretch(seed: in
 def test_a_negative_velocity_gain_stays_one() -> None:
     """Else a law without damping would pass, at the cost of one that cannot be."""
     structure, size = Structure("P-P", "share"), 3
-    kp, kv, fed = coefficient_columns(structure, 0.0).values()
+    position_gain, velocity_gain, fed = coefficient_columns(structure, 0.0).values()
     nothing = np.zeros(size)
-    gains = law_numbers(RegressionFit(structure, {}, 0.0, 3e4 * kp - 500.0 * kv + 400.0 * fed, nothing, nothing), 1.0)
-    assert gains == pytest.approx({"kp": 60.0, "kv": -500.0, "velocity_feedforward": 0.8})
+    gains = law_numbers(
+        RegressionFit(structure, {}, 0.0, 3e4 * position_gain - 500.0 * velocity_gain + 400.0 * fed, nothing, nothing),
+        1.0,
+    )
+    assert gains == pytest.approx({"position_gain": 60.0, "velocity_gain": -500.0, "velocity_feedforward": 0.8})
 
 
 def test_a_step_of_gauss_and_newton_foretells_what_a_search_will_leave() -> None:
@@ -122,7 +129,7 @@ def test_lines_between_samples_have_no_acceleration_but_rounding() -> None:
 def test_what_a_law_faster_than_the_log_sees_of_the_log_s_error() -> None:
     """An error of one sample, through the spline and the law, and back to the log's samples."""
     size, rate = 1000, 4
-    law = PD(kp=3.0, kd=0.02, velocity_filter=FirstOrder(8e-4), period=T / rate).law(T)
+    law = PD(position_gain=3.0, derivative_gain=0.02, velocity_filter=FirstOrder(8e-4), period=T / rate).law(T)
     error = np.zeros(size)
     error[size // 2] = 1.0
     inputs = np.zeros((size * rate, INPUTS))
@@ -152,7 +159,12 @@ def test_a_regression_reacts_to_the_position_as_the_law_does(seed: int) -> None:
     twin = loop_twin(seed)
     task, structure = Task(prepare_loop_record(twin.record), 1.0), twin.structure
     on = regression(task.log)
-    nonlinear = ("velocity_filter", "torque_filters", "reference_delay", *(("ki",) if structure.cascade else ()))
+    nonlinear = (
+        "velocity_filter",
+        "torque_filters",
+        "reference_delay",
+        *(("integral_gain",) if structure.cascade else ()),
+    )
     numbers = {name: value for name, value in twin.numbers.items() if name.startswith(nonlinear)}
     found = on.fit_gains(structure, numbers, initial_weighting(on), free=False)[0]
     law, samples = task.law(structure, law_numbers(found, 1.0)), task.log.samples
@@ -162,7 +174,7 @@ def test_a_regression_reacts_to_the_position_as_the_law_does(seed: int) -> None:
 
 def test_near_half_the_rate_a_response_ends_in_its_zero() -> None:
     """Second order by the bilinear rule: (pi - w)^2 there, which a line between two far points would make too large."""
-    law = PD(kp=0.0, kd=1.0, velocity_filter=SecondOrder(200.0)).law(T)
+    law = PD(position_gain=0.0, derivative_gain=1.0, velocity_filter=SecondOrder(200.0)).law(T)
     found, hertz = position_response(law.feedback, T, 4000, 1), np.fft.rfftfreq(4000, T)
     high = (hertz > 430.0) & (hertz < 495.0)
     assert np.allclose(found[high], np.abs(law.feedback(hertz[high])), rtol=0.1, atol=0.1)
@@ -171,7 +183,7 @@ def test_near_half_the_rate_a_response_ends_in_its_zero() -> None:
 def test_a_stretch_keeps_the_phase_of_a_slower_loop() -> None:
     twin = next(twin for twin in map(loop_twin, range(300, 400)) if twin.structure.every > 2)
     whole = prepare_loop_record(twin.record)
-    numbers = {name: value for name, value in twin.numbers.items() if name == "ki" or "filter" in name}
+    numbers = {name: value for name, value in twin.numbers.items() if name == "integral_gain" or "filter" in name}
     for samples in (3000, 3001, 4003, 4502):
         on = regression(whole.segment(samples))
         left = [
@@ -189,7 +201,7 @@ def test_what_is_injected_is_no_part_of_the_law(at: str, averaged: bool) -> None
     """The known signal is in the torque of law and log, filtered with it where it is injected before the limit."""
     reference = trapezoids([0.1, 0.3], 2.0, 0.2, T, 0.1, 4.0)
     known = pulses(reference.size, T, height=20.0, width=0.02, every=0.2, seed=1)
-    law = Cascade(kp=60.0, kv=500.0, torque_filters=(FirstOrder(2e-3),))
+    law = Cascade(position_gain=60.0, velocity_gain=500.0, torque_filters=(FirstOrder(2e-3),))
     values = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 1.0}
     record = simulated_record(
         ClosedLoop(RigidJoint(), law), reference, values, sample_time=T, injected=known, at=at, encoder_step=1e-9
@@ -201,7 +213,7 @@ def test_what_is_injected_is_no_part_of_the_law(at: str, averaged: bool) -> None
     structure = Structure(torque_filter="first order")
     task = Task(prepare_loop_record(record), 1.0)
     on = regression(task.log)
-    numbers = {"kp": 60.0, "kv": 500.0, "torque_filters.0.time_constant": 2e-3}
+    numbers = {"position_gain": 60.0, "velocity_gain": 500.0, "torque_filters.0.time_constant": 2e-3}
     size = np.std(task.log.torque)
     assert np.std(task.residual(structure, numbers)) < 1e-3 * size
     filters = {"torque_filters.0.time_constant": 2e-3}

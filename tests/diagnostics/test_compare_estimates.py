@@ -26,12 +26,23 @@ def of_rigid(seed: int, folder: Path, inertia: float = 0.04) -> Path:
     return told(ji.identify(record, loop), folder, f"run{seed}-{inertia}")
 
 
+@pytest.mark.slow
 def test_a_page_and_its_answer_hold_the_same_estimate(tmp_path: Path) -> None:
     page = reports.rigid().save(tmp_path / "page.html")
     answer = told(reports.rigid().estimate, tmp_path, "answer")
     one, other = ji.read_report(page), ji.read_report(answer)
     assert one == replace(other, label="page.html")
     assert one.record == reports.EVIL
+
+
+def test_gains_of_an_answer_of_0_1_0_are_read_by_their_names_of_now(tmp_path: Path) -> None:
+    now = json.loads(of_rigid(1, tmp_path).read_text(encoding="utf-8"))
+    one = next(iter(now["parameters"].values()))
+    named = {"kp": "position_gain", "kv": "velocity_gain", "ki": "integral_gain", "kd": "derivative_gain"}
+    now["parameters"] |= {old: one | {"symbol": old} for old in named}
+    old = tmp_path / "old.json"
+    old.write_text(json.dumps(now), encoding="utf-8")
+    assert [q.name for q in ji.read_report(old).quantities][-4:] == list(named.values())
 
 
 def test_one_record_twice_is_not_tested(tmp_path: Path) -> None:
@@ -106,6 +117,7 @@ def test_other_units_and_settings_are_said(tmp_path: Path) -> None:
         ('{"schema": "jointid.estimate/1"}', "damaged"),
         ("<html><script id='jointid-answer'>{</script></html>", "no JSON"),
         ("<html></html>", "no JSON"),
+        ("<![<![", "no JSON"),
         ("[" * 100_000, "no JSON"),
     ],
 )
@@ -114,6 +126,12 @@ def test_a_file_that_is_no_report_is_one_sentence(text: str, words: str, tmp_pat
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ji.RecordError, match=words):
         ji.read_report(path)
+
+
+def test_an_answer_may_begin_with_a_byte_order_mark(tmp_path: Path) -> None:
+    path = tmp_path / "x.json"
+    path.write_text(dumps(to_dict(reports.rigid().estimate)), encoding="utf-8-sig")
+    assert ji.read_report(path).record == reports.EVIL
 
 
 def test_a_damaged_answer_is_one_sentence(tmp_path: Path) -> None:

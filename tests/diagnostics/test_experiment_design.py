@@ -30,12 +30,11 @@ from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import invert
 from jointid.models.friction import AsymmetricFriction
-from jointid.models.joints import FlexibleJoint, RigidJoint
+from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.output.json import dumps, to_dict
 from jointid.paper.twin import CONTROLLERS, SAMPLE_TIME, Twin, twin
+from jointid.records.checks import find_encoder_step
 from jointid.records.record import Channel, Record, Tap
-from jointid.records.signals.encoder import find_encoder_step
-from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 
 STEP = 2.5e-7  # m, of an encoder as coarse as many

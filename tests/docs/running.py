@@ -8,7 +8,8 @@ import os
 import re
 import shlex
 import subprocess
-from collections.abc import Callable, Iterator
+import sys
+from collections.abc import Callable, Iterator, Mapping
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,8 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.apps.cli.app import main
+from jointid.apps.cli import main
+from jointid.common.arrays import FloatArray
 from tests.docs.blocks import ROOT, Block, blocks
 
 _UV = re.compile(r"^(?:python3 -m pip install uv && )?(?:python3 -m uv run )?")
@@ -62,8 +64,9 @@ def prepare(page: Path, folder: Path, real_records: Callable[[], Path]) -> None:
         for path in real_records().rglob("*.mat"):
             if path.name in wanted:
                 (folder / path.name).symlink_to(path)
-    if page.name in TAKEN_FOR_GRANTED:
-        TAKEN_FOR_GRANTED[page.name](folder)
+    name = page.relative_to(ROOT).as_posix()
+    if name in TAKEN_FOR_GRANTED:
+        TAKEN_FOR_GRANTED[name](folder)
 
 
 def shown(line: str, said: str) -> bool:
@@ -109,6 +112,8 @@ def _command(command: str, *, refused: bool) -> str:
         code, expected = end.value.code, 2 if refused and _USERS_MISTAKE in errors.getvalue() else 0
         assert code == expected, f"{command}: exit code {code}\n{errors.getvalue()}"
         return errors.getvalue() if refused else ""
+    if words[0] == "python":  # this one, whatever the path says
+        command = shlex.join([sys.executable, *words[1:]])
     # Nothing of the project's own makes a command line: those of the pages are reviewed like any program.
     return subprocess.run(["bash", "-c", command], check=True, capture_output=True, text=True).stdout
 
@@ -123,24 +128,40 @@ def _inside(folder: Path) -> Iterator[None]:
         os.chdir(before)
 
 
-def _log(loop: ji.ClosedLoop, seed: int = 0) -> ji.Record:
-    reference = ji.trapezoids([0.05, 0.1, 0.2], 2.0, 0.1, 1e-3, rest=0.1, duration=12.0)
-    values = {"inertia": 60.0, "viscous": 120.0, "coulomb": 15.0, "offset": 0.0}
-    noise = np.random.default_rng(seed).standard_normal(reference.size)
-    return ji.simulated_record(loop, reference, values, sample_time=1e-3, torque_noise=noise)
+def _of_the_readme(folder: Path) -> None:
+    """Write the record of a tilt axis under the law of the README's joint file, as its user has it."""
+    text = next(block.text for block in blocks(ROOT / "README.md") if block.file)
+    (folder / "joint.toml").write_text(text, encoding="utf-8")
+    reference = ji.excitation.trapezoids([4.0, 8.0, 16.0], 400.0, 3.0, 1e-3, rest=0.1, duration=10.0)
+    noise = 0.02 * np.random.default_rng(0).standard_normal(reference.size)
+    _write_log(folder / "joint.toml", reference, README_AXIS, noise, folder / "run.csv")
+
+
+README_AXIS = {
+    "motor_inertia": 0.0031, "motor_viscous": 0.004, "motor_coulomb": 0.035,
+    "stiffness": 190.0, "damping": 0.02,
+    "load_inertia": 0.0024, "load_viscous": 0.006, "load_coulomb": 0.030, "offset": 0.02,
+}  # fmt: skip
+"""What the README's record is simulated with."""
 
 
 def _of_the_joint_file(folder: Path) -> None:
     """Write the shortest joint file of the page, and a record for it."""
     text = blocks(ROOT / "docs" / "joint-file.md")[0].text
     (folder / "joint.toml").write_text(text, encoding="utf-8")
-    file = ji.load(folder / "joint.toml")
+    reference = ji.excitation.trapezoids([0.05, 0.1, 0.2], 2.0, 0.1, 1e-3, rest=0.1, duration=12.0)
+    values = {"inertia": 60.0, "viscous": 120.0, "coulomb": 15.0, "offset": 0.0}
+    noise = np.random.default_rng(0).standard_normal(reference.size)
+    _write_log(folder / "joint.toml", reference, values, noise, folder / "run1.csv")
+
+
+def _write_log(
+    joint: Path, reference: FloatArray, values: Mapping[str, float], noise: FloatArray, target: Path
+) -> None:
+    file = ji.load(joint)
     assert file.loop is not None
-    record = _log(file.loop)
-    assert record.torque is not None
-    assert record.reference is not None
-    columns = [1e-3 * np.arange(record.torque.values.size), record.torque.values, record.reference.values]
-    np.savetxt(folder / "run1.csv", np.column_stack(columns), delimiter=",", header="t,force,x_ref", comments="")
+    record = ji.simulated_record(file.loop, reference, values, sample_time=1e-3, torque_noise=noise)
+    file.write(record, target)
 
 
 def _of_the_drives(folder: Path) -> None:
@@ -152,7 +173,8 @@ def _of_the_drives(folder: Path) -> None:
 
 
 TAKEN_FOR_GRANTED: dict[str, Callable[[Path], None]] = {
-    "joint-file.md": _of_the_joint_file,
-    "drives.md": _of_the_drives,
+    "README.md": _of_the_readme,
+    "docs/joint-file.md": _of_the_joint_file,
+    "docs/drives.md": _of_the_drives,
 }
-"""By the page's name, what makes the files that its commands speak of and the reader has."""
+"""By the page, what makes the files that its commands speak of and the reader has."""

@@ -18,6 +18,7 @@ sys.path.insert(0, str(ROOT / "docs" / "_ext"))
 import commands
 import joint_file_keys
 import pages as generated
+import search_words
 
 
 def test_the_commands_page_has_the_commands_own_tables() -> None:
@@ -43,7 +44,9 @@ def test_the_page_of_keys_has_every_key_of_the_schema_with_its_meaning() -> None
     for key, cells in {
         "joint.kind": ('`"prismatic"`, `"revolute"`', "—", "required", "how the joint moves: m and N, or rad and N m"),
         "record.clock_tolerance": ("number, 0 or more", "—", "`0.05`", "largest jitter of the time stamps"),
-        "filtering.cutoff": ("positive number", "Hz", "—", "cut-off of the decimation filter on torque and columns"),
+        "filtering.cutoff": (
+            "positive number or text with a unit", "Hz", "—", "cut-off of the decimation filter on torque and columns",
+        ),
         "filtering.borders": (
             "list of whole numbers, 0 or more", "—", "`[50, 50]`", "samples dropped at the start and at the end",
         ),
@@ -51,7 +54,9 @@ def test_the_page_of_keys_has_every_key_of_the_schema_with_its_meaning() -> None
         "records.file": ("text", "—", "required", "path of the record, from the joint file's folder"),
     }.items():  # fmt: skip
         assert rows[key].startswith(" | ".join(cells)), key
-    assert rows["controller.ki"].startswith('number, 0 or more | `"cascade"`: 1/s; `"pid"`: controller units per m s')
+    assert rows["controller.integral_gain"].startswith(
+        'number, 0 or more or text with a unit | `"cascade"`: 1/s; `"pid"`: controller units per m s'
+    )
     assert rows["controller.velocity_limit"].endswith('(of `"cascade"`)')
     for key in (
         "record.channels.<channel>.unit",
@@ -103,3 +108,16 @@ def test_every_page_of_the_documentation_is_in_the_navigation() -> None:
     for page in (ROOT / "docs").rglob("*.md"):
         if "generated" not in page.parts and page != ROOT / "docs" / "index.md":
             assert page.stem in listed, f"{page.name} is in no toctree"
+
+
+@pytest.mark.parametrize(("word", "ours"), search_words.WORDS.items())
+def test_the_glossary_has_a_word_of_the_drives_beside_ours(word: str, ours: str) -> None:
+    assert any(ours in row for row in search_words.rows(word)), f"{word!r} beside {ours!r}"
+
+
+@pytest.mark.parametrize(
+    "word", ["backlash", "resonance", "antiresonance", "notch", "Tn", "Kv", "Kp", "following error"]
+)
+def test_a_heading_has_what_is_searched_for_most(word: str) -> None:
+    headings = [line for page in pages() for line in page.read_text(encoding="utf-8").splitlines() if line[:2] == "##"]
+    assert any(re.search(rf"\b{word}\b", heading, re.IGNORECASE) for heading in headings)

@@ -13,8 +13,11 @@ from tests.docs.running import run_page, shown
 NOT_RUN = 13
 """Blocks that are marked as not run; one more is a decision."""
 
-RUNNING = [page for page in pages() if page != ROOT / "README.md" and any(block.runs for block in blocks(page))]
-"""The README is run by its own test, which reads what it printed."""
+RUNNING = [
+    page for page in pages()
+    if page != ROOT / "README.md" and any(block.runs and block.language != "{code-cell}" for block in blocks(page))
+]  # fmt: skip
+"""The README is run by a test that reads what it printed, notebooks by `sphinx-build`, where a warning fails."""
 
 
 @pytest.mark.docs

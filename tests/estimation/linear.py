@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.models.parameters import Parameter, Quantity
+from jointid.common.parameters import Parameter, Quantity
 
 
 def parameters(*names: str, lower: float = -math.inf, quantity: Quantity = Quantity.VISCOUS) -> tuple[Parameter, ...]:

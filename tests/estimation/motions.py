@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.records.signals.excitation import trapezoids
+from jointid.simulation.excitation import trapezoids
 
 STEP = 0.01  # s
 NAMES = ("inertia", "viscous", "coulomb", "offset")

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.io import loadmat
 from scipy.optimize import minimize_scalar
 
+from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.problems.inverse_model import InverseModel, inverse_model
 from jointid.models.joints import FlexibleJoint
-from jointid.models.parameters import Parameter, Quantity
 from jointid.records.record import Channel, Record, Tap, Timing
 from jointid.records.signals.filtering import Filtering
 from jointid.solvers.regression import least_squares

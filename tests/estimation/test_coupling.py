@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.estimation.methods.cross_axis import coupling_warnings
-from jointid.records.drives.drive import Drive
+from jointid.estimation.identify_record import coupling_warnings
+from jointid.records.drives import Drive
 from jointid.records.formats import Table, write_table
 from jointid.records.reading import find_other_axes, read
 from jointid.uncertainty.residual_tests import coupling

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.common.progress import silent
+from jointid.common.messages import silent
 from jointid.estimation.methods.endogeneity import (
     InstrumentedProblem,
     Judgement,
@@ -21,7 +21,7 @@ from jointid.estimation.methods.endogeneity import (
 from jointid.estimation.problems.prescribed import DriveSideProblem, motion_problem
 from jointid.paper.twin import CONTROLLERS, TABLE_2, twin
 from jointid.records.record import Channel, Injection, Record, Tap, Timing
-from jointid.solvers.levenberg_marquardt import LevenbergMarquardt
+from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Solution, solve
 from jointid.uncertainty.covariance import band_deviations, sandwich
 
@@ -57,9 +57,9 @@ def test_a_delay_before_the_torque_is_found_without_the_controller() -> None:
 def test_an_inertia_whose_interval_holds_0_is_said_to_be_unknown() -> None:
     """A rigid joint that is light, slow and noisy; with little noise its inertia is told."""
     joint = ji.RigidJoint()
-    loop = ji.ClosedLoop(joint, ji.Cascade(kp=50.0, kv=1000.0))
+    loop = ji.ClosedLoop(joint, ji.Cascade(position_gain=50.0, velocity_gain=1000.0))
     truth = {"inertia": 2.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
-    reference = ji.trapezoids(speeds=(0.1, 0.2), acceleration=0.2, travel=0.4, sample_time=1e-3)
+    reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=0.2, travel=0.4, sample_time=1e-3)
     random = np.random.default_rng(3).standard_normal(reference.size)
     for noise, told in ((0.1, True), (40.0, False)):
         record = ji.simulated_record(loop, reference, truth, sample_time=1e-3, torque_noise=noise * random)
@@ -74,8 +74,10 @@ def test_an_inertia_whose_interval_holds_0_is_said_to_be_unknown() -> None:
 def test_a_load_that_sticks_is_identified() -> None:
     truth = TABLE_2 | {"load_coulomb": 45.0}
     loop = ji.ClosedLoop(JOINT, CONTROLLERS["L19"])
-    reference = ji.trapezoids(speeds=(0.042, 0.083, 0.125), acceleration=0.83, travel=0.2, sample_time=1e-3, rest=0.3)
-    known = ji.pulses(reference.size, 1e-3, height=150.0, width=0.02, every=0.4, seed=1)
+    reference = ji.excitation.trapezoids(
+        speeds=(0.042, 0.083, 0.125), acceleration=0.83, travel=0.2, sample_time=1e-3, rest=0.3
+    )
+    known = ji.excitation.pulses(reference.size, 1e-3, height=150.0, width=0.02, every=0.4, seed=1)
     run = ji.simulate(loop, ji.prepare(loop, _driven(reference, known)), truth)
     assert run.load_velocity is not None
     assert np.mean(run.load_velocity == 0) > 0.05
@@ -236,13 +238,11 @@ def coloured(pulses: bool, seed: int) -> Record:
     """A run of loop L30 with a disturbance of 15 to 25 Hz that makes 8 % of the filtered torque."""
     from scipy.signal import butter, sosfiltfilt
 
-    from jointid.records.signals.filtering import decimate
-
     loop = ji.ClosedLoop(JOINT, CONTROLLERS["L30"])
-    reference = ji.trapezoids(
+    reference = ji.excitation.trapezoids(
         speeds=(0.042, 0.083, 0.125), acceleration=0.83, travel=0.2, sample_time=1e-3, duration=24.0
     )
-    known = ji.pulses(reference.size, 1e-3, height=150.0, width=0.02, every=0.4, seed=0) if pulses else None
+    known = ji.excitation.pulses(reference.size, 1e-3, height=150.0, width=0.02, every=0.4, seed=0) if pulses else None
     white = np.random.default_rng(seed).standard_normal(reference.size)
     band = sosfiltfilt(butter(2, [15, 25], btype="band", fs=1000, output="sos"), white)
     seen = FILTERING.resolved(1e-3)
@@ -255,7 +255,7 @@ def coloured(pulses: bool, seed: int) -> Record:
     def torque(size: float) -> np.ndarray:
         made = run(size).torque
         assert made is not None
-        return decimate(made.values, seen, 1e-3)
+        return seen.decimate(made.values, 1e-3)
 
     clean, size = torque(0.0), 1.0
     for _ in range(2):
@@ -288,7 +288,7 @@ def test_a_record_without_instruments_says_that_it_was_not_tested() -> None:
 def test_a_rigid_joint_needs_no_load() -> None:
     joint, truth = ji.RigidJoint(), {"inertia": 100.0, "viscous": 200.0, "coulomb": 20.0, "offset": -3.0}
     loop = ji.ClosedLoop(joint, CONTROLLERS["L19"])
-    reference = ji.trapezoids(speeds=(0.05, 0.12), acceleration=0.83, travel=0.2, sample_time=1e-3, rest=0.4)
+    reference = ji.excitation.trapezoids(speeds=(0.05, 0.12), acceleration=0.83, travel=0.2, sample_time=1e-3, rest=0.4)
     record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
     estimate = ji.identify(record.without("reference"), ji.DriveSide(joint))
     for name, value in truth.items():

@@ -14,12 +14,11 @@ from jointid.estimation.identify import identify
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.disturbances import Drift, PositionHarmonics, effect_columns
 from jointid.models.friction import AsymmetricFriction
-from jointid.models.joints import Motion, RigidJoint
+from jointid.models.joints import ClosedLoop, Motion, RigidJoint
 from jointid.output import json as answers
 from jointid.records.record import Record
-from jointid.records.signals.excitation import trapezoids
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.loop_input import ClosedLoop
+from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from tests.estimation.conftest import CONTROLLER
 

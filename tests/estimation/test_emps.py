@@ -14,10 +14,9 @@ from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.friction import AsymmetricFriction
-from jointid.models.joints import RigidJoint
+from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.loop_input import ClosedLoop
 from tests.estimation.conftest import CONTROLLER
 
 LOOP = ClosedLoop(RigidJoint(), CONTROLLER)
@@ -164,10 +163,20 @@ def test_two_records_agree_within_their_intervals(emps: Record, emps_pulses: Rec
     for name in ("inertia", "viscous", "coulomb", "offset"):
         gap = abs(first.values[name] - second.values[name])
         assert gap <= 2 * float(np.hypot(first[name].stderr or 0.0, second[name].stderr or 0.0)), name
-    assert abs(first.values["inertia"] - second.values["inertia"]) > 0.4
-    assert 0.3 < float(first["inertia"].stderr or 0.0) < 0.6
+    # 1.3 kg apart: what Coulomb's law lacks, which the solution by the regressor weighs otherwise, is in the intervals.
+    assert abs(first.values["inertia"] - second.values["inertia"]) > 1.0
+    assert 0.3 < float(first["inertia"].stderr or 0.0) < 0.7
     (repeats,) = (v for v in first.checks.verdicts if v.subject == "repeatable residual")
     assert not repeats.good
+
+
+def test_each_of_several_records_has_the_interval_that_it_has_alone(emps: Record, emps_pulses: Record) -> None:
+    """What the solution by the regressor widens is one rule; the common interval counts it as each record weighs."""
+    alone = [identify(record, LOOP)["inertia"].stderr or 0.0 for record in (emps, emps_pulses)]
+    together = identify([emps, emps_pulses], LOOP)
+    shares = [{row.name: row.stderr for row in share.alone}["inertia"] for share in together.data.records]
+    assert shares == pytest.approx(alone, rel=0.02)
+    assert min(alone) < 1.2 * float(together["inertia"].stderr or 0.0) < 1.2 * max(alone)
 
 
 def test_a_gain_that_was_forgotten_is_thought_of(emps: Record) -> None:

@@ -11,17 +11,15 @@ import pytest
 from jointid.common.errors import MethodError, RecordError
 from jointid.diagnostics.validation import validate
 from jointid.estimation.identify import identify
-from jointid.estimation.methods import flexible
+from jointid.estimation.methods import flexible, flexible_search
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.problems.closed_loop import INITIAL_STATE
+from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.search import flexible_search
-from jointid.models.joints import RigidJoint
+from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import Twin, twin
 from jointid.records.record import Injection, Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 
 
@@ -170,6 +168,10 @@ def test_a_friction_of_zero_is_not_known_to_a_millionth() -> None:
     found = estimate["motor_coulomb"]
     assert float(found.value or 0.0) <= 3 * float(found.stderr or 0.0) + 1e-9
     assert float(found.stderr or 0.0) > 1e-3
+    # The descent ends a billionth of a newton above 0, which is no millionth of itself.
+    (bounds,) = (verdict for verdict in estimate.checks.verdicts if verdict.subject == "bounds")
+    assert "motor_coulomb at a bound" in bounds.said
+    assert not bounds.good
 
 
 def test_a_sum_has_the_deviation_of_a_sum(identified: Callable[..., Estimate]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,30 +11,29 @@ import pytest
 from jointid.common.errors import MethodError
 from jointid.diagnostics.method_comparison import compare_methods
 from jointid.estimation.identify import identify
-from jointid.estimation.methods.drive_side import DriveSideFit
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.methods.open_loop import OpenLoopFit
+from jointid.estimation.methods.prescribed import DriveSideFit, OpenLoopFit
 from jointid.estimation.problems.closed_loop import beginning_position, torque_problem
+from jointid.estimation.result.build_estimate import find_lost
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Cascade
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.gravity import Counterbalance, Gravity
-from jointid.models.joints import FlexibleJoint, RigidJoint
+from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.record import Record
-from jointid.records.signals.excitation import pulses, trapezoids
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Initial
-from jointid.simulation.loop_input import ClosedLoop
+from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.synthesis import simulated_record
 
-ARM = ClosedLoop(RigidJoint(kind="revolute", gravity=Gravity("link")), Cascade(kp=20.0, kv=150.0))
+ARM = ClosedLoop(RigidJoint(kind="revolute", gravity=Gravity("link")), Cascade(position_gain=20.0, velocity_gain=150.0))
 ARM_TRUTH = {
     "inertia": 3.0, "viscous": 4.0, "coulomb": 3.0, "offset": 0.5, "gravity_cos": 40.0, "gravity_sin": 15.0,
 }  # fmt: skip
 
 # A link behind a gear of 100:1, everything seen by the motor: 18 kg m2, 70 N m, and a counterbalance of 20 N m.
 GEARED = FlexibleJoint(kind="revolute", gravity=Gravity("link", Counterbalance(cos=0.2), angle=0.01))
-GEARED_LOOP = ClosedLoop(GEARED, Cascade(kp=40.0, kv=0.226))
+GEARED_LOOP = ClosedLoop(GEARED, Cascade(position_gain=40.0, velocity_gain=0.226))
 GEARED_TRUTH = {
     "motor_inertia": 1.2e-3, "motor_viscous": 1.5e-3, "motor_coulomb": 0.08, "stiffness": 17.77, "damping": 6.8e-3,
     "load_inertia": 1.8e-3, "load_viscous": 1.0e-3, "load_coulomb": 0.06, "offset": 0.01, "gravity_cos": 0.7,
@@ -43,7 +43,7 @@ SAG = -0.5 / (40.0 * 0.226)  # where a proportional loop carries the load at the
 
 LIFT = ClosedLoop(
     FlexibleJoint(gravity=Gravity("constant", Counterbalance(constant=100.0))),
-    Cascade(kp=160.18, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=1e3),
+    Cascade(position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=1e3),
 )
 LIFT_TRUTH = {
     "motor_inertia": 70.0, "motor_viscous": 92.0, "motor_coulomb": 10.0, "stiffness": 8e5, "damping": 126.0,
@@ -189,6 +189,15 @@ def test_every_method_side_by_side() -> None:
     reference = trapezoids((0.042, 0.083, 0.125), 0.83, 0.2, 1e-3, duration=10.0)
     tried = compare_methods(simulated_record(lift, reference, values, sample_time=1e-3), lift).methods
     assert not any("asymmetric" in one.name for one in tried)
+
+
+def test_a_counterbalance_without_a_spring_is_no_lost_spring() -> None:
+    """Its rate has the unit of the joint's stiffness, which no joint is without; a counterbalance may have no rate."""
+    gravity = Gravity("link", Counterbalance(rate=5.0))
+    free = [replace(p, free=True) for p in FlexibleJoint(kind="revolute", gravity=gravity).parameters]
+    assert "counterbalance_rate" in [p.name for p in free]
+    nothing = np.zeros(len(free))
+    assert find_lost(free, nothing, nothing) == ("motor_inertia", "stiffness", "load_inertia")
 
 
 def test_what_gravity_cannot_be_is_refused() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -14,14 +15,15 @@ from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.linear import Rows, instrumental, ordinary, robust
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Cascade
-from jointid.models.joints import RigidJoint
+from jointid.models.disturbances import EncoderOffset
+from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import Twin, twin
 from jointid.records.record import Record
-from jointid.records.signals.excitation import trapezoids
-from jointid.simulation.loop_input import ClosedLoop
+from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from jointid.uncertainty.model_tests import durbin_wu_hausman
 from tests.estimation.conftest import CONTROLLER
+from tests.text import unwrapped
 
 SEEDS = range(1, 11)
 
@@ -32,6 +34,7 @@ def bias(estimates: list[Estimate], truth: dict[str, float], name: str) -> tuple
     return float(found.mean()), float(found.mean() / (found.std(ddof=1) / np.sqrt(found.size)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("loop", "expected"), [("L19", -0.007), ("L30", 0.010)])
 def test_instruments_remove_the_bias_of_a_disturbance_in_the_loop(loop: str, expected: float) -> None:
     axes = [twin(loop, seed=seed) for seed in SEEDS]  # type: ignore[arg-type]
@@ -68,7 +71,7 @@ def test_instruments_on_a_rigid_axis() -> None:
     assert all(abs(bias(instrumented, truth, name)[1]) <= 3.5 for name in truth)
     assert all(estimate.checks.tests[0].rejected for estimate in instrumented)
     assert instrumented[0].data.channels == ("torque", "reference", "motor_position")
-    assert "its least-squares values are biased; use IV or DIDIM" in instrumented[0].summary(details=True)
+    assert "its least-squares values are biased; use IV or DIDIM" in unwrapped(instrumented[0].summary(details=True))
 
 
 @pytest.mark.slow
@@ -182,4 +185,57 @@ def test_what_an_estimator_lacks_is_said() -> None:
     with pytest.raises(MethodError, match=r'IDIM\.estimator is "best"; expected "ols", "weighted", "robust" or "iv"'):
         IDIM("best")  # type: ignore[arg-type]
     with pytest.raises(MethodError, match="instruments of IV come from a simulation, but with these values the loop"):
-        identify(axis.record, under(axis, kv=1e4, limit=np.inf), IDIM("iv"))
+        identify(axis.record, under(axis, velocity_gain=1e4, limit=np.inf), IDIM("iv"))
+
+
+def at_rest(dwell: float) -> tuple[Record, dict[str, float]]:
+    """A turning axis that rests at the ends of its strokes, its encoder coarse."""
+    reference = trapezoids([0.3, 0.8, 1.5], 8.0, 1.0, 1e-3, dwell, 12.0)
+    values = {"inertia": 2e-3, "viscous": 4e-3, "coulomb": 0.029, "offset": 0.004}
+    law = Cascade(position_gain=40.0, velocity_gain=0.3, integral_gain=20.0)
+    noise = 2e-3 * np.random.default_rng(1).standard_normal(reference.size)
+    loop = ClosedLoop(RigidJoint("revolute"), law)
+    step = 2 * np.pi / 2**17
+    record = simulated_record(loop, reference, values, sample_time=1e-3, torque_noise=noise, encoder_step=step)
+    return record, values
+
+
+@pytest.mark.parametrize("estimator", ["ols", "robust"])
+def test_rows_at_rest_are_left_out_and_said(estimator: Literal["ols", "robust"]) -> None:
+    record, values = at_rest(0.6)
+    found = identify(record, RigidJoint("revolute"), IDIM(estimator))
+    assert any("the motor rests in" in str(one) for one in found.checks.warnings)
+    for name, value in values.items():
+        line = found[name]
+        assert line.value is not None and line.stderr is not None
+        assert abs(line.value - value) < 3 * line.stderr, name
+    assert found["coulomb"].stderr is not None and found["coulomb"].stderr < 0.01 * values["coulomb"]
+
+
+def test_an_axis_that_does_not_rest_keeps_all_rows() -> None:
+    record, _ = at_rest(0.0)
+    assert not any("rests" in str(one) for one in identify(record, RigidJoint("revolute"), IDIM()).checks.warnings)
+
+
+@pytest.mark.parametrize("effects", [(), (EncoderOffset(),), (EncoderOffset(side="motor"),)])
+def test_the_difference_of_two_encoders_zeros_is_found_whether_it_was_asked_for_or_not(
+    effects: tuple[EncoderOffset, ...],
+) -> None:
+    axis, off = twin(noise="none"), 2e-4
+    load = axis.record.load_position
+    assert load is not None
+    moved = axis.record.with_channels({"load_position": replace(load, values=load.values + off)})
+    plain = identify(axis.record, axis.loop.joint, IDIM())
+    found = identify(moved, axis.loop.joint, IDIM(effects=effects))
+    assert [row.name for row in found.params].count("encoder_offset") == 1
+    assert found["stiffness"].value == pytest.approx(plain["stiffness"].value, rel=1e-3)
+    force = (found["stiffness"].value or 0.0) * off
+    sign = 1.0 if effects and effects[0].side == "motor" else -1.0
+    assert found["encoder_offset"].value == pytest.approx(sign * force, rel=0.02)
+
+
+def test_a_rigid_joint_has_one_encoder() -> None:
+    axis = twin(noise="none")
+    for side in ("motor", "load"):
+        with pytest.raises(MethodError, match="A rigid joint has "):
+            identify(axis.record, RigidJoint(), IDIM(effects=(EncoderOffset(side=side),)))  # type: ignore[arg-type]

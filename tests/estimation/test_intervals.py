@@ -9,10 +9,9 @@ from jointid.diagnostics.intervals import intervals, require_quantities
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
-from jointid.models.joints import RigidJoint
+from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import twin
 from jointid.records.record import Record
-from jointid.simulation.loop_input import ClosedLoop
 from tests.estimation.conftest import CONTROLLER
 
 AXIS = twin(noise="white", seed=4)
@@ -69,7 +68,9 @@ def test_what_cannot_be_followed_is_said(estimate, emps: Record) -> None:  # typ
 
 
 def test_what_no_estimate_can_have_is_refused_before_one_is_made() -> None:
-    require_quantities(["stiffness", "compliance", "motor_viscous - load_viscous", "kp", "log_delay"], AXIS.loop)
+    require_quantities(
+        ["stiffness", "compliance", "motor_viscous - load_viscous", "position_gain", "log_delay"], AXIS.loop
+    )
     with pytest.raises(MethodError, match=r'"stifness" is no quantity of this estimate; .*, or compliance'):
         require_quantities(["stiffness", "stifness"], AXIS.loop)
     with pytest.raises(MethodError, match='"" is no quantity'):

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from jointid.common.arrays import FloatArray
+from jointid.common.parameters import Bounds
 from jointid.estimation.problems.log_windows import Place, Places, repeats
-from jointid.solvers.solve import Bounds
-from jointid.uncertainty.jackknife import Sums, left_out, step_of, total
+from jointid.uncertainty.resampling import Sums, left_out, step_of, total
 
 ANYWHERE = Bounds.none(3)
 

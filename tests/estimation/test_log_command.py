@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from jointid.apps.cli.app import main
+from jointid.apps.cli import main
 from jointid.records.chunks import Chunk, Log
 from tests.estimation.test_log import rigid, stored
 
@@ -26,8 +26,8 @@ reference = { column = "reference" }
 
 [controller]
 law = "cascade"
-kp = 100.0
-kv = 2000.0
+position_gain = 100.0
+velocity_gain = 2000.0
 """
 
 
@@ -54,7 +54,7 @@ def test_a_log_is_identified_and_every_key_documented(
     out = tmp_path / "out.json"
     assert run("identify", joint, "--window", 4, "--json", out) == 0
     said = capsys.readouterr()
-    assert "Rigid joint, DIDIM in windows, of day" in said.out
+    assert "rigid joint, DIDIM in windows, of day" in said.out
     assert "20 of 4 s" in said.out
     assert "forgets how it began" in said.err
     answer = json.loads(out.read_text(encoding="utf-8"))
@@ -82,7 +82,7 @@ def test_an_interrupted_log_is_told_as_far_as_it_was_read(
     assert run("identify", joint, "--window", 4, "--json", out, "-q") == 130
     said = capsys.readouterr()
     assert "interrupted after 14 windows" in said.out
-    assert "what was written so far is kept" in said.err
+    assert "no file is left half written" in said.err
     assert json.loads(out.read_text(encoding="utf-8"))["interrupted"] is True
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +38,7 @@ def fit(bench: Bench, current: str, cutoff: float, **settings: float | None) -> 
 
 
 def test_without_the_load_encoder_the_frequencies_are_there(hidden: ji.Estimate) -> None:
-    found = ji.frequencies(hidden.values)
+    found = ji.FlexibleJoint.frequencies(hidden.values)
     assert found["motor_locked"] == pytest.approx(54.0, abs=0.3)
     assert found["free_free"] == pytest.approx(76.1, abs=0.3)
     assert hidden.fit.converged
@@ -55,23 +55,39 @@ def test_stiffness_and_inertias_are_those_of_both_encoders(hidden: ji.Estimate, 
         assert 2 * line.stderr < 0.05 * line.value, name
 
 
-def test_both_encoders_need_the_difference_of_their_zeros(bench: Bench, reference: dict[str, float]) -> None:
-    assert ji.frequencies(reference)["motor_locked"] == pytest.approx(54.0, abs=0.3)
-    record = ji.Record(
-        torque=bench.torque("measured"),
-        motor_position=bench.record().motor_position,
-        load_position=ji.Channel(bench.load, "rad", 4e-4),
+def both(bench: Bench, rows: slice = slice(None)) -> ji.Record:
+    """What a drive with two encoders logs, or a part of it."""
+    part = Bench(bench.measured[rows], bench.command[rows], bench.motor[rows], bench.load[rows])
+    record = part.record()
+    return replace(record, load_position=ji.Channel(part.load, "rad", 4e-4))
+
+
+def test_both_encoders_as_logged_give_the_stiffness_and_an_interval_that_holds_both_halves(
+    bench: Bench, reference: dict[str, float]
+) -> None:
+    assert ji.FlexibleJoint.frequencies(reference)["motor_locked"] == pytest.approx(54.0, abs=0.3)
+    half = bench.motor.size // 2
+    whole, *halves = (
+        ji.identify(both(bench, rows), JOINT, ji.IDIM(), filtering=FILTERING)["stiffness"]
+        for rows in (slice(None), slice(half), slice(half, None))
     )
+    assert whole.value is not None and whole.stderr is not None
+    assert 549.0 < whole.value < 554.0
+    assert 2 * whole.stderr < 0.01 * whole.value
+    for one in halves:
+        assert one.value is not None and abs(one.value - whole.value) < 2 * whole.stderr
+
+
+def test_encoders_that_are_said_to_have_one_zero_are_taken_at_their_word(bench: Bench) -> None:
     with pytest.raises(ji.MethodError, match="load_inertia"):
-        ji.identify(record, JOINT, ji.IDIM(), filtering=FILTERING)
+        ji.identify(both(bench), JOINT, ji.IDIM(encoders="same_zero"), filtering=FILTERING)
 
 
 @pytest.mark.slow
 def test_how_the_motion_is_differentiated_makes_no_difference(
     bench: Bench, hidden: ji.Estimate, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from jointid.estimation.problems import prescribed
-    from jointid.simulation.drive_side import prescribed_motion
+    from jointid.simulation import prescribed
 
     found = []
     for cutoff in (350.0, 1000.0):
@@ -79,8 +95,7 @@ def test_how_the_motion_is_differentiated_makes_no_difference(
         settings = ji.DriveSideFit(frequency=54.0)
         found.append(ji.identify(bench.record(), ji.DriveSide(JOINT), settings, filtering=filtering))
     for degree in (3, 5):
-        spline = partial(prescribed_motion, degree=degree)
-        monkeypatch.setattr(prescribed, "prescribed_motion", spline)
+        monkeypatch.setattr(prescribed, "_DEGREE", degree)
         found.append(fit(bench, "measured", 150.0))
     for estimate in found:
         for name in PHYSICAL:

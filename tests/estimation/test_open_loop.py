@@ -10,7 +10,7 @@ import pytest
 import jointid as ji
 from jointid.paper.twin import TABLE_2
 from jointid.records.record import Timing
-from jointid.simulation.open_loop import simulate_open_loop
+from jointid.simulation.prescribed import simulate_open_loop
 
 T = 1e-3
 JOINT = ji.FlexibleJoint()
@@ -78,6 +78,23 @@ def test_an_inertia_whose_interval_holds_0_is_said_to_be_unknown() -> None:
         assert found["inertia"].identifiable is told
         assert found["viscous"].identifiable
         assert ("inertia is not identifiable from this record: its interval holds 0" in found.checks.warnings) != told
+
+
+def test_a_search_that_cannot_begin_claims_nothing() -> None:
+    """From far too light a joint without friction the motor leaves, and no derivative says what to change."""
+    light = {
+        p.name: replace(p, start=0.01 if "inertia" in p.name else 0.0)
+        for p in JOINT.parameters
+        if p.name.endswith(("inertia", "viscous", "coulomb"))
+    }
+    found = ji.identify(record(), ji.OpenLoop(JOINT), FIT, filtering=FILTERING, parameters=light)
+    assert not found.fit.converged
+    assert [p.stderr for p in found.params if p.free] == [None] * 10
+    assert not any(p.identifiable for p in found.params)
+    said = found.checks.warnings
+    assert "with these values nothing can be simulated, so nothing is known of them; give other starts" in said
+    assert "motor_viscous is at its bound, where it does not follow the record" in said
+    assert not any("stiffness is at its bound" in text for text in said)
 
 
 def test_what_is_missing_is_named() -> None:

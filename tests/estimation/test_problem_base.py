@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.problems.base import RecordProblem, SumProblem
 from jointid.models.joints import Joint, RigidJoint
-from jointid.models.parameters import Parameter, Quantity
 from jointid.records.signals.filtering import Filtering
 from jointid.solvers.gauss_newton import GaussNewton
 from jointid.solvers.solve import solve

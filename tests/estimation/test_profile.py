@@ -9,11 +9,11 @@ import pytest
 from scipy import stats
 
 from jointid.common.errors import MethodError
+from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.problems.closed_loop import torque_problem
-from jointid.models.parameters import Parameter, Quantity
 from jointid.paper.twin import twin
 from jointid.records.signals.filtering import Filtering
-from jointid.uncertainty.covariance import larger, sandwich, stationary, white
+from jointid.uncertainty.covariance import robust, sandwich, white
 from jointid.uncertainty.identifiability import Combination, single
 from jointid.uncertainty.profile import ByCompliance, Profiling, profile
 from tests.estimation.linear import Toy, linear, parameters, solved
@@ -51,11 +51,11 @@ def test_a_linear_problem_has_the_textbook_s_interval(which: int | str) -> None:
 def test_another_covariance_scales_the_threshold() -> None:
     A, y = line(1)
     free, x = parameters("a", "b", "c"), solved(A, y)
-    robust = sandwich(A, A, y - A @ x)
-    found = profile(linear(free, A, y), x, single(free[2], ""), robust)
-    half = stats.t.ppf(0.5 + 0.9545 / 2, ROWS - 3) * robust.std[2]
+    by_lags = sandwich(A, A, y - A @ x)
+    found = profile(linear(free, A, y), x, single(free[2], ""), by_lags)
+    half = stats.t.ppf(0.5 + 0.9545 / 2, ROWS - 3) * by_lags.std[2]
     assert found.interval == pytest.approx((x[2] - half, x[2] + half), rel=1e-6)
-    by_itself = profile(linear(free, A, y), x, single(free[2], ""), larger(robust, stationary(A, A, y - A @ x)))
+    by_itself = profile(linear(free, A, y), x, single(free[2], ""), robust(A, A, y - A @ x))
     assert profile(linear(free, A, y), x, single(free[2], "")).interval == pytest.approx(by_itself.interval)
 
 

@@ -26,6 +26,6 @@ def test_every_joint_model_has_the_method(name: str, model: str) -> None:
 
 def test_what_is_identified_chooses_its_method() -> None:
     joint = ji.FlexibleJoint()
-    loop = ji.ClosedLoop(joint, ji.Cascade(kp=100.0, kv=2000.0))
+    loop = ji.ClosedLoop(joint, ji.Cascade(position_gain=100.0, velocity_gain=2000.0))
     chosen = [default_method(model, "flexible") for model in (loop, joint, ji.DriveSide(joint), ji.OpenLoop(joint))]
     assert chosen == [ji.FlexibleDIDIM, ji.IDIM, ji.DriveSideFit, ji.OpenLoopFit]

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from jointid.estimation.identify import identify
+from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.models.joints import RigidJoint
+from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import twin
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.loop_input import ClosedLoop
 from jointid.uncertainty.covariance import sandwich
 from jointid.uncertainty.position_dependent_error import Cells, Uncertainty, by_place, cells, repeatable, uncertainty
 from tests.estimation.conftest import CONTROLLER
@@ -162,7 +162,7 @@ def fits(emps: Record, emps_pulses: Record) -> list[tuple[np.ndarray, np.ndarray
     found = []
     for record in (emps, emps_pulses):
         problem, residual, J, where = emps_fit(record)
-        found.append((np.array(list(identify(record, LOOP).values.values())), residual, J, where))
+        found.append((np.array(list(identify(record, LOOP, DIDIM("residual")).values.values())), residual, J, where))
         assert residual.size == where.label.size == len(problem.filtered(problem.measured))
     return found
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from jointid.common.parameters import Parameter
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Cascade
-from jointid.models.joints import frequencies
-from jointid.models.parameters import Parameter
+from jointid.models.joints import FlexibleJoint
 from jointid.paper.twin import twin
 from jointid.records.record import Channel, Record
 from jointid.simulation.closed_loop import in_threads
@@ -141,12 +141,16 @@ def test_units_of_mass_length_and_time_do_not_matter() -> None:
         reference=scaled(record.reference, 1.0),
         injected=replace(record.injected, channel=scaled(record.injected.channel, torque)),
     )
-    slow = replace(controller, kp=controller.kp / time, kv=controller.kv * torque * time)
+    slow = replace(
+        controller,
+        position_gain=controller.position_gain / time,
+        velocity_gain=controller.velocity_gain * torque * time,
+    )
     moved = identify(other, replace(case.loop, controller=slow))
     assert moved.fit.simulations == plain.fit.simulations
     units = {"inertia": torque * time**2, "viscous": torque * time, "coulomb": torque, "damping": torque * time}
     for name, value in plain.values.items():
         factor = units.get(name.split("_")[-1], torque)
         assert moved.values[name] / factor == pytest.approx(value, rel=1e-9), name
-    ratio = frequencies(moved.values)["free_free"] / frequencies(plain.values)["free_free"]
+    ratio = FlexibleJoint.frequencies(moved.values)["free_free"] / FlexibleJoint.frequencies(plain.values)["free_free"]
     assert ratio == pytest.approx(1 / time, rel=1e-9)

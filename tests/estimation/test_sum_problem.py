@@ -10,15 +10,13 @@ import pytest
 from scipy.signal import lfilter
 
 from jointid.common.errors import MethodError
-from jointid.estimation.problems.base import SumProblem, filter_rows
+from jointid.estimation.problems.base import INITIAL_STATE, SumProblem, filter_rows
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
 from jointid.estimation.problems.several_records import several, whitening
-from jointid.models.joints import RigidJoint
+from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import Twin, twin
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.loop_input import ClosedLoop
 from jointid.simulation.synthesis import simulated_record
 
 FRICTION = ("motor_viscous", "motor_coulomb", "load_viscous", "load_coulomb")
@@ -91,22 +89,22 @@ def test_of_three_records_two_still_share(axis: Twin) -> None:
 
 
 def test_numbers_of_two_controllers_are_shared_where_they_are_the_same(axis: Twin) -> None:
-    other = ClosedLoop(axis.loop.joint, replace(axis.loop.controller, kp=120.0))  # type: ignore[type-var]
-    problems, _ = two(axis, ("kp", "kv"), other)
+    other = ClosedLoop(axis.loop.joint, replace(axis.loop.controller, position_gain=120.0))  # type: ignore[type-var]
+    problems, _ = two(axis, ("position_gain", "velocity_gain"), other)
     names = [p.name for p in several(problems, added=ADDED).free]
-    assert {"kv", "kp@1", "kp@2"} <= set(names)
+    assert {"velocity_gain", "position_gain@1", "position_gain@2"} <= set(names)
 
 
 def test_derivatives_against_central_differences(axis: Twin) -> None:
     """Shared, added, own and the drive's gain, through weights of a few taps; away from the truth."""
-    other = ClosedLoop(axis.loop.joint, replace(axis.loop.controller, kp=120.0))  # type: ignore[type-var]
-    problems, _ = two(axis, ("drive_gain", "kp"), other)
+    other = ClosedLoop(axis.loop.joint, replace(axis.loop.controller, position_gain=120.0))  # type: ignore[type-var]
+    problems, _ = two(axis, ("drive_gain", "position_gain"), other)
     weights = [np.array([2.0, -1.0, 0.3]), np.array([0.7])]
     criterion = several(problems, [(), FRICTION], ADDED).weighing(weights)
     values = {name: 1.01 * value for name, value in axis.truth.items()}
-    x = at(criterion, values | {"drive_gain": 1.02, "kp@1": 160.18, "kp@2": 121.0})
+    x = at(criterion, values | {"drive_gain": 1.02, "position_gain@1": 160.18, "position_gain@2": 121.0})
     names = [p.name for p in criterion.free]
-    assert {"drive_gain", "kp@1", "kp@2", "load_coulomb@2", "initial_position@2"} <= set(names)
+    assert {"drive_gain", "position_gain@1", "position_gain@2", "load_coulomb@2", "initial_position@2"} <= set(names)
     residual, J = criterion.linearised(x)
     assert residual == pytest.approx(criterion.residual(x), rel=1e-9, abs=1e-9)
     for i, name in enumerate(names):

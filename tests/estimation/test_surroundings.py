@@ -13,11 +13,10 @@ from jointid.estimation.identify import identify
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.flexible import FlexibleDIDIM, refined_least_squares
 from jointid.models.controllers import Cascade, FirstOrder, Notch, SecondOrder, numbers_of, with_numbers
-from jointid.models.joints import RigidJoint
+from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Record
-from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.closed_loop import in_threads
-from jointid.simulation.loop_input import ClosedLoop
+from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from jointid.uncertainty.covariance import sandwich
 from tests.estimation.conftest import CONTROLLER
@@ -52,7 +51,9 @@ def test_a_flexible_joint_is_identified_with_gains_and_delay() -> None:
     made = problem(where, Fault(line_7), None)
     assert where.record.torque is not None
     record = replace(where.record, torque=replace(where.record.torque, values=made.measured))
-    estimate = identify(record, where.loop, FlexibleDIDIM(frequency=30.0, free=("kp", "kv", "delay")))
+    estimate = identify(
+        record, where.loop, FlexibleDIDIM(frequency=30.0, free=("position_gain", "velocity_gain", "delay"))
+    )
     for name, value in (where.truth | line_7(where.loop)).items():
         assert estimate[name].value == pytest.approx(value, rel=1e-4), name
     assert estimate.fit.relative_error < 1e-5
@@ -62,21 +63,24 @@ def test_a_flexible_joint_is_identified_with_gains_and_delay() -> None:
     ("name", "sentence"),
     [
         ("drive_gain", "One record cannot tell the drive_gain from the scale of the joint"),
-        ("kd", 'Nothing around this joint is called "kd"; what can be freed is initial_position'),
-        ("ki", "The ki of this controller is 0, so it has no such part; declare a start above 0"),
+        (
+            "derivative_gain",
+            'Nothing around this joint is called "derivative_gain"; what can be freed is initial_position',
+        ),
+        ("integral_gain", "The integral_gain of this controller is 0, so it has no such part; declare a start above 0"),
         ("limit", "The limit of this controller is inf, where no search can begin; declare a finite one"),
     ],
 )
 def test_what_cannot_be_freed_is_refused(name: str, sentence: str) -> None:
-    loop = ClosedLoop(RigidJoint(), Cascade(kp=100.0, kv=5000.0))
+    loop = ClosedLoop(RigidJoint(), Cascade(position_gain=100.0, velocity_gain=5000.0))
     with pytest.raises(MethodError, match=sentence):
         identify(rigid_record(loop), loop, DIDIM(free=(name,)))
 
 
 def test_a_name_alone_is_no_list_of_names() -> None:
-    loop = ClosedLoop(RigidJoint(), Cascade(kp=100.0, kv=5000.0))
-    with pytest.raises(MethodError, match='What is freed is a list of names; received "kp"'):
-        identify(rigid_record(loop), loop, DIDIM(free="kp"))  # type: ignore[arg-type]
+    loop = ClosedLoop(RigidJoint(), Cascade(position_gain=100.0, velocity_gain=5000.0))
+    with pytest.raises(MethodError, match='What is freed is a list of names; received "position_gain"'):
+        identify(rigid_record(loop), loop, DIDIM(free="position_gain"))  # type: ignore[arg-type]
 
 
 def test_the_log_s_own_gain_and_delay_are_found() -> None:
@@ -91,7 +95,7 @@ def test_the_log_s_own_gain_and_delay_are_found() -> None:
 def test_torque_alone_finds_the_delay_of_the_real_axis(emps: Record, emps_pulses: Record) -> None:
     """Its motor answers 0.2 to 0.3 ms after the log; from torque alone that takes the pulses, and the gains free."""
     loop = ClosedLoop(RigidJoint(), CONTROLLER)
-    pulsed = identify(emps_pulses, loop, DIDIM(free=("kp", "kv", "delay")))["delay"]
+    pulsed = identify(emps_pulses, loop, DIDIM(free=("position_gain", "velocity_gain", "delay")))["delay"]
     assert pulsed.value == pytest.approx(0.31e-3, abs=0.02e-3)
     assert pulsed.stderr == pytest.approx(0.08e-3, rel=0.2)
     plain = identify(emps, loop, DIDIM(free=("delay",)))["delay"]
@@ -101,16 +105,16 @@ def test_torque_alone_finds_the_delay_of_the_real_axis(emps: Record, emps_pulses
 @pytest.mark.statistical
 @pytest.mark.parametrize("noise", ["white", "disturbance"])
 def test_a_wrong_loop_biases_nothing_where_it_is_free_and_is_flagged_where_it_is_not(noise: Noise) -> None:
-    """kp +3 %, kv -4 %, 0.4 ms and no offset declared, over 200 runs of the twin."""
+    """position_gain +3 %, velocity_gain -4 %, 0.4 ms and no offset declared, over 200 runs of the twin."""
     where, runs = setting("L19"), range(10_000, 10_200)
     truth = where.truth | line_7(where.loop)
 
     def one(seed: int) -> tuple[np.ndarray, np.ndarray]:
-        made = problem(where, Fault(line_7), noise, seed).freeing("kp", "kv", "delay")
+        made = problem(where, Fault(line_7), noise, seed).freeing("position_gain", "velocity_gain", "delay")
         x, J = refined_least_squares(made, made.vector(where.truth), 1e-6)
         return x, sandwich(J, J, made.residual(x)).std
 
-    names = [p.name for p in problem(where, None, None).freeing("kp", "kv", "delay").free]
+    names = [p.name for p in problem(where, None, None).freeing("position_gain", "velocity_gain", "delay").free]
     kept = [i for i, name in enumerate(names) if name in truth]
     estimates, stds = (np.array(part)[:, kept] for part in zip(*in_threads(one, runs), strict=True))
     errors = estimates - np.array([truth[names[i]] for i in kept])
@@ -131,16 +135,16 @@ def test_a_wrong_loop_biases_nothing_where_it_is_free_and_is_flagged_where_it_is
         ("torque_filters.1.numerator_damping", -0.1),
         ("velocity_filter.time_constant", 1.6e-3),
         ("reference_delay", 1.6e-3),
-        ("ki", 16.0),
+        ("integral_gain", 16.0),
         ("gain", 0.8),
     ],
 )
 def test_any_number_of_a_law_is_found_from_beside(name: str, declared: float) -> None:
     """Also where the search's steps would leave what a law can have."""
     true = Cascade(
-        kp=40.0,
-        kv=6000.0,
-        ki=20.0,
+        position_gain=40.0,
+        velocity_gain=6000.0,
+        integral_gain=20.0,
         velocity_filter=FirstOrder(2e-3),
         torque_filters=(Notch(490.0, 60.0, 0.2), SecondOrder(300.0, 0.7, 200.0, 0.1)),
         reference_delay=2e-3,

@@ -11,6 +11,7 @@ from scipy.signal import lfilter
 from jointid.uncertainty.covariance import (
     Covariance,
     bandwidth,
+    by_spectrum,
     covariance_of,
     different,
     larger,
@@ -146,16 +147,16 @@ def ringing(random: np.random.Generator, size: int) -> np.ndarray:
 def test_the_spectrum_sees_a_ringing_that_the_bandwidth_does_not() -> None:
     random = np.random.default_rng(6)
     W = np.column_stack([ringing(random, 2000), np.ones(2000)])
-    inside = {"sandwich": 0, "stationary": 0, "robust": 0}
+    inside = {"sandwich": 0, "by_spectrum": 0, "robust": 0}
     for _ in range(200):
         error = ringing(random, 2000)
         x = np.linalg.lstsq(W, error, rcond=None)[0]
         residual = error - W @ x
-        for name, covariance in (("sandwich", sandwich), ("stationary", stationary), ("robust", robust)):
+        for name, covariance in (("sandwich", sandwich), ("by_spectrum", by_spectrum), ("robust", robust)):
             inside[name] += abs(x[0]) <= 2 * covariance(W, W, residual).std[0]
     assert inside["sandwich"] / 200 <= 0.8
-    assert inside["stationary"] / 200 >= 0.9
-    assert inside["robust"] >= inside["stationary"]
+    assert inside["by_spectrum"] / 200 >= 0.9
+    assert inside["robust"] >= inside["by_spectrum"]
 
 
 def test_a_loud_stretch_is_seen_by_the_sandwich_alone() -> None:
@@ -165,7 +166,7 @@ def test_a_loud_stretch_is_seen_by_the_sandwich_alone() -> None:
     W = np.column_stack([random.standard_normal(3000) * loud, random.standard_normal(3000)])
     error = random.standard_normal(3000) * (1.0 + 9.0 * loud)
     expected = np.sqrt(np.sum(W[:, 0] ** 2 * 100.0)) / np.sum(W[:, 0] ** 2)
-    assert stationary(W, W, error).std[0] < 0.5 * expected
+    assert by_spectrum(W, W, error).std[0] < 0.5 * expected
     assert robust(W, W, error).std[0] == pytest.approx(expected, rel=0.25)
 
 
@@ -179,7 +180,7 @@ def test_a_white_residual_s_spectrum_is_flat(rows: int) -> None:
     assert np.mean(squares, axis=0) == pytest.approx(expected, rel=0.05)
 
 
-@pytest.mark.parametrize("of", [sandwich, stationary, robust])
+@pytest.mark.parametrize("of", [sandwich, by_spectrum, robust])
 def test_records_that_share_nothing_have_the_deviations_they_have_alone(of: Any) -> None:
     """Of unlike lengths and levels, one after the other: nothing is correlated across the border."""
     random = np.random.default_rng(9)

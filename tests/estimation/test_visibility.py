@@ -10,15 +10,16 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
+from jointid.common.parameters import Parameter
 from jointid.diagnostics.validation import validate
 from jointid.estimation.identify import identify
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.joints import FlexibleJoint
-from jointid.models.parameters import Parameter
+from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.output.json import dumps, to_dict
 from jointid.records.record import Record
-from jointid.simulation.loop_input import ClosedLoop
+from jointid.uncertainty.verdict import POOR_FIT
 from tests.estimation.conftest import CONTROLLER
+from tests.faster_drives import CASCADE, drive
 
 LOOP = ClosedLoop(FlexibleJoint(), CONTROLLER)
 
@@ -29,15 +30,20 @@ def stiffness_verdict(estimate: Estimate) -> tuple[bool | None, str]:
 
 
 def require_refused(estimate: Estimate) -> None:
-    """No mode is seen below 60 Hz, and the motor-side apparent mass is flat within 2 %: the bounds lie between."""
+    """No mode is seen: the bounds are those of a joint whose load may have any part of the friction.
+
+    With that friction on the motor's side they would be three times as high; but what Coulomb's law lacks on this axis
+    is explained better by a load's friction that lags behind a spring, from modes of 40 Hz on, so that the record does
+    not exclude these.
+    """
     good, said = stiffness_verdict(estimate)
     assert good is False
     assert "not identifiable from this record" in said
     for name in ("motor_inertia", "load_inertia", "stiffness", "damping"):
         assert estimate[name].value is None, name
     bounds = {bound.share: bound.stiffness for bound in estimate.checks.bounds}
-    assert 0.6e6 <= (bounds[0.05] or 0.0) <= 4e6
-    assert (bounds[0.5] or 0.0) >= 3e6
+    assert 0.1e6 <= (bounds[0.05] or 0.0) <= 4e6
+    assert (bounds[0.5] or 0.0) >= 2e6
     assert (bounds[0.33] or 0.0) <= 1e8
     found = [bound or 0.0 for bound in bounds.values()]
     assert found == sorted(found)
@@ -53,7 +59,7 @@ def test_an_axis_that_is_as_good_as_rigid_shows_no_spring(stiff_axis: tuple[Reco
     assert "not identifiable from this record" in said
     for name in ("motor_inertia", "load_inertia", "stiffness", "damping"):
         assert estimate[name].value is None, name
-    assert all(1e5 <= bound.stiffness <= 1e9 for bound in estimate.checks.bounds if bound.stiffness is not None)
+    assert all(1e4 <= bound.stiffness <= 1e9 for bound in estimate.checks.bounds if bound.stiffness is not None)
     assert estimate.checks.known is not None
     whole = {known.combination.name: known for known in estimate.checks.known.physical}
     assert whole["total inertia"].value == pytest.approx(105.0, rel=0.05)
@@ -78,7 +84,7 @@ def test_nor_does_it_with_pulses(emps_pulses: Record) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("which", ["emps", "emps_pulses"])
 def test_whatever_the_start(seed: int, which: str, request: pytest.FixtureRequest) -> None:
     record = request.getfixturevalue(which)
@@ -99,3 +105,14 @@ def test_the_twin_shows_its_spring(loop: str, noise: str, identified: Callable[.
     assert stiffness_verdict(estimate)[0] is True
     assert not estimate.checks.bounds
     assert estimate.values["stiffness"] == pytest.approx(8e5, rel=0.02)
+
+
+def test_no_bound_is_told_where_the_model_does_not_explain_the_torque() -> None:
+    """How soft a spring may be is said beside a joint that fits."""
+    for noise, given in ((0.3, True), (6.0, False)):
+        record, loop = drive(CASCADE, 1, noise=noise)
+        estimate = identify(record, replace(loop, joint=FlexibleJoint("revolute")))
+        assert estimate["stiffness"].value is None
+        assert (estimate.fit.filtered_error <= POOR_FIT) is given
+        assert ("at least" in str(estimate.answer)) is given
+        assert ("its lower bound" in str(estimate)) is given

@@ -27,10 +27,12 @@ REFERENCE_SIGNAL = np.cumsum(RANDOM.normal(0, 1e-3, 300))
 POSITION_SIGNAL = REFERENCE_SIGNAL + RANDOM.normal(0, 1e-4, 300)
 
 LAWS: dict[str, Controller] = {
-    "cascade": Cascade(kp=160.0, kv=240.0, velocity_filter=(0.5, 0.5), gain=35.0),
-    "cascade, unfiltered": Cascade(kp=160.0, kv=240.0),
-    "PD": PD(kp=4e5, kd=6e3, velocity_filter=DigitalFilter((0.3,), (1.0, -0.7))),
-    "PD, damping only": PD(kp=4e5, kd=6e3, reference_velocity="none", velocity_filter=(0.25, 0.5, 0.25)),
+    "cascade": Cascade(position_gain=160.0, velocity_gain=240.0, velocity_filter=(0.5, 0.5), gain=35.0),
+    "cascade, unfiltered": Cascade(position_gain=160.0, velocity_gain=240.0),
+    "PD": PD(position_gain=4e5, derivative_gain=6e3, velocity_filter=DigitalFilter((0.3,), (1.0, -0.7))),
+    "PD, damping only": PD(
+        position_gain=4e5, derivative_gain=6e3, reference_velocity="none", velocity_filter=(0.25, 0.5, 0.25)
+    ),
     "integrating": StateSpaceController(
         A=[[1.0]], B={"reference": [0.1], "position": [-0.1]}, C=[50.0], D={"reference": 4e3, "position": -4e3}
     ),
@@ -74,14 +76,17 @@ def test_the_pd_is_its_equation() -> None:
 
 def test_the_pd_may_read_the_reference_velocity_or_none() -> None:
     velocity = RANDOM.normal(size=300)
-    law = PD(kp=10.0, kd=2.0, reference_velocity="channel").law(T)
+    law = PD(position_gain=10.0, derivative_gain=2.0, reference_velocity="channel").law(T)
     both = inputs(REFERENCE_SIGNAL, POSITION_SIGNAL)
     both[:, REFERENCE_VELOCITY] = velocity
-    none = PD(kp=10.0, kd=2.0, reference_velocity="none").law(T)
+    none = PD(position_gain=10.0, derivative_gain=2.0, reference_velocity="none").law(T)
     start = law.memory(POSITION, POSITION_SIGNAL[0], 0.0)
     expected = run(none, inputs(REFERENCE_SIGNAL, POSITION_SIGNAL), start).output + 2.0 * velocity
     assert np.allclose(run(law, both, start).output, expected, rtol=1e-12, atol=1e-12)
-    assert PD(kp=1.0, kd=1.0, reference_velocity="channel").channels == ("reference", "reference_velocity")
+    assert PD(position_gain=1.0, derivative_gain=1.0, reference_velocity="channel").channels == (
+        "reference",
+        "reference_velocity",
+    )
 
 
 @pytest.mark.parametrize("name", [name for name in LAWS if name != "integrating"])
@@ -132,23 +137,24 @@ def test_the_excess_is_fed_back_in_controller_units() -> None:
 
 
 def test_the_period_is_the_log_s_unless_the_law_has_its_own() -> None:
-    assert Cascade(kp=1.0, kv=1.0).law(2e-3).period == 2e-3
-    assert Cascade(kp=1.0, kv=1.0, period=5e-4).law(2e-3).period == 5e-4
+    assert Cascade(position_gain=1.0, velocity_gain=1.0).law(2e-3).period == 2e-3
+    assert Cascade(position_gain=1.0, velocity_gain=1.0, period=5e-4).law(2e-3).period == 5e-4
 
 
 def test_wrong_gains_are_all_named() -> None:
     with pytest.raises(MethodError) as refused:
-        Cascade(kp=-1.0, kv=2.0, gain=0.0, limit=-2.0, delay=-0.1)
+        Cascade(position_gain=-1.0, velocity_gain=2.0, gain=0.0, limit=-2.0, delay=-0.1)
     assert str(refused.value).splitlines() == [
         "Cascade.gain is 0.0; expected a positive number: correct it, or leave it out.",
         "Cascade.limit is -2.0; expected a positive number: correct it, or leave it out.",
         "Cascade.delay is -0.1; expected a number, 0 or more: correct it, or leave it out.",
-        "Cascade.kp is -1.0; expected a number, 0 or more: turn the torque or the positions round, with sign = -1 on "
+        "Cascade.position_gain is -1.0; expected a number, 0 or more: turn the torque or the positions round, with "
+        "sign = -1 on "
         "their channels.",
     ]
     with pytest.raises(MethodError, match=r"needs A \(2, 2\).*B\.position \(1,\).*speed"):
         StateSpaceController(A=np.eye(2), B={"position": [1.0], "speed": [0, 0]}, C=[1.0, 0.0], D={})
     with pytest.raises(MethodError, match='expected "difference", "channel" or "none"'):
-        PD(kp=1.0, kd=1.0, reference_velocity="derivative")  # type: ignore[arg-type]
+        PD(position_gain=1.0, derivative_gain=1.0, reference_velocity="derivative")  # type: ignore[arg-type]
     with pytest.raises(MethodError, match="does not start with 0"):
         DigitalFilter((1.0,), (0.0, 1.0))

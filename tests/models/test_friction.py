@@ -13,19 +13,18 @@ from jointid.estimation.identify import identify
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.controllers import Cascade
 from jointid.models.friction import DIRECTIONS, FRICTIONS, PARTS, Friction, friction_named
-from jointid.models.joints import FlexibleJoint, RigidJoint
+from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.models.linear import linear_joints
 from jointid.output import json as answers
 from jointid.records.columns import Column
-from jointid.records.signals.excitation import trapezoids
-from jointid.simulation.loop_input import ClosedLoop
+from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
-from jointid.tuning.feedforward import lumped_parameters
+from jointid.tuning.proposals import lumped_parameters
 
 LAWS = [law() for law in FRICTIONS.values()]
 EVERY_LAW = pytest.mark.parametrize("law", LAWS, ids=list(FRICTIONS))
 CHANNELS = ("torque", "motor_position", "load_position")
-CASCADE = Cascade(kp=60.0, kv=500.0)
+CASCADE = Cascade(position_gain=60.0, velocity_gain=500.0)
 
 
 def values_of(law: Friction) -> dict[str, float]:

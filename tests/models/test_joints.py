@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
+from jointid.common.parameters import Parameter, Quantity, adjusted
 from jointid.models.controllers import Cascade
 from jointid.models.friction import AsymmetricFriction, SymmetricFriction, friction_named
-from jointid.models.joints import FlexibleJoint, Motion, RigidJoint, frequencies, rigid_sums
-from jointid.models.parameters import Parameter, Quantity, adjusted
+from jointid.models.joints import ClosedLoop, FlexibleJoint, Motion, RigidJoint
 from jointid.paper.twin import TABLE_2, TABLE_4
-from jointid.records.signals.excitation import trapezoids
-from jointid.simulation.loop_input import ClosedLoop
+from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 
 
@@ -34,7 +33,9 @@ def test_regressor_times_parameters_is_the_inverse_dynamics(friction: SymmetricF
 def test_what_the_simulation_balances_is_the_model() -> None:
     """The torque of a simulated flexible joint at the motor equals (2) of the paper on its own states."""
     joint = FlexibleJoint()
-    loop = ClosedLoop(joint, Cascade(kp=160.18, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15))
+    loop = ClosedLoop(
+        joint, Cascade(position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15)
+    )
     reference = trapezoids((0.1,), 0.8, 0.05, 1e-4)
     made = simulated_record(loop, reference, TABLE_2, sample_time=1e-4)
     assert made.motor_position is not None
@@ -64,17 +65,21 @@ def test_units_follow_the_kind_and_the_torque() -> None:
 
 def test_the_three_frequencies_of_the_tables() -> None:
     """Recomputed from print; the paper floors 29.51 and 27.53 to 29.0 and 27.0."""
-    assert {k: round(v, 2) for k, v in frequencies(TABLE_2).items()} == {
+    assert {k: round(v, 2) for k, v in FlexibleJoint.frequencies(TABLE_2).items()} == {
         "free_free": 29.51, "motor_locked": 24.13, "load_locked": 16.99,
     }  # fmt: skip
-    assert {k: round(v, 2) for k, v in frequencies(TABLE_4).items()} == {
+    assert {k: round(v, 2) for k, v in FlexibleJoint.frequencies(TABLE_4).items()} == {
         "free_free": 27.53, "motor_locked": 21.48, "load_locked": 17.21,
     }  # fmt: skip
 
 
 def test_the_sums_of_the_tables() -> None:
-    assert rigid_sums(TABLE_2) == pytest.approx({"inertia": 105.0, "viscous": 202.0, "coulomb": 20.4, "offset": -3.16})
-    assert rigid_sums(TABLE_4) == pytest.approx({"inertia": 115.1, "viscous": 205.0, "coulomb": 20.0, "offset": -3.16})
+    assert FlexibleJoint.rigid_sums(TABLE_2) == pytest.approx(
+        {"inertia": 105.0, "viscous": 202.0, "coulomb": 20.4, "offset": -3.16}
+    )
+    assert FlexibleJoint.rigid_sums(TABLE_4) == pytest.approx(
+        {"inertia": 115.1, "viscous": 205.0, "coulomb": 20.0, "offset": -3.16}
+    )
 
 
 def test_the_offset_is_fixed_beside_asymmetric_friction() -> None:

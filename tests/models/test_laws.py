@@ -34,7 +34,7 @@ from jointid.models.controllers import (
     run,
 )
 from jointid.records.record import Channel, Timing
-from jointid.records.signals.instants import at_period
+from jointid.records.resampling import at_period
 from tests.models.written_out import Sample, begun
 
 T = 1e-3
@@ -66,7 +66,7 @@ FILTERS = [
 def test_a_filter_of_the_torque_is_scipys(made: Any) -> None:
     """Behind a law that is only its reference, so that what is filtered is known."""
     signal = np.random.default_rng(0).normal(size=PERIODS)
-    law = PD(kp=1.0, kd=0.0, reference_velocity="none", torque_filters=(made,)).law(T)
+    law = PD(position_gain=1.0, derivative_gain=0.0, reference_velocity="none", torque_filters=(made,)).law(T)
     inputs = np.zeros((PERIODS, INPUTS))
     inputs[:, REFERENCE] = signal
     b, a = made.coefficients(T)
@@ -129,7 +129,7 @@ def smooth(rng: np.random.Generator, size: float = 0.1) -> np.ndarray:
 def test_a_pid_is_the_sum_of_three_linear_systems() -> None:
     rng = np.random.default_rng(1)
     error = smooth(rng)
-    law = PID(kp=4e3, ki=9e4, kd=60.0, velocity_filter=FirstOrder(2e-3)).law(T)
+    law = PID(position_gain=4e3, integral_gain=9e4, derivative_gain=60.0, velocity_filter=FirstOrder(2e-3)).law(T)
     inputs = np.zeros((PERIODS, INPUTS))
     inputs[:, REFERENCE], inputs[:, POSITION] = 3.0 * error, 2.0 * error
     pole = math.exp(-0.5)
@@ -145,14 +145,20 @@ def test_a_pid_is_the_sum_of_three_linear_systems() -> None:
 def test_a_p_pi_cascade_is_a_linear_system() -> None:
     rng = np.random.default_rng(2)
     r, q = smooth(rng), smooth(rng)
-    kp, kv, ki, share = 60.0, 900.0, 40.0, 0.7
-    law = Cascade(kp=kp, kv=kv, ki=ki, velocity_feedforward=share, velocity_filter=(0.5, 0.5)).law(T)
+    position_gain, velocity_gain, integral_gain, share = 60.0, 900.0, 40.0, 0.7
+    law = Cascade(
+        position_gain=position_gain,
+        velocity_gain=velocity_gain,
+        integral_gain=integral_gain,
+        velocity_feedforward=share,
+        velocity_filter=(0.5, 0.5),
+    ).law(T)
     inputs = np.zeros((PERIODS, INPUTS))
     inputs[:, REFERENCE], inputs[:, POSITION] = r, q
     difference = np.array([1.0, -1.0]) / T
-    slip = lfilter(np.array([kp, 0.0]) + share * difference, [1.0], r)
-    slip -= kp * q + lfilter(np.convolve([0.5, 0.5], difference), [1.0], q)
-    pi = dlti([kv, kv * (ki * T - 1.0)], [1.0, -1.0], dt=T)
+    slip = lfilter(np.array([position_gain, 0.0]) + share * difference, [1.0], r)
+    slip -= position_gain * q + lfilter(np.convolve([0.5, 0.5], difference), [1.0], q)
+    pi = dlti([velocity_gain, velocity_gain * (integral_gain * T - 1.0)], [1.0, -1.0], dt=T)
     _, expected = dlsim(pi, slip)
     assert worst(run(law, inputs, np.zeros(law.order)).output, expected[:, 0]) <= 1e-10
 
@@ -215,10 +221,10 @@ def check(law: Cascade | PD, seed: int, T: float = T, speed: float = 0.03) -> tu
 
 
 PLAIN: dict[str, Cascade | PD] = {
-    "P-P": Cascade(kp=60.0, kv=900.0),
-    "P-PI": Cascade(kp=60.0, kv=900.0, ki=40.0),
-    "PD": PD(kp=4e3, kd=60.0),
-    "PID": PID(kp=4e3, ki=9e4, kd=60.0),
+    "P-P": Cascade(position_gain=60.0, velocity_gain=900.0),
+    "P-PI": Cascade(position_gain=60.0, velocity_gain=900.0, integral_gain=40.0),
+    "PD": PD(position_gain=4e3, derivative_gain=60.0),
+    "PID": PID(position_gain=4e3, integral_gain=9e4, derivative_gain=60.0),
 }
 PARTS: dict[str, dict[str, Any]] = {
     "two-sample mean": {"velocity_filter": (0.5, 0.5)},
@@ -256,7 +262,9 @@ OF_THE_CASCADE: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("part", OF_THE_CASCADE)
 def test_each_part_of_the_cascade_is_its_equation(part: str) -> None:
-    _, others = check(replace(Cascade(kp=60.0, kv=900.0, ki=40.0), **OF_THE_CASCADE[part]), seed=6)
+    _, others = check(
+        replace(Cascade(position_gain=60.0, velocity_gain=900.0, integral_gain=40.0), **OF_THE_CASCADE[part]), seed=6
+    )
     assert (others > 0.1) == ("velocity_limit" in OF_THE_CASCADE[part])
 
 
@@ -306,13 +314,18 @@ def random_law(rng: np.random.Generator) -> Cascade | PD:
     kind = rng.integers(3)
     if kind == 0:
         return Cascade(
-            kp=rng.uniform(5, 90), kv=rng.uniform(100, 900), ki=some(rng.uniform(1, 90)), anti_windup=windup,
+            position_gain=rng.uniform(5, 90), velocity_gain=rng.uniform(100, 900), integral_gain=some(rng.uniform(1,
+            90)), anti_windup=windup,
             velocity_feedforward=some(rng.uniform(0, 1)), velocity_feedforward_delay=some(rng.uniform(0, 5e-3)),
             velocity_limit=some(rng.uniform(0.01, 0.1), math.inf), position_period=n * T,
             position_offset=int(rng.integers(0, 12)) * T, **common,
         )  # fmt: skip
-    gains = {"kp": rng.uniform(100, 4e3), "kd": rng.uniform(0, 60)}
-    return PD(**gains, **common) if kind == 1 else PID(ki=rng.uniform(0, 9e4), anti_windup=windup, **gains, **common)
+    gains = {"position_gain": rng.uniform(100, 4e3), "derivative_gain": rng.uniform(0, 60)}
+    return (
+        PD(**gains, **common)
+        if kind == 1
+        else PID(integral_gain=rng.uniform(0, 9e4), anti_windup=windup, **gains, **common)
+    )
 
 
 @pytest.mark.parametrize("seed", range(60))
@@ -321,15 +334,28 @@ def test_any_law_is_its_equation(seed: int) -> None:
 
 
 def test_tracking_needs_an_integral_that_reaches_the_torque() -> None:
-    law = Cascade(kp=1.0, kv=0.0, ki=3.0, limit=2.0, anti_windup="track", constant_feedforward=5.0).law(T)
+    law = Cascade(
+        position_gain=1.0,
+        velocity_gain=0.0,
+        integral_gain=3.0,
+        limit=2.0,
+        anti_windup="track",
+        constant_feedforward=5.0,
+    ).law(T)
     assert np.all(run(law, driven(np.random.default_rng(0), T), np.zeros(law.order)).output <= 2.0)
 
 
 def test_a_filter_with_a_diagonal_of_one_is_no_integrator() -> None:
     """In observer form its matrix has a 1 on the diagonal, but its poles are inside the circle."""
-    check(PD(kp=4e3, kd=60.0, torque_filters=(DigitalFilter((0.5,), (1.0, -1.0, 0.5)),)), seed=9)
-    assert not PD(kp=1.0, kd=1.0, velocity_filter=DigitalFilter((0.5,), (1.0, -1.0, 0.5))).law(T).integrates
-    assert PID(kp=1.0, ki=1.0, kd=1.0).law(T).integrates
+    check(
+        PD(position_gain=4e3, derivative_gain=60.0, torque_filters=(DigitalFilter((0.5,), (1.0, -1.0, 0.5)),)), seed=9
+    )
+    assert (
+        not PD(position_gain=1.0, derivative_gain=1.0, velocity_filter=DigitalFilter((0.5,), (1.0, -1.0, 0.5)))
+        .law(T)
+        .integrates
+    )
+    assert PID(position_gain=1.0, integral_gain=1.0, derivative_gain=1.0).law(T).integrates
 
 
 # The reference between two commands
@@ -358,9 +384,9 @@ def test_a_slow_reference_is_filled_in(repeat: int) -> None:
 def test_rates_that_do_not_fit_are_refused_in_a_sentence() -> None:
     for wrong in ({"position_period": 2.5e-3}, {"position_period": 65e-3}):
         with pytest.raises(MethodError, match="is a multiple of the controller's, up to 64 times"):
-            Cascade(kp=1.0, kv=1.0, **wrong).law(T)
+            Cascade(position_gain=1.0, velocity_gain=1.0, **wrong).law(T)
     with pytest.raises(MethodError, match=r"400 periods at most; received 0\.5 s"):
-        PD(kp=1.0, kd=1.0, reference_delay=0.5).law(T)
+        PD(position_gain=1.0, derivative_gain=1.0, reference_delay=0.5).law(T)
 
 
 def test_the_page_has_every_number_and_word_of_the_laws() -> None:

@@ -22,23 +22,30 @@ from jointid.models.controllers import (
     numbers_of,
     run,
 )
-from jointid.models.joints import FlexibleJoint
+from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.records.record import Channel, Injection, InjectionPoint, Record
-from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.closed_loop import simulate
-from jointid.simulation.loop_input import ClosedLoop, prepare
+from jointid.simulation.excitation import trapezoids
+from jointid.simulation.loop_input import prepare
 from tests.geared import FLEXIBLE, RATE
 
 T, RATIOS = RATE, (100.0, -100.0, 2 * np.pi / 0.01, -0.3)
 FED = {"acceleration_feedforward": 2e-4, "viscous_feedforward": 1e-3, "coulomb_feedforward": 0.03}
 LAWS = {
     "PI cascade that holds": Cascade(
-        kp=25.0, kv=0.02, ki=30.0, limit=0.6, velocity_limit=35.0, gain=1.5, constant_feedforward=0.02, **FED
+        position_gain=25.0,
+        velocity_gain=0.02,
+        integral_gain=30.0,
+        limit=0.6,
+        velocity_limit=35.0,
+        gain=1.5,
+        constant_feedforward=0.02,
+        **FED,
     ),
     "slow cascade that tracks": Cascade(
-        kp=25.0,
-        kv=0.02,
-        ki=30.0,
+        position_gain=25.0,
+        velocity_gain=0.02,
+        integral_gain=30.0,
         limit=0.6,
         anti_windup="track",
         position_period=4 * T,
@@ -46,8 +53,8 @@ LAWS = {
         torque_filters=(FirstOrder(time_constant=2e-3),),
         filters_at="after_limit",
     ),
-    "PID": PID(kp=0.5, ki=4.0, kd=0.02, limit=0.6, velocity_filter=(0.5, 0.5)),
-    "PD with a channel": PD(kp=0.5, kd=0.02, reference_velocity="channel", limit=0.6),
+    "PID": PID(position_gain=0.5, integral_gain=4.0, derivative_gain=0.02, limit=0.6, velocity_filter=(0.5, 0.5)),
+    "PD with a channel": PD(position_gain=0.5, derivative_gain=0.02, reference_velocity="channel", limit=0.6),
     "state space": StateSpaceController(
         A=[[0.5]],
         B={"reference": [0.1], "position": [-0.1], "excess": [0.05]},
@@ -109,4 +116,4 @@ def test_a_ratio_is_no_number_that_is_freed() -> None:
     assert "ratio" not in numbers_of(replace(LAWS["PID"], ratio=3.0))  # type: ignore[type-var]
     for wrong in (0.0, np.inf, np.nan):
         with pytest.raises(MethodError, match=r"ratio is \S+; expected a number other than 0"):
-            PD(kp=1.0, kd=1.0, ratio=wrong)
+            PD(position_gain=1.0, derivative_gain=1.0, ratio=wrong)

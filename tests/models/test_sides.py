@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jointid.common.transmission import Transmission
+from jointid.common.transmission import OtherSide, Transmission
 from jointid.models.disturbances import Drift, PositionHarmonics, effect_parameters
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
-from jointid.models.refer import OtherSide
 from jointid.records.record import Channel, Timing, refer_channel
 from tests.geared import TURNED_SCREW
 
@@ -34,7 +33,11 @@ def test_each_quantity_has_its_unit_and_its_power_of_the_ratio(torque_unit: str 
     assert there.factor("load_coulomb", torque_unit or "N") == pytest.approx(1 / R)
     assert (there.factor("initial_position", "m"), there.unit("m")) == (pytest.approx(-R), "rad")
     assert (there.factor("period", "m"), there.unit("m/s")) == (pytest.approx(R), "rad/s")
-    assert (there.factor("log_delay", "s"), there.factor("kv", "as declared"), there.unit("s")) == (1.0, 1.0, "s")
+    assert (there.factor("log_delay", "s"), there.factor("velocity_gain", "as declared"), there.unit("s")) == (
+        1.0,
+        1.0,
+        "s",
+    )
 
 
 def test_both_ways_lead_back() -> None:

@@ -141,15 +141,15 @@ class Written:
             into, u = self._cascade(r, rv, v, q)
         else:
             wanted = {"difference": vr, "channel": rv, "none": 0.0}[law.reference_velocity]
-            u, into = law.kp * (r - q) + law.kd * (wanted - v), T * (r - q)
-            u += law.ki * self.I if isinstance(law, PID) else 0.0
+            u, into = law.position_gain * (r - q) + law.derivative_gain * (wanted - v), T * (r - q)
+            u += law.integral_gain * self.I if isinstance(law, PID) else 0.0
         last["q"], last["r"] = q, r
         m = law.gain * (u + self._fed(now)) + now.injected
         if law.filters_at == "before_limit":
             m = self._filtered(m)
         limit = math.inf if self.free else law.limit * law.gain
         y = min(max(m, -limit), limit)
-        if not self.free and getattr(law, "ki", 0.0):
+        if not self.free and getattr(law, "integral_gain", 0.0):
             self._integrate(into, m, y)
         self.k += 1
         return (self._filtered(y) if law.filters_at == "after_limit" else y), y
@@ -161,14 +161,14 @@ class Written:
         if (self.k - round(law.position_offset / self.T)) % self.n == 0:
             fed = (rho - self.last["rho"][-1]) / (self.n * self.T)
             fed = rv if law.reference_velocity == "channel" else fed
-            self.command = law.kp * (r - q) + law.velocity_feedforward * fed
+            self.command = law.position_gain * (r - q) + law.velocity_feedforward * fed
         self.last["rho"] = [rho, *self.last["rho"][:-1]]
         w = self.command if self.free else min(max(self.command, -law.velocity_limit), law.velocity_limit)
-        return self.T * (w - v), law.kv * (w - v + law.ki * self.I)
+        return self.T * (w - v), law.velocity_gain * (w - v + law.integral_gain * self.I)
 
     def _integrate(self, into: float, m: float, y: float) -> None:
         law: Any = self.law
-        weight = law.gain * law.ki * (law.kv if isinstance(law, Cascade) else 1.0)
+        weight = law.gain * law.integral_gain * (law.velocity_gain if isinstance(law, Cascade) else 1.0)
         if law.anti_windup == "hold" and into * (m - y) > 0:
             into = 0.0
         if law.anti_windup == "track":

@@ -8,7 +8,18 @@ from html.parser import HTMLParser
 from rich.console import Console
 
 from jointid.apps.cli.terminal import print_document
-from jointid.common.document import Code, Document, Facts, Heading, Listing, Paragraph, Picture, Table, Verdicts
+from jointid.common.document import (
+    Code,
+    Document,
+    Facts,
+    Heading,
+    Listing,
+    Paragraph,
+    Picture,
+    Table,
+    Verdicts,
+    notebook_html,
+)
 
 EVIL = '<script>alert("1")</script>\x1b[31m[red](javascript:x)'
 EVERY = Document(
@@ -89,8 +100,8 @@ def test_markdown_has_every_block() -> None:
 
 
 def test_html_makes_no_tag_of_a_text() -> None:
-    assert "script" not in Tags(HOSTILE.html()).found
-    assert Tags(HOSTILE.html()).found.count("table") == Tags(EVERY.html()).found.count("table") == 1
+    assert "script" not in Tags(notebook_html(HOSTILE)).found
+    assert Tags(notebook_html(HOSTILE)).found.count("table") == Tags(notebook_html(EVERY)).found.count("table") == 1
 
 
 def test_a_terminal_gets_colour_and_obeys_no_name() -> None:
@@ -104,3 +115,19 @@ def test_a_terminal_gets_colour_and_obeys_no_name() -> None:
     assert "94.9" in said
     assert "\x1b[31m[red]" not in printed(HOSTILE)
     assert "\\x1b[31m" in printed(HOSTILE)
+
+
+def test_facts_and_listings_that_hold_nothing_are_left_out() -> None:
+    document = Document("Title", (Facts(()), Paragraph("Text."), Listing(())))
+    assert document.blocks == (Paragraph("Text."),)
+    assert document.text() == "Title\n\nText."
+
+
+def test_a_question_without_reasons_is_text_too() -> None:
+    assert Document("title", (Verdicts((("fit", True, ()),)),)).text().endswith("fit                  yes")
+
+
+def test_rows_that_say_nothing_in_what_goes_on_below_are_left_out_there() -> None:
+    rows = (("a", "1" * 30, ""), ("b", "2" * 30, "only with a"))
+    said = Document("", (Table(("symbol", "value", "remark"), rows, words=(0, 2)),)).text(40)
+    assert said.rstrip().split("\n\n")[-1].splitlines()[2:] == ["b       only with a"]

@@ -20,21 +20,19 @@ import jointid as ji
 import jointid.output.json.estimates as of_estimates
 from jointid.common.messages import Message
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.params import EstimatedParameter
-from jointid.estimation.result.parts import RecordFit
+from jointid.estimation.result.parts import EstimatedParameter, RecordFit
 from jointid.models.controllers import Cascade, Controller
 from jointid.models.disturbances import Effect, PositionHarmonics
-from jointid.models.joints import RigidJoint
-from jointid.output.json.keys import Shape, named, percent, take
-from jointid.output.json.shapes import SHAPES
-from jointid.simulation.loop_input import ClosedLoop
+from jointid.models.joints import ClosedLoop, RigidJoint
+from jointid.output.json.documents import SHAPES
+from jointid.output.json.estimates import Shape, named, percent, take
 from jointid.uncertainty.identifiability import Combination, Identifiability, Kind, Known
 from jointid.uncertainty.verdict import StiffnessBound
 
-ELSEWHERE = {"jointid.output.figures.charts.Band", "jointid.records.drives.drive.Profile"}
+ELSEWHERE = {"jointid.common.charts.Band", "jointid.records.drives.Profile"}
 """Classes of the same name as one with a shape, of which no document has an object."""
 
-CASCADE = Cascade(kp=1.0, kv=1.0)
+CASCADE = Cascade(position_gain=1.0, velocity_gain=1.0)
 REAL = {
     Controller: CASCADE,
     ClosedLoop: ClosedLoop(RigidJoint(), CASCADE),
@@ -58,8 +56,6 @@ def _classes() -> dict[str, list[type]]:
     """Return all data classes of the package by name."""
     found: dict[str, list[type]] = {}
     for module in pkgutil.walk_packages(ji.__path__, "jointid."):
-        if module.name.endswith("isolated_readers"):
-            continue
         for one in vars(importlib.import_module(module.name)).values():
             if inspect.isclass(one) and one.__module__ == module.name and dataclasses.is_dataclass(one):
                 found.setdefault(one.__name__, []).append(one)
@@ -143,7 +139,7 @@ def test_the_shapes_of_an_estimate_find_all_that_they_name(name: str) -> None:
 
 
 def test_a_part_of_a_result_is_no_document() -> None:
-    known = Identifiability((), (), (), 1.0, (), ())
+    known = Identifiability((), (), (), 1.0, ())
     for part in (PositionHarmonics(1.0), known, Message(Kind.SUM, "a sum")):
         with pytest.raises(ji.MethodError, match="Only a result is written as JSON"):
             ji.to_dict(part)

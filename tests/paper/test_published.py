@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
-from jointid.models.joints import FlexibleJoint, Motion, frequencies
+from jointid.models.joints import FlexibleJoint, Motion
 from jointid.paper.errata import ERRATA, markdown
 from jointid.paper.published import EXPERIMENT, REGRESSOR, SYMBOLS, TABLES, PublishedTable
 from jointid.paper.recomputed import (
@@ -119,7 +119,9 @@ def test_the_twin_takes_its_numbers_from_the_tables() -> None:
 
 
 def test_frequencies_and_that_print_cuts_the_free_free_one() -> None:
-    found = {n: {name: round(f, 2) for name, f in frequencies(TABLES[n].values).items()} for n in (2, 3, 4, 5)}
+    found = {
+        n: {name: round(f, 2) for name, f in FlexibleJoint.frequencies(TABLES[n].values).items()} for n in (2, 3, 4, 5)
+    }
     assert {n: list(f.values()) for n, f in found.items()} == {
         2: [29.51, 24.13, 16.99],
         3: [29.54, 24.04, 17.17],
@@ -228,7 +230,9 @@ def test_the_stop_rule_as_printed_stops_at_any_decrease() -> None:
 @pytest.mark.parametrize("n", [2, 3, 4, 5])
 def test_the_stiffness_start_turns_the_free_free_frequency_round(n: int) -> None:
     values = TABLES[n].values
-    found = compute_stiffness(values["motor_inertia"], values["load_inertia"], frequencies(values)["free_free"])
+    found = compute_stiffness(
+        values["motor_inertia"], values["load_inertia"], FlexibleJoint.frequencies(values)["free_free"]
+    )
     assert found == pytest.approx(values["stiffness"], rel=1e-12)
 
 

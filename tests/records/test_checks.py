@@ -131,7 +131,6 @@ def test_a_torque_at_its_limit_is_named() -> None:
     fault = only(limit_faults(good(torque=channel(held, "N")), 4.0))
     share = np.mean(np.abs(held) >= 0.999 * 4.0)
     assert f"at its limit of 4 N in {share:.1%} of the samples (at most 1.0% expected)" in fault
-    assert limit_faults(good(torque=channel(held, "N")), 4.0, limit_share=0.5) == []
     assert limit_faults(good(), 5.1) == []
     assert limit_faults(Record(reference=channel(POSITION)), 5.1) == []
     assert "positive number; got -1" in only(limit_faults(good(), -1.0))
@@ -165,6 +164,15 @@ def test_what_is_added_after_the_limit_does_not_count() -> None:
 def test_a_wrong_unit_is_named(factor: float, unit: str, part: str) -> None:
     record = Record(reference=channel(POSITION, unit), motor_position=channel(factor * np.roll(POSITION, 3), unit))
     assert part in only([fault for fault in scale_faults(record) if "times" in fault])
+
+
+@pytest.mark.parametrize("factor", [50.0, 1 / 50])
+def test_a_position_on_the_other_side_of_the_gear_is_named(factor: float) -> None:
+    moved = Record(reference=channel(POSITION, "rad"), motor_position=channel(factor * POSITION, "rad"))
+    with pytest.raises(RecordError, match="one of them were of the other side of the 50:1 gear; give its channel side"):
+        check_record(moved, ratio=50.0)
+    with pytest.raises(RecordError, match="check both units, and give the gain"):
+        check_record(moved, ratio=45.0)
 
 
 def test_opposite_signs_are_named() -> None:

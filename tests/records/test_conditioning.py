@@ -13,14 +13,13 @@ from hypothesis import strategies as st
 
 import jointid as ji
 from jointid.common.errors import RecordError
-from jointid.records.checks import find_record_warnings
-from jointid.records.columns import Column
-from jointid.records.drives.drive import Drive
+from jointid.records.checks import find_quantum, find_record_warnings
+from jointid.records.columns import Column, unwrap, wrap_faults
+from jointid.records.drives import Drive
 from jointid.records.formats import Table, write_table
 from jointid.records.reading import read
 from jointid.records.record import Channel, Record, Timing
 from jointid.records.resampling import update_interval
-from jointid.records.signals.encoder import find_quantum, unwrap, wrap_faults
 
 T = 1e-3
 TIME = np.arange(1000) * T
@@ -164,8 +163,8 @@ def test_the_load_encoder_of_the_kr300_is_late(data_dir: Path) -> None:
 
 def test_a_joint_is_identified_from_a_slow_torque(tmp_path: Path) -> None:
     """The log has a sample each period of the loop, and shows every fourth torque four times, from its second on."""
-    loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(kp=100.0, kv=2000.0, period=T))
-    reference = ji.trapezoids(speeds=(0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=T)
+    loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0, period=T))
+    reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=T)
     truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
     made = ji.simulated_record(loop, reference, truth, sample_time=T)
     assert made.torque is not None

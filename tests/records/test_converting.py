@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jointid.apps.cli.app import main
+from jointid.apps.cli import main
 from jointid.common.errors import RecordError
 from jointid.config import load
-from jointid.records.converting import convert
 from jointid.records.formats import Table, read_table, write_table
+from jointid.records.writing import convert
 from tests.records.logged import LOGGED
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -246,7 +246,7 @@ def test_columns_called_by_their_numbers_are_written_without_names(tmp_path: Pat
     ("table", "part"),
     [
         (Table({"a": np.zeros(2), "b": np.zeros(3)}), "one length; got a 2, b 3"),
-        (Table({"a": np.zeros(2)}, {"kp": 1.0}), "scalars kp; write a .mat"),
+        (Table({"a": np.zeros(2)}, {"position_gain": 1.0}), "scalars position_gain; write a .mat"),
         (Table({"2": np.zeros(2)}), "'2' would not be read back"),
         (Table({"a\nb": np.zeros(2)}), "would not be read back"),
         (Table({}), "got no column"),

@@ -15,7 +15,7 @@ from jointid.common.transmission import Transmission
 from jointid.common.units import COUNTS, SHARE, unit
 from jointid.config import load, loads
 from jointid.records.columns import Column, known_units
-from jointid.records.drives.drive import Drive, load_profile, profile_names
+from jointid.records.drives import Drive, load_profile, profile_names
 from jointid.records.reading import read
 from jointid.records.record import CHANNELS, Record, Tap, Timing
 
@@ -161,12 +161,13 @@ def test_a_missing_number_is_one_sentence(tmp_path: Path) -> None:
     torque = trace(tmp_path, t=TIME, **{"6077h": PER_MILLE})
     assert fault(torque, Drive("cia402")) == (
         'torque (column "6077h") is in "permille", a share of the rated torque, which needs the drive\'s rated_torque '
-        "(object 6076h, there in mN m (mN)): give it, or rated_current and torque_constant."
+        "(object 6076h, there in mN m (mN)): give it below [drive], or rated_current there and torque_constant below "
+        "[joint]."
     )
     position = trace(tmp_path, t=TIME, **{"6064h": COUNTED})
     assert fault(position, Drive("cia402")) == (
         'motor_position (column "6064h") is in "counts", which needs the drive\'s counts_per_turn (the increments of '
-        "one turn, object 608Fh): give it, or gain and another unit."
+        "one turn, object 608Fh): give it below [drive], or gain and another unit."
     )
     assert "needs the drive's counts_per_metre: give it" in fault(
         position, Drive("cia402", counts_per_turn=9), "prismatic"
@@ -299,8 +300,10 @@ def test_the_joint_files_of_the_kr300_are_right(data_dir: Path) -> None:
 
 def test_a_joint_is_identified_from_a_trace_and_a_few_numbers(tmp_path: Path) -> None:
     """A drive with a 17-bit encoder counted by 16 bits, and the torque in per mille: what CiA 402 traces hold."""
-    loop = ji.ClosedLoop(ji.RigidJoint("revolute"), ji.Cascade(kp=80.0, kv=0.5))
-    reference = ji.trapezoids(speeds=(10.0, 20.0), acceleration=300.0, travel=6.0, rest=0.1, sample_time=5e-4)
+    loop = ji.ClosedLoop(ji.RigidJoint("revolute"), ji.Cascade(position_gain=80.0, velocity_gain=0.5))
+    reference = ji.excitation.trapezoids(
+        speeds=(10.0, 20.0), acceleration=300.0, travel=6.0, rest=0.1, sample_time=5e-4
+    )
     truth = {"inertia": 2e-3, "viscous": 4e-3, "coulomb": 0.12, "offset": 0.02}
     made = ji.simulated_record(loop, reference, truth, sample_time=5e-4)
     assert made.torque is not None
@@ -323,8 +326,8 @@ def test_a_joint_is_identified_from_a_trace_and_a_few_numbers(tmp_path: Path) ->
         counts_per_turn = 131072
         [controller]
         law = "cascade"
-        kp = 80.0
-        kv = 0.5
+        position_gain = 80.0
+        velocity_gain = 0.5
         """)
     record = file.record(path)
     assert record.tap is Tap.COMMAND

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -114,7 +115,7 @@ def test_what_is_written_is_read_to_the_last_bit(
     exact = st.lists(st.floats(allow_nan=True), min_size=size, max_size=size)
     names = data.draw(st.lists(st.sampled_from(["t", "q", "tau", "x_1"]), min_size=1, max_size=3, unique=True))
     columns = {name: np.array(data.draw(values if Holds.LENGTHS in writer.holds else exact)) for name in names}
-    scalars = {"kp": data.draw(st.floats())} if Holds.SCALARS in writer.holds else {}
+    scalars = {"position_gain": data.draw(st.floats())} if Holds.SCALARS in writer.holds else {}
     units = {names[0]: "mm"} if Holds.UNITS in writer.holds else {}
     if suffix in (".mcap", ".db3"):  # what is NaN throughout is no column of a bag
         columns = {name: np.where(np.isnan(column).all(), 0.0, column) for name, column in columns.items()}
@@ -137,7 +138,7 @@ def test_what_is_written_is_read_to_the_last_bit(
         ("x.parquet", Table({"a": np.ones(2), "b": np.ones(3)}), "Parquet has columns of one length; got a 2, b 3"),
         ("x.tdms", Table({"Untitled/a": np.ones(2)}), "cannot name a channel of TDMS"),
         ("x.tdms", Table({"a": np.ones(2)}, {"a/b": 1.0}), "cannot name a property"),
-        ("x.mcap", Table({"a": np.ones(2)}, {"kp": 1.0}), "no place for the scalars kp"),
+        ("x.mcap", Table({"a": np.ones(2)}, {"position_gain": 1.0}), "no place for the scalars position_gain"),
         ("x.mcap", Table({"a": np.ones(2), "a/time": np.array([0.0, np.nan])}), "cannot be the clock"),
     ],
 )
@@ -179,11 +180,36 @@ def test_a_missing_package_is_named_with_its_extra(name: str, tmp_path: Path, mo
         monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, PACKAGES[name], None)
     with pytest.raises(ExtraError, match=rf'needs the package {PACKAGES[name]}.*pip install "jointid\[logs\]"'):
-        read_table(path)
+        format_of(path).read(path)
     with pytest.raises(ExtraError, match=rf"Writing .* needs the package {PACKAGES[name]}"):
         write_table(
             path.with_stem("again"), Table({"q": np.ones(2)}), **({"version": "7.3"} if name == "mat73" else {})
         )
+
+
+def test_a_thousand_columns_of_npy_come_back_and_more_than_are_read_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "wide.npy"
+    write_table(path, Table({f"channel {k}": np.arange(3.0) for k in range(1000)}))
+    assert list(read_table(path).columns)[::999] == ["channel 0", "channel 999"]
+    with pytest.raises(RecordError, match=r"names of 4000 columns take \d+ characters.*write a \.parquet file"):
+        write_table(path, Table({f"channel {k}": np.arange(3.0) for k in range(4000)}))
+    np.save(path, np.zeros((2, 10_001), dtype="u1"))
+    with pytest.raises(RecordError, match=r"wide\.npy has 10001 columns \(at most 10000 are read\)"):
+        read_table(path)
+    with path.open("wb") as file:  # a byte each in the file, and eight in memory
+        header = {"descr": [("q", "|u1")], "fortran_order": False, "shape": (2**28,)}
+        np.lib.format.write_array_header_1_0(file, header)
+        file.truncate(file.tell() + 2**28)
+    with pytest.raises(RecordError, match=r"wide\.npy declares 2 GiB of numbers"):
+        read_table(path)
+    assert next(read_blocks(path, 100)).table().rows == 100
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a pipe has no path")
+def test_a_pipe_is_not_called_empty(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "run.csv")
+    with pytest.raises(RecordError, match=r"run\.csv is a pipe or a device; write what it gives to a file"):
+        read_table(tmp_path / "run.csv")
 
 
 def test_every_format_says_what_it_is() -> None:

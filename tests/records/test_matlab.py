@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import keyword
 import struct
+import tracemalloc
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,7 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 
 from jointid.common.errors import JointidError, RecordError
-from jointid.records.formats import Table, read_table, write_table
+from jointid.records.formats import Matlab, Table, read_table, write_table
 
 names = st.from_regex(r"[A-Za-z][A-Za-z0-9_]{0,62}", fullmatch=True)
 numbers = st.floats(allow_nan=True, allow_infinity=True)
@@ -54,12 +56,12 @@ def test_what_is_written_is_read_to_the_last_bit(
 def test_vectors_are_columns_and_single_numbers_scalars(tmp_path: Path) -> None:
     table = read_variables(
         tmp_path / "run.mat",
-        {"t": np.arange(3.0)[:, None], "q": np.arange(4)[None, :], "kp": 160.18, "on": np.array([[True]])},
+        {"t": np.arange(3.0)[:, None], "q": np.arange(4)[None, :], "position_gain": 160.18, "on": np.array([[True]])},
     )
     np.testing.assert_array_equal(table.columns["t"], [0, 1, 2])
     np.testing.assert_array_equal(table.columns["q"], [0, 1, 2, 3])
     assert table.columns["q"].dtype == np.float64
-    assert dict(table.scalars) == {"kp": 160.18, "on": 1.0}
+    assert dict(table.scalars) == {"position_gain": 160.18, "on": 1.0}
     assert table.source == "run.mat"
 
 
@@ -165,7 +167,7 @@ def saved(variables: dict[str, Any], **how: Any) -> bytes:
     return stream.getvalue()
 
 
-VARIABLES = {"q": np.arange(20.0)[:, None], "n": np.arange(5, dtype=np.uint8), "kp": 1.5}
+VARIABLES = {"q": np.arange(20.0)[:, None], "n": np.arange(5, dtype=np.uint8), "position_gain": 1.5}
 WHOLE = [
     saved(VARIABLES, do_compression=True),
     saved({**VARIABLES, "rec": {"a": np.zeros((3, 2)), "s": "text"}}),
@@ -204,3 +206,46 @@ def test_objects_and_tables_of_rows_are_no_hindrance(data_dir: Path) -> None:
     table = read_table(data_dir / "kr300" / "rec_A.mat")
     assert table.columns["rec.act_pos_mot_deg[5]"].size == 2501
     assert table.scalars["time_data.dt"] == 0.004
+
+
+def element(kind: int, data: bytes) -> bytes:
+    return struct.pack("<II", kind, len(data)) + data + b"\0" * (-len(data) % 8)
+
+
+def matrix(name: bytes, dimensions: bytes, kind: int = 5) -> bytes:
+    flags = element(6, struct.pack("<II", 6, 0))
+    return element(14, flags + element(kind, dimensions) + element(1, name) + element(9, np.ones(5).tobytes()))
+
+
+HEAD = b"MATLAB 5.0 MAT-file".ljust(116) + bytes(8) + b"\x00\x01IM"
+FIVE = struct.pack("<ii", 5, 1)
+
+
+def test_two_variables_of_one_name_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.mat"
+    path.write_bytes(HEAD + matrix(b"q", FIVE) + matrix(b"r", FIVE))
+    assert list(read_table(path).columns) == ["q", "r"]
+    path.write_bytes(HEAD + matrix(b"q", FIVE) + matrix(b"q", FIVE))
+    with pytest.raises(RecordError, match=r"run\.mat has more than one column called 'q'; rename them"):
+        read_table(path)
+
+
+@pytest.mark.parametrize("dimensions", [(np.inf, 1.0), (np.nan, 1.0), (1e300, 1e300), (-5.0, -1.0)])
+def test_dimensions_that_are_none_are_a_sentence(dimensions: tuple[float, float], tmp_path: Path) -> None:
+    path = tmp_path / "run.mat"
+    path.write_bytes(HEAD + matrix(b"q", np.array(dimensions).tobytes(), 9))
+    with pytest.raises(RecordError, match=r"run\.mat cannot be read as a MAT file"):
+        read_table(path)
+
+
+def test_a_variable_is_unpacked_no_further_than_it_says(tmp_path: Path) -> None:
+    path, size = tmp_path / "run.mat", 2**27
+    for told, said in ((2**31, "declares 2 GiB of numbers"), (1000, "cannot be read as a MAT file")):
+        packing = zlib.compressobj()
+        packed = packing.compress(struct.pack("<II", 14, told)) + packing.compress(bytes(size)) + packing.flush()
+        path.write_bytes(HEAD + struct.pack("<II", 15, len(packed)) + packed)
+        tracemalloc.start()
+        with pytest.raises(RecordError, match=said):
+            Matlab().read(path)
+        assert tracemalloc.get_traced_memory()[1] < size / 8
+        tracemalloc.stop()

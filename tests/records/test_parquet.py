@@ -12,7 +12,7 @@ import pytest
 from nptdms import ChannelObject, GroupObject, RootObject, TdmsWriter
 
 from jointid.common.errors import RecordError
-from jointid.records.formats import read_blocks, read_table, untrusted
+from jointid.records.formats import format_of, read_blocks, read_table, table
 
 
 def test_every_kind_of_number_is_a_column(tmp_path: Path) -> None:
@@ -76,10 +76,10 @@ def test_more_than_is_read_at_once_is_refused_by_its_size(
     else:
         with TdmsWriter(path) as writer:
             writer.write_segment([ChannelObject("g", "q", np.zeros(1_000_000))])
-    monkeypatch.setattr(untrusted, "WHOLE", 2**20)
-    monkeypatch.setattr(untrusted.require_size, "__defaults__", (2**20,))
+    monkeypatch.setattr(table, "WHOLE", 2**20)
+    monkeypatch.setattr(table.require_size, "__defaults__", (2**20,))
     with pytest.raises(RecordError, match=r"declares 7\.63 MiB of numbers, and at most 1 MiB are read; choose columns"):
-        read_table(path)
+        format_of(path).read(path)
 
 
 def test_a_waveform_gets_the_time_it_has_no_column_for(tmp_path: Path) -> None:
@@ -88,7 +88,7 @@ def test_a_waveform_gets_the_time_it_has_no_column_for(tmp_path: Path) -> None:
     with TdmsWriter(path) as writer:
         writer.write_segment(
             [
-                RootObject({"kp": 2.5, "run": 7, "by": "nobody"}),
+                RootObject({"position_gain": 2.5, "run": 7, "by": "nobody"}),
                 GroupObject("drive", {"ratio": 30.0}),
                 ChannelObject("drive", "q", np.arange(3.0), fast),
                 ChannelObject("drive", "i", np.arange(3, dtype=np.int16), fast),
@@ -106,7 +106,7 @@ def test_a_waveform_gets_the_time_it_has_no_column_for(tmp_path: Path) -> None:
     assert found["when"] == pytest.approx([0, 0.0015], abs=1e-9)
     assert found["drive/i"] == [0, 1, 2]
     assert "remark" not in found and "Untitled/remark" not in found
-    assert dict(table.scalars) == {"kp": 2.5, "run": 7.0, "drive/ratio": 30.0}
+    assert dict(table.scalars) == {"position_gain": 2.5, "run": 7.0, "drive/ratio": 30.0}
     assert table.units["drive/i"] == "V"
 
 
@@ -150,9 +150,9 @@ def test_numbers_in_lists_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     path = tmp_path / "run.parquet"
     lists = pa.FixedSizeListArray.from_arrays(pa.array(np.zeros(1_000_000)), 1000)
     pq.write_table(pa.table({"q": lists}), path)
-    monkeypatch.setattr(untrusted.require_size, "__defaults__", (2**20,))
+    monkeypatch.setattr(table.require_size, "__defaults__", (2**20,))
     with pytest.raises(RecordError, match=r"declares 7\.63 MiB of numbers"):
-        read_table(path)
+        format_of(path).read(path)
 
 
 def test_lists_of_any_length_are_not_decoded(tmp_path: Path) -> None:

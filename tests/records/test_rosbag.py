@@ -15,9 +15,9 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from jointid.common.errors import RecordError
 from jointid.records.formats import Table, read_table, write_table
-from jointid.records.formats.isolated_readers import message_types
+from jointid.records.formats.bag_files import message_types
 from jointid.records.formats.messages import Definition, Field, decode_message
-from tests.records.logged import POSITION, bag
+from tests.records.logged import LOGGED, POSITION, bag
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 T = STORE.types
@@ -32,7 +32,7 @@ float32 LIMIT=2.5
 float32[2] pair
 """
 MAGIC = b"\x89MCAP0\r\n"
-GAIN = "float64 kp\nint16 step"
+GAIN = "float64 position_gain\nint16 step"
 
 
 def write_bag(folder: Path, topics: dict[str, tuple[str, list[tuple[int, Any]]]], store: Any = STORE) -> Path:
@@ -114,7 +114,7 @@ def test_messages_are_read_by_the_definition_in_the_bag(plugin: StoragePlugin, t
     gain = store.types["control_like/msg/Gain"]
     message = store.types["control_like/msg/State"](
         header=header(10**9), joint_names=["a", "b"], desired=point,
-        gains=[gain(kp=1.5, step=-3), gain(kp=2.5, step=4)],
+        gains=[gain(position_gain=1.5, step=-3), gain(position_gain=2.5, step=4)],
         raw=np.arange(5, dtype=np.uint8), on=True, pair=np.array([0.5, 0.25], dtype=np.float32),
     )  # fmt: skip
     with Writer(tmp_path / "bag", version=9, storage_plugin=plugin) as writer:
@@ -123,7 +123,8 @@ def test_messages_are_read_by_the_definition_in_the_bag(plugin: StoragePlugin, t
     found = {name: values.item() for name, values in read_table(tmp_path / "bag").columns.items()}
     assert found == {
         "/c/time": 1, "/c/desired/a/positions": 1, "/c/desired/b/positions": 2, "/c/desired/velocities[0]": 9,
-        "/c/desired/time_from_start": 0, "/c/a/kp": 1.5, "/c/a/step": -3, "/c/b/kp": 2.5, "/c/b/step": 4, "/c/on": 1,
+        "/c/desired/time_from_start": 0, "/c/a/position_gain": 1.5, "/c/a/step": -3, "/c/b/position_gain": 2.5,
+        "/c/b/step": 4, "/c/on": 1,
         "/c/a/pair": 0.5, "/c/b/pair": 0.25,
     }  # fmt: skip
 
@@ -302,7 +303,39 @@ def test_a_view_instead_of_a_table_is_not_asked(tmp_path: Path) -> None:
             "SELECT 1 AS topic_id, i AS timestamp, x'00' AS data FROM n"
         )
     base.close()
-    with pytest.raises(RecordError, match=r"run\.db3 cannot be read"):
+    with pytest.raises(RecordError, match=r"run\.db3 has a view 'messages' whose content is computed"):
+        read_table(path)
+
+
+@pytest.mark.parametrize(
+    "extra",
+    [
+        "CREATE TABLE more(a, data BLOB AS (zeroblob(a)))",
+        "CREATE TRIGGER t AFTER INSERT ON messages BEGIN SELECT 1; END",
+    ],
+)
+def test_a_database_that_computes_is_refused(extra: str, tmp_path: Path) -> None:
+    """A column of a kilobyte can be computed to hold gigabytes."""
+    path = tmp_path / "run.db3"
+    LOGGED["db3"].write(path)
+    assert read_table(path).columns
+    with sqlite3.connect(path) as base:
+        base.execute(extra)
+    base.close()
+    with pytest.raises(RecordError, match=r"run\.db3 has a (table 'more'|trigger 't') whose content is computed"):
+        read_table(path)
+
+
+def test_a_bag_of_thousands_of_topics_is_refused_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "run.db3"
+    LOGGED["db3"].write(path)
+    with sqlite3.connect(path) as base:
+        base.executemany(
+            "INSERT INTO topics VALUES(?, ?, 'std_msgs/msg/Float64', 'cdr', '', '')",
+            ((number, f"/topic{number}") for number in range(10, 30_010)),
+        )
+    base.close()
+    with pytest.raises(RecordError, match=r"run\.db3 has 30002 topics \(at most 2000 are read\)"):
         read_table(path)
 
 
@@ -311,7 +344,7 @@ def test_a_bag_without_numbers_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RecordError, match="bag holds no topic of numbers"):
         read_table(path)
     with pytest.raises(RecordError, match="place for the scalars"):
-        write_table(tmp_path / "x.mcap", Table({"q": np.ones(2)}, {"kp": 1.0}))
+        write_table(tmp_path / "x.mcap", Table({"q": np.ones(2)}, {"position_gain": 1.0}))
 
 
 def test_a_topic_with_too_many_parts_or_two_joints_of_one_name_is_told(tmp_path: Path) -> None:

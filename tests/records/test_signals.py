@@ -8,17 +8,16 @@ from scipy.signal import cheby1, sosfiltfilt
 
 from jointid.common.errors import MethodError, RecordError
 from jointid.records.record import Channel, Timing
-from jointid.records.signals.excitation import pulses, trapezoids
 from jointid.records.signals.filtering import (
     Filtering,
     apply_window,
-    decimate,
     decimate_all,
     differentiate,
     differentiate_twice,
     lowpass,
     window_torque,
 )
+from jointid.simulation.excitation import pulses, trapezoids
 
 T = 1e-3
 
@@ -48,9 +47,9 @@ def test_derivatives_are_central_inside_and_one_sided_at_the_ends() -> None:
 
 def test_decimation_passes_a_constant_at_its_ripple_and_keeps_the_last_sample() -> None:
     filtering = Filtering(cutoff=40.0, decimation=10).resolved(T)
-    constant = decimate(np.ones(3001), filtering, T)
+    constant = filtering.decimate(np.ones(3001), T)
     assert np.allclose(constant, 10 ** (-0.05 / 10), rtol=1e-6)  # 0.05 dB, twice
-    ramp = decimate(np.arange(3001.0), filtering, T)
+    ramp = filtering.decimate(np.arange(3001.0), T)
     assert ramp.size == 301
     assert np.allclose(np.diff(ramp[50:-50]), 10 * 0.98855, rtol=2e-3)
 
@@ -65,7 +64,7 @@ def test_the_compiled_filter_is_scipy_s(columns: int, cutoff: float) -> None:
     values = np.cumsum(rng.standard_normal((3001, columns)), axis=0) * 10.0 ** rng.uniform(-9, 9, columns)
     sections = cheby1(8, 0.05, 2 * filtering.cutoff * T, output="sos")
     expected = sosfiltfilt(sections, values, axis=0, padlen=24)[:: -(filtering.decimation or 1)][::-1]
-    for found in (decimate(values, filtering, T), *decimate_all([values], filtering, T)):
+    for found in (filtering.decimate(values, T), *decimate_all([values], filtering, T)):
         assert found.shape == expected.shape
         assert np.max(np.abs(found - expected) / np.max(np.abs(expected), axis=0)) < 1e-11
     turned, alone = decimate_all([np.asfortranarray(values), values[..., -1]], filtering, T)
@@ -81,15 +80,15 @@ def test_the_compiled_filter_is_scipy_s_at_any_length(samples: int, keep: int) -
     filtering = Filtering(cutoff=0.3 * 500.0 / keep, decimation=keep).resolved(T)
     values = np.random.default_rng(4).standard_normal((samples, 3))
     (found,) = decimate_all([values], filtering, T)
-    np.testing.assert_allclose(found, decimate(values, filtering, T), atol=1e-10)
+    np.testing.assert_allclose(found, filtering.decimate(values, T), atol=1e-10)
 
 
 def test_columns_are_decimated_like_the_torque() -> None:
     columns = np.random.default_rng(0).normal(size=(2000, 3))
     filtering = Filtering().resolved(T)
-    both = decimate(columns, filtering, T)
+    both = filtering.decimate(columns, T)
     for i in range(3):
-        assert np.array_equal(both[:, i], decimate(columns[:, i], filtering, T))
+        assert np.array_equal(both[:, i], filtering.decimate(columns[:, i], T))
 
 
 def test_the_default_decimation_leaves_the_cutoff_inside() -> None:
@@ -120,7 +119,7 @@ def test_wrong_settings_are_refused(settings: dict[str, object], sentence: str) 
 
 def test_a_record_too_short_to_filter_is_refused() -> None:
     with pytest.raises(RecordError, match="20 samples is too short to filter: more than 24"):
-        decimate(np.zeros(20), Filtering().resolved(T), T)
+        Filtering().resolved(T).decimate(np.zeros(20), T)
 
 
 def test_a_held_torque_is_windowed_exactly() -> None:

@@ -13,7 +13,7 @@ import pytest
 from jointid.common.errors import RecordError
 from jointid.common.transmission import Transmission
 from jointid.records.columns import Column
-from jointid.records.drives.drive import Drive, profile_names
+from jointid.records.drives import Drive, profile_names
 from jointid.records.formats import read_table
 from jointid.records.reading import read
 from jointid.records.record import Channel, Injection, Record, Tap, Timing

@@ -595,23 +595,35 @@ def random_law(
 
     def make(gain: float, r: Array, dr: Array) -> tuple[Law, Array]:
         width = omega * gain
-        kp, kd = total * width**2, 2.0 * damping * total * width
-        w = kp * r + feedforward * kd * dr
+        position_gain, derivative_gain = total * width**2, 2.0 * damping * total * width
+        w = position_gain * r + feedforward * derivative_gain * dr
         b = (1.0 - alpha) / T
         # z: the last position and the filtered velocity before it.
-        a, bq, c = np.array([[0.0, 0.0], [-b, alpha]]), np.array([1.0, b]), np.array([kd * b, -kd * alpha])
+        a, bq, c = (
+            np.array([[0.0, 0.0], [-b, alpha]]),
+            np.array([1.0, b]),
+            np.array([derivative_gain * b, -derivative_gain * alpha]),
+        )
         if kind == 0:  # PD on the filtered difference
-            return Law(a, bq, np.zeros(2), c, -kp - kd * b, math.inf, np.array([q0, 0.0])), w
+            return Law(a, bq, np.zeros(2), c, -position_gain - derivative_gain * b, math.inf, np.array([q0, 0.0])), w
         if kind == 1:  # cascade P-P; velocity: mean of the last two differences; z: the last two positions
-            a, c = np.array([[0.0, 0.0], [1.0, 0.0]]), np.array([0.0, kd / (2.0 * T)])
-            law = Law(a, np.array([1.0, 0.0]), np.zeros(2), c, -kp - kd / (2.0 * T), math.inf, np.full(2, q0))
+            a, c = np.array([[0.0, 0.0], [1.0, 0.0]]), np.array([0.0, derivative_gain / (2.0 * T)])
+            law = Law(
+                a,
+                np.array([1.0, 0.0]),
+                np.zeros(2),
+                c,
+                -position_gain - derivative_gain / (2.0 * T),
+                math.inf,
+                np.full(2, q0),
+            )
             return law, w
         # PID whose integrator is pulled back by what the limit cut off; w has the integral of r.
-        ki = reset * kp * width * T
+        integral_gain = reset * position_gain * width * T
         a = np.block([[a, np.zeros((2, 1))], [np.zeros((1, 2)), np.ones((1, 1))]])
-        bq, be, c = np.append(bq, -ki), np.array([0.0, 0.0, unwind]), np.append(c, 1.0)
-        law = Law(a, bq, be, c, -kp - kd * b, math.inf, np.array([q0, 0.0, 0.0]))
-        return law, w + ki * (np.cumsum(r) - r)
+        bq, be, c = np.append(bq, -integral_gain), np.array([0.0, 0.0, unwind]), np.append(c, 1.0)
+        law = Law(a, bq, be, c, -position_gain - derivative_gain * b, math.inf, np.array([q0, 0.0, 0.0]))
+        return law, w + integral_gain * (np.cumsum(r) - r)
 
     return make
 

@@ -13,11 +13,11 @@ import pytest
 from jointid.common.errors import MethodError, RecordError
 from jointid.models.controllers import PD, Cascade, DigitalFilter, StateSpaceController
 from jointid.models.friction import AsymmetricFriction
-from jointid.models.joints import FlexibleJoint, RigidJoint
+from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.record import Channel, Injection, Record, Tap, Timing
-from jointid.records.signals.excitation import pulses, trapezoids
 from jointid.simulation.closed_loop import Initial, Outcome, require_finished, simulate, simulate_many, simulate_torque
-from jointid.simulation.loop_input import ClosedLoop, prepare
+from jointid.simulation.excitation import pulses, trapezoids
+from jointid.simulation.loop_input import prepare
 from jointid.simulation.synthesis import simulated_record
 
 T = 1e-3
@@ -26,7 +26,7 @@ FLEXIBLE = {
     "motor_inertia": 70.2, "motor_viscous": 92.0, "motor_coulomb": 10.0, "stiffness": 8e5, "damping": 126.0,
     "load_inertia": 34.8, "load_viscous": 110.0, "load_coulomb": 10.4, "offset": -3.16,
 }  # fmt: skip
-EMPS = Cascade(kp=160.18, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0)
+EMPS = Cascade(position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0)
 REFERENCE = trapezoids((0.05, 0.1), 1.0, 0.05, T, rest=0.15)
 
 
@@ -51,7 +51,7 @@ def test_the_measuring_stick_and_the_reference_agree_over_25_seconds(bench_dir: 
     problem = stick.problem()
     alpha, gains = problem["controller"]["alpha"], problem["controller"]
     controller = PD(
-        kp=gains["kp"], kd=gains["kd"], reference_velocity="channel",
+        position_gain=gains["kp"], derivative_gain=gains["kd"], reference_velocity="channel",
         velocity_filter=DigitalFilter((1 - alpha,), (1, -alpha)), limit=gains["umax"],
     )  # fmt: skip
     driven = Record(
@@ -112,7 +112,10 @@ def test_a_delay_is_a_later_torque(delay: float) -> None:
 
 
 def test_saturation_holds_the_torque_and_is_counted() -> None:
-    loop = ClosedLoop(RigidJoint(), Cascade(kp=160.18, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=2.0))
+    loop = ClosedLoop(
+        RigidJoint(),
+        Cascade(position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=2.0),
+    )
     run = simulate(loop, prepare(loop, record()), RIGID)
     limit = 2.0 * 35.15
     assert np.max(np.abs(run.torque)) == limit
@@ -150,7 +153,9 @@ def test_an_injected_signal_acts_and_is_logged_as_declared(at: str, in_torque: b
 
 
 def test_the_log_may_be_slower_or_faster_than_the_loop() -> None:
-    fast = Cascade(kp=160.18, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, period=2.5e-4)
+    fast = Cascade(
+        position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, period=2.5e-4
+    )
     loop = ClosedLoop(RigidJoint(), fast)
     slow = simulate(loop, prepare(loop, record()), RIGID)  # log of 1 ms
     reference = np.repeat(REFERENCE, 4)
@@ -166,7 +171,9 @@ def test_the_log_may_be_slower_or_faster_than_the_loop() -> None:
 
 
 def test_an_averaged_log_is_the_mean_over_the_period_before() -> None:
-    fast = Cascade(kp=160.18, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, period=2.5e-4)
+    fast = Cascade(
+        position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, period=2.5e-4
+    )
     loop = ClosedLoop(RigidJoint(), fast)
     every = simulate(loop, prepare(loop, record(np.repeat(REFERENCE, 4), 2.5e-4)), RIGID).torque
     shown = simulate(loop, prepare(loop, record(timing=Timing.AVERAGED)), RIGID).torque
@@ -179,7 +186,9 @@ def test_an_averaged_log_as_fast_as_the_loop_shows_the_period_before() -> None:
     averaged = simulate(loop, prepare(loop, record(timing=Timing.AVERAGED)), RIGID).torque
     assert np.allclose(averaged[1:], held[:-1], rtol=0, atol=1e-9)
     twice = record(np.repeat(REFERENCE, 2), T / 2, Timing.AVERAGED)
-    slow = Cascade(kp=160.18, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, period=T)
+    slow = Cascade(
+        position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, period=T
+    )
     fine = ClosedLoop(RigidJoint(), slow)
     shown = simulate(fine, prepare(fine, twice), RIGID).torque
     assert np.allclose(shown[1::2], held, rtol=0, atol=1e-9)
@@ -188,7 +197,9 @@ def test_an_averaged_log_as_fast_as_the_loop_shows_the_period_before() -> None:
 
 @pytest.mark.parametrize("delay", [0.5e-3, 1.25e-3])
 def test_a_measured_torque_is_averaged_over_the_parts_it_acts_in(delay: float) -> None:
-    late = Cascade(kp=100.0, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, delay=delay)
+    late = Cascade(
+        position_gain=100.0, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, delay=delay
+    )
     loop = ClosedLoop(RigidJoint(), late)
     command = simulate(loop, prepare(loop, record()), RIGID).torque
     fine = 1000
@@ -202,7 +213,9 @@ def test_a_measured_torque_is_averaged_over_the_parts_it_acts_in(delay: float) -
 
 def test_a_reference_slower_than_the_loop_is_interpolated_or_held_as_declared() -> None:
     smooth = 0.05 * np.sin(2 * np.pi * 1.5 * np.arange(4000) * T / 4)
-    fast = Cascade(kp=160.18, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, period=T / 4)
+    fast = Cascade(
+        position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, period=T / 4
+    )
     loop = ClosedLoop(RigidJoint(), fast)
     exact = simulate(loop, prepare(loop, record(smooth, T / 4)), RIGID).torque[::4]
     errors = {}
@@ -213,7 +226,9 @@ def test_a_reference_slower_than_the_loop_is_interpolated_or_held_as_declared() 
 
 
 def test_a_log_that_ends_within_a_period_is_simulated_to_its_last_whole_one() -> None:
-    slow = Cascade(kp=160.18, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, period=2 * T)
+    slow = Cascade(
+        position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, period=2 * T
+    )
     loop = ClosedLoop(RigidJoint(), slow)
     run = simulate(loop, prepare(loop, record(REFERENCE[:3001])), RIGID)
     assert run.torque.size == run.motor_position.size == run.motor.velocity.size == 3000
@@ -223,8 +238,8 @@ def test_a_log_that_ends_within_a_period_is_simulated_to_its_last_whole_one() ->
     ("driven", "controller", "sentence"),
     [
         (record(REFERENCE[:5]), EMPS, "fewer than 10 of the controller's periods"),
-        (record(), Cascade(kp=1.0, kv=1.0, period=1e-9), "up to 200 times"),
-        (record(), Cascade(kp=1.0, kv=1.0, period=1.0), "fewer than 10|up to 200 times"),
+        (record(), Cascade(position_gain=1.0, velocity_gain=1.0, period=1e-9), "up to 200 times"),
+        (record(), Cascade(position_gain=1.0, velocity_gain=1.0, period=1.0), "fewer than 10|up to 200 times"),
     ],
 )
 def test_what_cannot_be_simulated_is_said(driven: Record, controller: Cascade, sentence: str) -> None:
@@ -250,7 +265,7 @@ def test_a_missing_value_is_named() -> None:
 def test_a_delayed_loop_in_steady_motion_begins_without_a_kick() -> None:
     """What acted before the first sample is the torque of the same motion, not zero."""
     speed, friction = 0.08, 202.0 * 0.08 + 20.4 - 3.16
-    delayed = Cascade(kp=100.0, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15, delay=1.3e-3)
+    delayed = Cascade(position_gain=100.0, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15, delay=1.3e-3)
     late = (friction / (35.15 * 243.45) + speed) / 100.0
     loop = ClosedLoop(FlexibleJoint(), delayed)
     run = simulate(loop, prepare(loop, record(speed * np.arange(500) * T)), FLEXIBLE, Initial(-late, speed))
@@ -258,13 +273,15 @@ def test_a_delayed_loop_in_steady_motion_begins_without_a_kick() -> None:
 
 
 def test_clocks_that_do_not_divide_each_other_are_refused() -> None:
-    odd = Cascade(kp=160.18, kv=243.45, period=0.7e-3)
+    odd = Cascade(position_gain=160.18, velocity_gain=243.45, period=0.7e-3)
     with pytest.raises(RecordError, match=r"0\.0007 s and 0\.001 s.*nor is one a multiple"):
         prepare(ClosedLoop(RigidJoint(), odd), record())
 
 
 def test_a_measured_torque_is_the_one_that_acts() -> None:
-    late = Cascade(kp=160.18, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, delay=2e-3)
+    late = Cascade(
+        position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=10.0, delay=2e-3
+    )
     loop = ClosedLoop(RigidJoint(), late)
     command = simulate(loop, prepare(loop, record()), RIGID).torque
     measured = simulate(loop, prepare(loop, record(tap=Tap.MEASURED)), RIGID).torque
@@ -280,7 +297,7 @@ def test_candidates_fail_with_a_status_and_finite_numbers() -> None:
         ({"coulomb": -5.0}, Outcome.INVALID),
         ({"viscous": math.nan}, Outcome.INVALID),
     ):
-        unlimited = ClosedLoop(RigidJoint(), Cascade(kp=160.18, kv=243.45, gain=35.15))
+        unlimited = ClosedLoop(RigidJoint(), Cascade(position_gain=160.18, velocity_gain=243.45, gain=35.15))
         run = simulate(unlimited, prepare(unlimited, record()), RIGID | change)
         assert run.outcome is outcome
         assert np.all(np.isfinite(run.torque))
@@ -313,7 +330,11 @@ def test_units_of_mass_length_and_time_do_not_matter() -> None:
     loop = ClosedLoop(RigidJoint(), EMPS)
     run = simulate(loop, prepare(loop, record()), RIGID)
     law = Cascade(
-        kp=160.18 / time, kv=243.45 * time / length, velocity_filter=(0.5, 0.5), gain=35.15 * force, limit=10.0
+        position_gain=160.18 / time,
+        velocity_gain=243.45 * time / length,
+        velocity_filter=(0.5, 0.5),
+        gain=35.15 * force,
+        limit=10.0,
     )
     scaled = ClosedLoop(RigidJoint(), law)
     again = simulate(scaled, prepare(scaled, record(REFERENCE * length, T * time)), other)

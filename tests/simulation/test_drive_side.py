@@ -8,7 +8,7 @@ import pytest
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.paper.twin import TABLE_2
-from jointid.simulation.drive_side import LOAD_STATE, PARTS, PrescribedMotion, prescribed_motion, simulate_drive_side
+from jointid.simulation.prescribed import LOAD_STATE, PARTS, PrescribedMotion, prescribed_motion, simulate_drive_side
 
 T = 1e-3
 JOINT = FlexibleJoint()

@@ -10,14 +10,13 @@ import pytest
 
 from jointid.models.controllers import Cascade
 from jointid.models.gravity import Counterbalance, Gravity
-from jointid.models.joints import FlexibleJoint, RigidJoint
+from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.record import Channel, Record, Timing
-from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.closed_loop import Initial, Outcome, Simulation, simulate, simulate_torque
-from jointid.simulation.drive_side import prescribed_motion, simulate_drive_side
+from jointid.simulation.excitation import trapezoids
 from jointid.simulation.kernels import drive as kernels
-from jointid.simulation.loop_input import ClosedLoop, prepare
-from jointid.simulation.open_loop import simulate_open_loop
+from jointid.simulation.loop_input import prepare
+from jointid.simulation.prescribed import prescribed_motion, simulate_drive_side, simulate_open_loop
 from jointid.simulation.sensitivities import simulate_sensitivities
 from tests.plants import rotary
 from tests.simulation.kernel_case import run
@@ -32,18 +31,33 @@ FLEXIBLE = Plant(
 )  # fmt: skip
 
 
-def cascade(kp: float, kv: float, period: float) -> Law:
+def cascade(position_gain: float, velocity_gain: float, period: float) -> Law:
     """The law ``u = kv (kp (reference - q) - (q - q before) / period)`` in the oracle's form."""
     nothing = np.zeros(1)
-    return Law(np.zeros((1, 1)), np.ones(1), nothing, np.array([kv / period]), -kv * (kp + 1 / period), 500.0, nothing)
+    return Law(
+        np.zeros((1, 1)),
+        np.ones(1),
+        nothing,
+        np.array([velocity_gain / period]),
+        -velocity_gain * (position_gain + 1 / period),
+        500.0,
+        nothing,
+    )
 
 
 def errors(plant: Plant, period: float, delay: float = 0.0) -> tuple[float, int]:
     """Largest error of the torque, of its peak, over 4 s of a link that swings by 2 rad; and the events."""
     rigid = plant.inertia2 is None
-    kp, kv = (20.0, 150.0) if rigid else (10.0, 80.0)
+    position_gain, velocity_gain = (20.0, 150.0) if rigid else (10.0, 80.0)
     reference = trapezoids((1.0, 2.0), 8.0, 2.0, period, rest=0.1, duration=4.0)
-    case = cascade(kp, kv, period), kp * kv * reference, np.zeros(reference.size), period, delay, 0.0
+    case = (
+        cascade(position_gain, velocity_gain, period),
+        position_gain * velocity_gain * reference,
+        np.zeros(reference.size),
+        period,
+        delay,
+        0.0,
+    )
     expected = reference_of(plant, *case, np.zeros(2 if rigid else 4))
     status, u, _, counts = run(plant, *case, np.zeros(2 if rigid else 4))
     assert status == kernels.FINISHED
@@ -59,6 +73,7 @@ def test_agrees_with_the_oracle_to_second_order(plant: Plant) -> None:
     assert events >= 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "plant", [pytest.param(RIGID, id="rigid", marks=pytest.mark.slow), pytest.param(FLEXIBLE, id="flexible")]
 )
@@ -73,7 +88,7 @@ VALUES = {
     "gravity_sin": 15.0, "counterbalance_cos": 4.0, "counterbalance_rate": 1.0,
 }  # fmt: skip
 SUMS = {"inertia": 5.0, "viscous": 4.0, "coulomb": 4.0} | {n: VALUES[n] for n in list(VALUES)[8:]}
-CONTROLLER = Cascade(kp=10.0, kv=80.0, delay=0.6e-3)
+CONTROLLER = Cascade(position_gain=10.0, velocity_gain=80.0, delay=0.6e-3)
 
 
 def swing(kind: str = "rad", start: float = 0.3) -> Record:

@@ -14,11 +14,11 @@ from scipy.linalg import expm
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.didim import DIDIM
 from jointid.models.controllers import PD, PID, REFERENCE, Cascade, FirstOrder, Notch, SecondOrder, shift_start
-from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
+from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.records.record import Channel, Injection, Record, Tap, Timing
-from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.closed_loop import Initial, Outcome, simulate
-from jointid.simulation.loop_input import ClosedLoop, prepare
+from jointid.simulation.excitation import trapezoids
+from jointid.simulation.loop_input import prepare
 from jointid.simulation.sensitivities import simulate_sensitivities
 from tests.models.written_out import Sample, begun
 from tests.simulation.oracle import Plant, _Joint
@@ -26,7 +26,8 @@ from tests.simulation.oracle import Plant, _Joint
 FAST, LOG = 125e-6, 2e-3
 NOTCHES = (SecondOrder(400.0), Notch(80.0, 20.0, 0.1))
 P_PI = Cascade(
-    kp=60.0, kv=6e3, ki=30.0, velocity_feedforward=0.9, velocity_feedforward_delay=0.3e-3, reference_delay=1.1e-3,
+    position_gain=60.0, velocity_gain=6e3, integral_gain=30.0, velocity_feedforward=0.9,
+    velocity_feedforward_delay=0.3e-3, reference_delay=1.1e-3,
     acceleration_feedforward=60.0, viscous_feedforward=90.0, coulomb_feedforward=10.0, constant_feedforward=-1.0,
     torque_feedforward_delay=0.2e-3, velocity_filter=FirstOrder(0.4e-3), torque_filters=NOTCHES, period=FAST,
     position_period=1e-3, position_offset=0.5e-3, delay=1.4 * FAST, interpolation="cubic",
@@ -40,13 +41,16 @@ LAWS: dict[str, Cascade | PD] = {
         acceleration_feedforward=3.0,
     ),
     "P-PI, filters after the limit": replace(P_PI, limit=60.0, filters_at="after_limit"),
-    "P-PI, after, track": replace(P_PI, limit=60.0, filters_at="after_limit", anti_windup="track", gain=0.5, kv=12e3),
-    "P-P": replace(P_PI, ki=0.0),
+    "P-PI, after, track": replace(P_PI, limit=60.0, filters_at="after_limit", anti_windup="track", gain=0.5,
+    velocity_gain=12e3),
+    "P-P": replace(P_PI, integral_gain=0.0),
     "PID": PID(
-        kp=3e5, kd=6e3, ki=3e6, period=FAST, delay=0.7 * FAST, limit=80.0, velocity_filter=(0.5, 0.5),
+        position_gain=3e5, derivative_gain=6e3, integral_gain=3e6, period=FAST, delay=0.7 * FAST, limit=80.0,
+        velocity_filter=(0.5, 0.5),
         torque_filters=NOTCHES, interpolation="cubic", acceleration_feedforward=0.6,
     ),  # of 60 kg the last bit of the reference, over the square of the period, would be 1e-8 N
-    "PD": PD(kp=3e5, kd=6e3, period=FAST, velocity_filter=SecondOrder(800.0), interpolation="linear"),
+    "PD": PD(position_gain=3e5, derivative_gain=6e3, period=FAST, velocity_filter=SecondOrder(800.0),
+    interpolation="linear"),
 }  # fmt: skip
 RIGID = {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": -3.2}
 FLEXIBLE = {
@@ -209,14 +213,16 @@ def test_a_loop_that_sticks_is_the_event_driven_one(name: str, joint: Joint) -> 
 def test_a_fast_loop_with_a_slow_position_gain_has_not_gone_far() -> None:
     """Its gain within a period is nearly all the velocity's: 16000 / s beside 10 / s."""
     reference = trapezoids((0.05, 0.1), 1.0, 0.05, 1e-3, rest=0.15)
-    loop = ClosedLoop(RigidJoint(), Cascade(kp=10.0, kv=3e3, period=62.5e-6))
+    loop = ClosedLoop(RigidJoint(), Cascade(position_gain=10.0, velocity_gain=3e3, period=62.5e-6))
     run = simulate(loop, prepare(loop, Record(reference=Channel(reference, "m", 1e-3))), RIGID)
     assert run.outcome is Outcome.FINISHED
     assert np.ptp(run.motor_position) > 0.9 * np.ptp(reference)
 
 
 T = 1e-3
-SLOW = Cascade(kp=60.0, kv=6e3, position_period=4 * T, position_offset=2 * T, velocity_feedforward=0.5)
+SLOW = Cascade(
+    position_gain=60.0, velocity_gain=6e3, position_period=4 * T, position_offset=2 * T, velocity_feedforward=0.5
+)
 AT_REST = np.concatenate([np.zeros(12), trapezoids((0.1, 0.2), 2.0, 0.1, T, duration=2.0)])
 
 
@@ -241,16 +247,16 @@ def test_a_position_loop_keeps_its_instants_where_a_log_begins_later(cut: int) -
     missed = simulate(loop, prepare(loop, replace(record, begin=record.begin + T)), values)
     assert np.max(np.abs(missed.torque - record.torque.values)) > 0.01 * size
 
-    slope = simulate_sensitivities(loop, prepare(loop, record), values, ("kp",)).torque[:, 0]
-    low, high = (after(cut, replace(SLOW, kp=SLOW.kp + by)).torque for by in (-1e-3, 1e-3))
+    slope = simulate_sensitivities(loop, prepare(loop, record), values, ("position_gain",)).torque[:, 0]
+    low, high = (after(cut, replace(SLOW, position_gain=SLOW.position_gain + by)).torque for by in (-1e-3, 1e-3))
     assert low is not None
     assert high is not None
     difference = (high.values - low.values) / 2e-3
     np.testing.assert_allclose(slope, difference, atol=1e-4 * np.max(np.abs(difference)))
 
-    wrong = ClosedLoop(RigidJoint(), replace(SLOW, kp=1.02 * SLOW.kp))
-    found = identify(record, wrong, DIDIM(free=("kp",)))
-    assert found["kp"].value == pytest.approx(SLOW.kp, rel=1e-5)
+    wrong = ClosedLoop(RigidJoint(), replace(SLOW, position_gain=1.02 * SLOW.position_gain))
+    found = identify(record, wrong, DIDIM(free=("position_gain",)))
+    assert found["position_gain"].value == pytest.approx(SLOW.position_gain, rel=1e-5)
     assert found["inertia"].value == pytest.approx(RIGID["inertia"], rel=1e-5)
 
 
@@ -273,4 +279,6 @@ def test_a_learned_offset_is_counted_from_the_file(later: int) -> None:
         cycle = learned.position_period or T
         assert declared.position_offset == pytest.approx((learned.position_offset + later * T) % cycle, abs=1e-15)
         assert shift_start(declared, later * T) == learned
-    assert shift_start(PD(kp=1.0, kd=1.0), later * T) == PD(kp=1.0, kd=1.0)
+    assert shift_start(PD(position_gain=1.0, derivative_gain=1.0), later * T) == PD(
+        position_gain=1.0, derivative_gain=1.0
+    )

@@ -8,7 +8,7 @@ import pytest
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.paper.twin import TABLE_2
 from jointid.records.record import Channel, Timing
-from jointid.simulation.open_loop import simulate_open_loop
+from jointid.simulation.prescribed import simulate_open_loop
 
 T = 1e-3
 AROUND = {"initial_position": 0.1, "initial_velocity": 0.02, "log_delay": 3.3e-4}

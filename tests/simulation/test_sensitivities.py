@@ -11,12 +11,12 @@ import pytest
 from jointid.common.errors import MethodError
 from jointid.models.controllers import Cascade, DigitalFilter, StateSpaceController
 from jointid.models.friction import AsymmetricFriction
-from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
+from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.paper.twin import twin
 from jointid.records.record import Channel, Record, Tap, Timing
-from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.closed_loop import Initial, Outcome, simulate, simulate_torque
-from jointid.simulation.loop_input import ClosedLoop, prepare
+from jointid.simulation.excitation import trapezoids
+from jointid.simulation.loop_input import prepare
 from jointid.simulation.sensitivities import simulate_sensitivities
 from tests.plants import prismatic, rotary
 
@@ -93,10 +93,19 @@ def driven(timing: Timing = Timing.HELD, tap: Tap = Tap.COMMAND) -> Record:
 @pytest.mark.parametrize(
     ("controller", "names"),
     [
-        (Cascade(kp=100.0, kv=7e3, velocity_filter=(0.5, 0.5)), ("kp", "kv", "gain", "delay")),
-        (Cascade(kp=100.0, kv=7e3, limit=60.0), ("kp", "kv", "gain", "limit")),
-        (Cascade(kp=60.0, kv=5e3, delay=1.4e-3), ("kp", "kv", "delay")),
-        (Cascade(kp=80.0, kv=6e3, velocity_filter=DigitalFilter((0.4,), (1.0, -0.6))), ("kp", "kv")),
+        (
+            Cascade(position_gain=100.0, velocity_gain=7e3, velocity_filter=(0.5, 0.5)),
+            ("position_gain", "velocity_gain", "gain", "delay"),
+        ),
+        (
+            Cascade(position_gain=100.0, velocity_gain=7e3, limit=60.0),
+            ("position_gain", "velocity_gain", "gain", "limit"),
+        ),
+        (Cascade(position_gain=60.0, velocity_gain=5e3, delay=1.4e-3), ("position_gain", "velocity_gain", "delay")),
+        (
+            Cascade(position_gain=80.0, velocity_gain=6e3, velocity_filter=DigitalFilter((0.4,), (1.0, -0.6))),
+            ("position_gain", "velocity_gain"),
+        ),
         (WINDUP, ("gain", "limit")),
     ],
 )
@@ -124,9 +133,9 @@ def test_agree_for_the_loop_and_the_start(controller: Cascade, names: tuple[str,
 
 
 def test_more_columns_than_the_kernel_follows_at_a_time_keep_their_order() -> None:
-    loop = ClosedLoop(ASYMMETRIC, Cascade(kp=100.0, kv=7e3))
+    loop = ClosedLoop(ASYMMETRIC, Cascade(position_gain=100.0, velocity_gain=7e3))
     experiment = prepare(loop, driven())
-    names = ["kv", *VALUES, "initial_position", "delay", "kp", "initial_velocity", "gain"]
+    names = ["velocity_gain", *VALUES, "initial_position", "delay", "position_gain", "initial_velocity", "gain"]
     together = simulate_sensitivities(loop, experiment, VALUES, names, positions=True)
     assert len(names) > 16
     for j, name in enumerate(names):
@@ -137,7 +146,7 @@ def test_more_columns_than_the_kernel_follows_at_a_time_keep_their_order() -> No
 
 def test_what_is_held_at_rest_forgets_the_velocity_it_was_to_begin_with() -> None:
     """Friction takes it at once, so it must not move what comes loose later; with positions and without."""
-    loop = ClosedLoop(RigidJoint(), Cascade(kp=100.0, kv=2e3))
+    loop = ClosedLoop(RigidJoint(), Cascade(position_gain=100.0, velocity_gain=2e3))
     experiment = prepare(loop, driven())
     values = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
     slope = simulate_sensitivities(loop, experiment, values, ["initial_velocity"]).torque
@@ -148,7 +157,7 @@ def test_what_is_held_at_rest_forgets_the_velocity_it_was_to_begin_with() -> Non
 
 @pytest.mark.parametrize("delay", [0.3e-3, 1.25e-3])
 def test_a_delay_moves_the_edges_in_an_averaged_measured_torque(delay: float) -> None:
-    loop = ClosedLoop(RigidJoint(), Cascade(kp=60.0, kv=5e3, delay=delay))
+    loop = ClosedLoop(RigidJoint(), Cascade(position_gain=60.0, velocity_gain=5e3, delay=delay))
     record = driven(Timing.AVERAGED, Tap.MEASURED)
     values = {"inertia": 100.0, "viscous": 200.0, "coulomb": 20.0, "offset": -3.0}
     found = simulate_sensitivities(loop, prepare(loop, record), values, ["delay", "inertia"])
@@ -159,15 +168,30 @@ def test_a_delay_moves_the_edges_in_an_averaged_measured_torque(delay: float) ->
 
 
 def test_a_candidate_that_cannot_be_simulated_has_no_slope() -> None:
-    unstable = ClosedLoop(TWIN.loop.joint, Cascade(kp=2e3, kv=1e6, delay=3e-3))
-    found = simulate_sensitivities(unstable, prepare(unstable, TWIN.record), TWIN.truth, ["stiffness", "kp"])
+    unstable = ClosedLoop(TWIN.loop.joint, Cascade(position_gain=2e3, velocity_gain=1e6, delay=3e-3))
+    found = simulate_sensitivities(unstable, prepare(unstable, TWIN.record), TWIN.truth, ["stiffness", "position_gain"])
     assert found.response.outcome is Outcome.DIVERGED
     assert not found.torque.any()
 
 
 @pytest.mark.parametrize("joint", [RigidJoint(), FlexibleJoint()])
 def test_what_has_no_derivative_is_named(joint: Joint) -> None:
-    loop = ClosedLoop(joint, Cascade(kp=60.0, kv=5e3))
+    loop = ClosedLoop(joint, Cascade(position_gain=60.0, velocity_gain=5e3))
     values = dict.fromkeys((p.name for p in joint.parameters), 1.0)
     with pytest.raises(MethodError, match='"period" is no parameter'):
         simulate_sensitivities(loop, prepare(loop, driven()), values, ["period"])
+
+
+@pytest.mark.parametrize("gains", [(110.0, 0.0), (60.0, 4000.0)])  # one too large, one beyond all numbers
+def test_an_unstable_loop_that_its_limit_holds_has_no_derivatives(gains: tuple[float, float]) -> None:
+    """It swings from limit to limit for ever, and what a small change does grows with every swing."""
+    law = Cascade(
+        period=2e-3, gain=1.0, limit=200.0, position_gain=20.0, velocity_gain=gains[0], integral_gain=gains[1]
+    )
+    loop = ClosedLoop(RigidJoint("revolute"), law)
+    record = Record(reference=Channel(trapezoids((1.0,), 5.0, 10.0, 2e-3, duration=20.0), "rad", 2e-3))
+    values = {"inertia": 0.1, "viscous": 0.1, "coulomb": 0.5, "offset": 0.0}
+    run = simulate_sensitivities(loop, prepare(loop, record), values, ["inertia"])
+    assert run.response.outcome is Outcome.FINISHED
+    assert np.abs(run.response.torque).max() == 200.0
+    assert not run.torque.any()

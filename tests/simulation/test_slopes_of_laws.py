@@ -11,11 +11,11 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.models.controllers import PID, Cascade, FirstOrder, Notch, SecondOrder, number, with_numbers
-from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
+from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.records.record import Channel, Record, Tap, Timing
-from jointid.records.signals.excitation import trapezoids
 from jointid.simulation.closed_loop import Initial, Outcome, Response, simulate_torque
-from jointid.simulation.loop_input import ClosedLoop, prepare
+from jointid.simulation.excitation import trapezoids
+from jointid.simulation.loop_input import prepare
 from jointid.simulation.sensitivities import simulate_sensitivities
 
 COMMAND, LOG = 2e-3, 1e-3
@@ -26,20 +26,31 @@ FLEXIBLE = {
     "load_inertia": 34.8, "load_viscous": 110.0, "load_coulomb": 10.4, "offset": -3.16,
 }  # fmt: skip
 BASE = Cascade(
-    kp=60.0, kv=6e3, ki=30.0, velocity_feedforward=0.9, velocity_filter=FirstOrder(0.6e-3),
+    position_gain=60.0, velocity_gain=6e3, integral_gain=30.0, velocity_feedforward=0.9,
+    velocity_filter=FirstOrder(0.6e-3),
     torque_filters=(SecondOrder(250.0), Notch(80.0, 20.0, 0.1)), period=250e-6, position_period=1e-3,
     position_offset=0.5e-3, delay=0.35e-3, interpolation="cubic", acceleration_feedforward=60.0,
     viscous_feedforward=90.0, coulomb_feedforward=10.0, reference_delay=0.6e-3, velocity_feedforward_delay=0.3e-3,
     torque_feedforward_delay=0.4e-3,
 )  # fmt: skip
 NUMBERS = (
-    "kp", "kv", "ki", "gain", "delay", "velocity_feedforward", "velocity_feedforward_delay", "reference_delay",
+    "position_gain", "velocity_gain", "integral_gain", "gain", "delay", "velocity_feedforward",
+    "velocity_feedforward_delay", "reference_delay",
     "acceleration_feedforward", "viscous_feedforward", "coulomb_feedforward",
     "torque_feedforward_delay", "velocity_filter.time_constant", "torque_filters.0.frequency",
     "torque_filters.0.damping", "torque_filters.1.frequency", "torque_filters.1.bandwidth", "torque_filters.1.depth",
     "initial_torque", "initial_position", "initial_velocity",
 )  # fmt: skip
-LIMITS = ("limit", "velocity_limit", "kp", "kv", "ki", "gain", "torque_filters.1.frequency", "initial_torque")
+LIMITS = (
+    "limit",
+    "velocity_limit",
+    "position_gain",
+    "velocity_gain",
+    "integral_gain",
+    "gain",
+    "torque_filters.1.frequency",
+    "initial_torque",
+)
 
 
 def moved(loop: ClosedLoop, values: dict[str, float], start: Initial, name: str, by: float, tap: Tap) -> Response:
@@ -87,7 +98,7 @@ def check(law: Any, joint: Joint, names: tuple[str, ...], tap: Tap) -> tuple[flo
 def test_every_number_of_a_cascade_at_two_rates(joint: Joint) -> None:
     check(BASE, joint, NUMBERS, Tap.FILTERED)
     # An integral that begins with a given torque makes good what is constant.
-    check(replace(BASE, ki=0.0), joint, ("kp", "constant_feedforward"), Tap.FILTERED)
+    check(replace(BASE, integral_gain=0.0), joint, ("position_gain", "constant_feedforward"), Tap.FILTERED)
 
 
 @pytest.mark.parametrize("tap", [Tap.COMMAND, Tap.FILTERED])
@@ -106,8 +117,24 @@ def test_limits_that_act(windup: Any, at: Any, tap: Tap) -> None:
 
 @pytest.mark.parametrize("windup", ["hold", "track"])
 def test_a_pid_at_its_limit(windup: Any) -> None:
-    law = PID(kp=3e5, kd=6e3, ki=3e6, anti_windup=windup, limit=70.0, velocity_filter=FirstOrder(0.6e-3), period=250e-6)
-    names = ("kp", "kd", "ki", "limit", "gain", "velocity_filter.time_constant", "initial_torque")
+    law = PID(
+        position_gain=3e5,
+        derivative_gain=6e3,
+        integral_gain=3e6,
+        anti_windup=windup,
+        limit=70.0,
+        velocity_filter=FirstOrder(0.6e-3),
+        period=250e-6,
+    )
+    names = (
+        "position_gain",
+        "derivative_gain",
+        "integral_gain",
+        "limit",
+        "gain",
+        "velocity_filter.time_constant",
+        "initial_torque",
+    )
     limited, _ = check(law, RigidJoint(), names, Tap.COMMAND)
     assert 0.01 < limited < 0.9
 
@@ -115,7 +142,12 @@ def test_a_pid_at_its_limit(windup: Any) -> None:
 def test_what_is_0_has_a_slope_all_the_same() -> None:
     """Of a delay that towards longer ones."""
     law = Cascade(
-        kp=60.0, kv=6e3, ki=30.0, velocity_feedforward=0.5, period=250e-6, torque_filters=(Notch(80.0, 20.0),)
+        position_gain=60.0,
+        velocity_gain=6e3,
+        integral_gain=30.0,
+        velocity_feedforward=0.5,
+        period=250e-6,
+        torque_filters=(Notch(80.0, 20.0),),
     )
     loop, start = ClosedLoop(RigidJoint(), law), Initial(1e-4, 0.005)
     names = ("acceleration_feedforward", "viscous_feedforward", "coulomb_feedforward", "constant_feedforward",
@@ -132,11 +164,13 @@ def test_what_is_0_has_a_slope_all_the_same() -> None:
 
 def test_what_is_not_there_has_no_slope() -> None:
     for limit in (50.0, math.inf):
-        law = replace(BASE, ki=0.0, limit=limit)
+        law = replace(BASE, integral_gain=0.0, limit=limit)
         loop, values = ClosedLoop(RigidJoint(), law), RIGID
         experiment = prepare(loop, driven(Tap.COMMAND))
-        with pytest.raises(MethodError, match="The ki of this controller is 0, and what it belongs to is not there"):
-            simulate_sensitivities(loop, experiment, values, ["ki"])
+        with pytest.raises(
+            MethodError, match="The integral_gain of this controller is 0, and what it belongs to is not there"
+        ):
+            simulate_sensitivities(loop, experiment, values, ["integral_gain"])
     assert law.velocity_limit == math.inf
     assert not simulate_sensitivities(loop, experiment, values, ["velocity_limit"]).torque.any()
     with pytest.raises(MethodError, match=r"velocity_filter\.depth"):

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jointid.models.parameters import Parameter, Quantity
+from jointid.common.parameters import Parameter, Quantity
 
 Array = np.ndarray
 Model = Callable[[Array, Array], tuple[Array, Array]]

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from jointid.models.parameters import Parameter, Quantity
-from jointid.solvers.instrumental_variables import InstrumentalSolution, InstrumentalVariables
-from jointid.solvers.levenberg_marquardt import LevenbergMarquardt
+from jointid.common.parameters import Parameter, Quantity
+from jointid.solvers.bounded_least_squares import LevenbergMarquardt
+from jointid.solvers.regression import InstrumentalSolution, InstrumentalVariables
 from jointid.solvers.solve import Status, solve
 
 Array = np.ndarray

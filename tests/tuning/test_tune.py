@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -11,20 +12,22 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.common.messages import Message
+from jointid.common.text import number
 from jointid.common.transmission import Transmission
+from jointid.config import loads
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import PD, PID, Cascade, StateSpaceController
+from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.friction import AsymmetricFriction
-from jointid.models.joints import FlexibleJoint, RigidJoint, frequencies
-from jointid.output.figures import tuning_figure
+from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
+from jointid.output.figures import draw
 from jointid.output.json import dumps, to_dict
 from jointid.paper.twin import TABLE_2, twin
-from jointid.records.drives.drive import Drive
-from jointid.records.signals.excitation import trapezoids
-from jointid.simulation.loop_input import ClosedLoop
+from jointid.records.drives import Drive
+from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from jointid.tuning.interval import ellipsoid_radius, lowest_mode, possible_joints
 from jointid.tuning.margins import NAMES, joint_set
@@ -34,6 +37,7 @@ from jointid.tuning.tune import tune
 from jointid.tuning.tuned import Tuned
 from jointid.uncertainty.verdict import Reason, Status, StiffnessBound, Subject, Verdict
 from studies.margins import random_drive, true_margins
+from tests.text import unwrapped
 
 PERIOD = 1e-3
 REFERENCE = trapezoids((0.05, 0.12), 0.8, 0.2, PERIOD, duration=6.0)
@@ -95,10 +99,14 @@ def test_what_is_proposed_keeps_the_margins_and_could_not_be_much_stiffer(estima
     assert worst.modulus >= 0.995 * asked.modulus
     controller = tuned.proposed.controller
     assert isinstance(controller, Cascade)
-    faster = replace(controller, kp=1.1 * controller.kp, kv=1.1 * controller.kv).law(PERIOD)
+    faster = replace(
+        controller, position_gain=1.1 * controller.position_gain, velocity_gain=1.1 * controller.velocity_gain
+    ).law(PERIOD)
     nominal = joint_set(estimate.settings.joint, [estimate.values], faster).margins(faster)[0]
     assert np.any(nominal < asked.asked)
-    assert controller.kp * controller.kv > 1.2 * 160.18 * 243.45  # stiffer than it was, and with more phase
+    assert (
+        controller.position_gain * controller.velocity_gain > 1.2 * 160.18 * 243.45
+    )  # stiffer than it was, and with more phase
 
 
 def test_more_is_asked_and_less_is_given(estimate: Estimate, tuned: Tuned) -> None:
@@ -108,11 +116,57 @@ def test_more_is_asked_and_less_is_given(estimate: Estimate, tuned: Tuned) -> No
     assert calm.gains[1].after < tuned.gains[1].after
 
 
+def test_gains_are_told_as_the_drive_shows_them_and_in_si_beside() -> None:
+    time = DriveNumber("integral_gain", "integral_time", "ms", 1e3, inverse=True, declared=200.0)
+    controller = Cascade(position_gain=20.0, velocity_gain=2000.0, integral_gain=5.0)
+    tuned = tune(rigid(controller), Tuning(notch=False), shown=[time])
+    before, after = tuned.gains[-1].before, tuned.gains[-1].after
+    assert before == 5.0
+    assert tuned.gains[-1].in_drive == ("integral_time", pytest.approx(200.0), pytest.approx(1e3 / after), "ms")
+    assert f"integral time from 200.0 to {number(1e3 / after, 4)} ms" in tuned.sentence
+    rows = [" ".join(line.split()) for line in str(tuned).splitlines()]
+    told = f"integral_time 200.00 {number(1e3 / after)} ms integral_gain 5.0000, {number(after)} 1/s"
+    assert any(row.startswith(told) for row in rows), rows
+    assert any(re.match(r"position_gain 20.000 [0-9.]+ 1/s as shown", row) for row in rows)
+    assert to_dict(tuned)["gains"][-1]["in_drive"]["name"] == "integral_time"
+
+
+def test_a_controller_in_ampere_is_told_in_ampere_and_a_pid_by_the_times_it_was_declared_by() -> None:
+    text = """
+[joint]
+kind = "prismatic"
+torque_constant = "5 N/A"
+[record.channels]
+torque = { column = "i", unit = "A" }
+reference = { column = "r" }
+[controller]
+law = "pid"
+position_gain = "8000 A/m"
+derivative_time = "50 ms"
+integral_time = "400 ms"
+"""
+    file = loads(text)
+    assert file.controller is not None
+    estimate = rigid(file.controller)
+    tuned = tune(estimate, Tuning(notch=False), shown=file.declared_numbers)
+    assert [gain.in_drive[0] for gain in tuned.gains] == ["position_gain", "derivative_time", "integral_time"]
+    [_, derivative, integral] = [gain.in_drive for gain in tuned.gains]
+    law = tuned.proposed.controller  # type: ignore[union-attr]
+    assert isinstance(law, PID)
+    assert derivative[1:] == (pytest.approx(50.0), pytest.approx(1e3 * law.derivative_gain / law.position_gain), "ms")
+    assert integral[1:] == (pytest.approx(400.0), pytest.approx(1e3 * law.position_gain / law.integral_gain), "ms")
+    assert "A s2/m" in str(tuned) and "controller units" not in str(tuned)
+    assert tuned.feedforward[0].in_drive[1] == pytest.approx(estimate.values["inertia"] / 5.0)
+    plain = str(tune(estimate, Tuning(notch=False)))  # nothing says in which unit: what one of it is
+    assert "one of the controller units is 5.0000 N" in unwrapped(plain)
+
+
 def test_a_notch_is_proposed_where_the_mode_limits_the_loop() -> None:
     drive = random_drive(0)
     truth = dict(drive.truth) | {"damping": 0.1 * drive.truth["damping"]}
     slow = Cascade(
-        kp=0.05 * 6.28 * drive.mode, kv=0.1 * 6.28 * drive.mode * (truth["motor_inertia"] + truth["load_inertia"])
+        position_gain=0.05 * 6.28 * drive.mode,
+        velocity_gain=0.1 * 6.28 * drive.mode * (truth["motor_inertia"] + truth["load_inertia"]),
     )
     late = replace(slow, delay=2 * drive.period)
     drive = replace(drive, loop=ClosedLoop(drive.loop.joint, late), truth=truth, noise=0.1 * drive.noise)
@@ -135,14 +189,16 @@ def test_a_notch_is_proposed_where_the_mode_limits_the_loop() -> None:
 @pytest.mark.parametrize(
     "controller",
     [
-        Cascade(kp=20.0, kv=100.0, ki=3.0, gain=30.0, ratio=-4.0),
-        PD(kp=2e3, kd=100.0, gain=30.0),
-        PID(kp=2e3, kd=100.0, ki=5e3, gain=30.0),
+        Cascade(position_gain=20.0, velocity_gain=100.0, integral_gain=3.0, gain=30.0, ratio=-4.0),
+        PD(position_gain=2e3, derivative_gain=100.0, gain=30.0),
+        PID(position_gain=2e3, derivative_gain=100.0, integral_gain=5e3, gain=30.0),
     ],
 )
 def test_a_layout_has_the_poles_that_its_formula_says(controller: Cascade | PD, damping: float) -> None:
     inertia, rate, slow = 100.0, 10.0, 1e-5
-    made = with_gains(replace(controller, ki=0.0) if type(controller) is not PD else controller, inertia, rate, damping)
+    made = with_gains(
+        replace(controller, integral_gain=0.0) if type(controller) is not PD else controller, inertia, rate, damping
+    )
     # Slow against its period the law is -(proportional + derivative s).
     response = made.law(slow).feedback(np.array([1e-3, 1.0]))
     proportional, derivative = -response[0].real, -response[1].imag / (2 * math.pi)
@@ -152,12 +208,14 @@ def test_a_layout_has_the_poles_that_its_formula_says(controller: Cascade | PD, 
     if isinstance(again, PID | Cascade):
         first = with_gains(controller, inertia, rate, damping)
         assert isinstance(first, PID | Cascade)
-        assert again.ki == pytest.approx(first.ki * (8 if isinstance(again, PID) else 2))
+        assert again.integral_gain == pytest.approx(first.integral_gain * (8 if isinstance(again, PID) else 2))
 
 
 @pytest.mark.parametrize("ratio", [1.0, -5.0])
 def test_feed_forward_leaves_nothing_to_the_feedback(ratio: float) -> None:
-    controller = Cascade(kp=20.0, kv=2000.0 / ratio**2 / 3.0, gain=3.0, ratio=ratio, velocity_feedforward=1.0)
+    controller = Cascade(
+        position_gain=20.0, velocity_gain=2000.0 / ratio**2 / 3.0, gain=3.0, ratio=ratio, velocity_feedforward=1.0
+    )
     found = tune(rigid(controller))
     proposed = {f.key: f.after for f in found.feedforward}
     errors = []
@@ -170,7 +228,9 @@ def test_feed_forward_leaves_nothing_to_the_feedback(ratio: float) -> None:
 
 def test_feed_forward_is_told_in_the_drives_units() -> None:
     gear = Transmission(load="prismatic", lead=0.010)
-    controller = Cascade(kp=20.0, kv=2000.0 / gear.torque("motor") ** 2, ratio=gear.torque("motor"))
+    controller = Cascade(
+        position_gain=20.0, velocity_gain=2000.0 / gear.torque("motor") ** 2, ratio=gear.torque("motor")
+    )
     estimate = rigid(controller, RigidJoint(transmission=gear))
     found = {f.key: f for f in tune(estimate, drive=Drive(rated_torque=2.0, counts_per_turn=4096)).feedforward}
     motor = gear.torque("motor")  # N of the load per N m of the motor
@@ -188,7 +248,7 @@ def test_of_friction_that_differs_the_mean_is_fed_forward() -> None:
     joint = RigidJoint(friction=AsymmetricFriction())
     values = {"inertia": 100.0, "viscous_forwards": 100.0, "viscous_backwards": 200.0, "offset": 0.0}
     values |= {"coulomb_forwards": 30.0, "coulomb_backwards": 20.0}
-    loop = ClosedLoop(joint, Cascade(kp=20.0, kv=2000.0))
+    loop = ClosedLoop(joint, Cascade(position_gain=20.0, velocity_gain=2000.0))
     force = np.random.default_rng(1).standard_normal(REFERENCE.size)
     record = simulated_record(loop, REFERENCE, values, sample_time=PERIOD, disturbance=force)
     found = {f.key: f for f in tune(identify(record.without("motor_position", "load_position"), loop)).feedforward}
@@ -198,7 +258,7 @@ def test_of_friction_that_differs_the_mean_is_fed_forward() -> None:
 
 
 def test_a_rigid_joint_says_up_to_where_it_speaks() -> None:
-    found = tune(rigid(Cascade(kp=50.0, kv=8000.0)))
+    found = tune(rigid(Cascade(position_gain=50.0, velocity_gain=8000.0)))
     said = "\n".join(found.notes)
     assert "a rigid joint says nothing beyond the band" in said
     assert "keeps the asked margins with" in said
@@ -217,8 +277,9 @@ def test_of_a_state_space_law_only_margins_are_told() -> None:
     assert "no gains are proposed for a StateSpaceController" in str(found)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_tuned_is_refused_in_a_sentence(estimate: Estimate) -> None:
-    loop = ClosedLoop(RigidJoint(), Cascade(kp=20.0, kv=2000.0))
+    loop = ClosedLoop(RigidJoint(), Cascade(position_gain=20.0, velocity_gain=2000.0))
     record = simulated_record(loop, REFERENCE, RIGID, sample_time=PERIOD)
     with pytest.raises(MethodError, match=r"the controller of .* is not known"):
         tune(identify(record, RigidJoint(), IDIM()))
@@ -239,7 +300,7 @@ def test_an_interval_that_holds_unstable_joints_states_no_margin(estimate: Estim
     controller = estimate.settings.loop.controller
     assert isinstance(controller, Cascade)
     fast = ClosedLoop(
-        estimate.settings.joint, replace(controller, kv=8.2 * controller.kv)
+        estimate.settings.joint, replace(controller, velocity_gain=8.2 * controller.velocity_gain)
     )  # 8.5 times as fast it would not be stable
     found = tune(estimate.amended(params={"rows": wide}, settings={"loop": fast}), Tuning(gain_margin=1e6, notch=False))
     assert found.present.estimate.stable
@@ -268,7 +329,7 @@ def test_the_answer_is_complete_and_finite(tuned: Tuned) -> None:
 
 
 def test_the_figure_shows_joint_and_loops_in_their_units(tuned: Tuned) -> None:
-    joint, nyquist, size, phase = tuning_figure(tuned).axes
+    joint, nyquist, size, phase = draw(tuned).axes
     assert joint.get_ylabel() == "motor velocity per torque [m/s per N]"
     assert [line.get_label() for line in size.lines][:2] == ["as it is", "proposed"]
     assert len(size.collections) == len(phase.collections) == 2
@@ -283,7 +344,7 @@ def test_an_interval_stops_short_of_a_joint_without_a_spring(estimate: Estimate)
     interval = possible_joints(estimate.amended(params={"rows": wide}), 0.95, PERIOD)
     joints = interval.at(interval.points(0))
     assert min(one["stiffness"] for one in joints) == pytest.approx(1e-3 * estimate.values["stiffness"])
-    law = Cascade(kp=10.0, kv=10.0, gain=35.0).law(PERIOD)
+    law = Cascade(position_gain=10.0, velocity_gain=10.0, gain=35.0).law(PERIOD)
     assert np.all(np.isfinite(joint_set(interval.joint, joints, law).margins(law)[:, -1]))
 
 
@@ -305,9 +366,9 @@ def test_of_a_refused_stiffness_the_worst_is_over_all_springs_that_are_left(esti
     found = tune(without_stiffness(estimate), Tuning(notch=False))
     assert "30.0 Hz at 0.3; 95 % each" in found.interval
     assert "a share of 0.5 is left out" in found.interval
-    assert 'what stands "at the estimate" is of the softest spring' in str(found)
+    assert 'what stands "at the estimate" is of the softest spring' in unwrapped(str(found))
     interval = possible_joints(without_stiffness(estimate), 0.95, PERIOD)
-    modes = [frequencies(one)["free_free"] for one in interval.others]
+    modes = [FlexibleJoint.frequencies(one)["free_free"] for one in interval.others]
     assert min(modes) == pytest.approx(30.0) and max(modes) == pytest.approx(500.0)
     shares = {round(one["load_inertia"] / (one["motor_inertia"] + one["load_inertia"]), 9) for one in interval.others}
     assert shares == {0.3}
@@ -322,8 +383,15 @@ def test_of_a_refused_stiffness_the_worst_is_over_all_springs_that_are_left(esti
 def test_a_model_or_a_loop_in_doubt_is_said_before_its_gains_are_used(estimate: Estimate) -> None:
     doubts = (
         Verdict(Subject.FIT, Status.FAILED, (Message(Reason.TORQUE_UNEXPLAINED, "32 % remains"),)),
-        Verdict(Subject.LOOP, Status.FAILED, (Message(Reason.LOOP_NOT_AS_DECLARED, "kv is larger than declared"),)),
+        Verdict(
+            Subject.LOOP,
+            Status.FAILED,
+            (Message(Reason.LOOP_NOT_AS_DECLARED, "velocity_gain is larger than declared"),),
+        ),
     )
     said = tune(estimate.amended(checks={"verdicts": doubts}), Tuning(notch=False)).notes
     assert "the model does not explain the torque, so all of this may be of another joint: 32 % remains" in said
-    assert "loop or log are not as declared, and all of this is of the declared one: kv is larger than declared" in said
+    assert (
+        "loop or log are not as declared, and all of this is of the declared one: velocity_gain is larger than declared"
+        in said
+    )

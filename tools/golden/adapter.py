@@ -37,7 +37,7 @@ from jointid.paper.reproduce import reproduce
 from jointid.records.resampling import Resampling
 from jointid.simulation.closed_loop import Initial, simulate_many
 from jointid.simulation.sensitivities import simulate_sensitivities, warm_up
-from jointid.uncertainty.bootstrap import Bootstrapping
+from jointid.uncertainty.resampling import Bootstrapping
 from studies.servo import servo_twin
 
 Json: TypeAlias = dict[str, Any]
@@ -63,7 +63,7 @@ VARIANTS: Mapping[str, Json] = {
         "method": {"minimiser": "nelder-mead", "frequency": 30.0, "simulations": 400, "restarts": 0},
     },
     "inverse_model_statistics": {"method": {"statistics": "inverse-model"}},
-    "free_gains": {"method": {"free": ["kp", "kv"]}},
+    "free_gains": {"method": {"free": ["position_gain", "velocity_gain"]}},
     "free_log_delay": {"method": {"free": ["log_delay"]}},
     "free_log_gain": {"method": {"free": ["log_gain"]}},
     "free_delay": {"method": {"free": ["delay"]}},
@@ -376,12 +376,18 @@ def compare_reports(folder: Path, before: Path, after: Path) -> Json:
 def report(folder: Path, joint: Path, record: Path, *, profiles: bool = True) -> Json:
     """Write the page of a report and return the numbers that it carries along."""
     page = folder / "report.html"
-    given = [] if profiles else ["--no-profiles"]
-    command("report", joint, "--record", record, "--html", page, *given, "--quiet")
+    command("report", joint, "--record", record, "--html", page, "--no-profiles", "--no-tuning", "--quiet")
     text = page.read_text(encoding="utf-8")
     found = re.search(r'<script[^>]*id="jointid-answer"[^>]*>(.*?)</script>', text, re.DOTALL)
     assert found is not None
     answer = json.loads(found.group(1))
+    if profiles:  # of every parameter: a report leaves out those whose criterion is a parabola
+        file = ji.load(joint)
+        logged = file.record(record)
+        made = file.identify(logged)
+        free = [p.name for p in made.params if p.of_joint and p.free]
+        told = ji.Report.of(made, logged, profiles=free, loop=False)
+        answer |= {name: json.loads(told.answer())[name] for name in ("profiles", "absent")}
     return {
         "estimate": estimate(answer["estimate"]),
         "validation": None if answer["validation"] is None else _validation(answer["validation"]),
@@ -822,7 +828,7 @@ def whole(found: Any) -> Json:
             "physical": [_known(one) for one in known.physical],
             "directions": [_known(one) for one in known.directions],
             "condition": number(known.condition),
-            "undetermined": [_name(name) for name in known.undetermined],
+            "undetermined": [_name(m.values["parameter"]) for m in known.limitations if m.code == "not_significant"],
             "sentences": len(known.limitations),
         }
     return answer
@@ -961,12 +967,12 @@ def loop(of: Any, controller: Any) -> Any:
 
 def trapezoids(*given: Any, **also: Any) -> Any:
     """Return a reference that goes there and back."""
-    return ji.trapezoids(*given, **_keywords(also))
+    return ji.excitation.trapezoids(*given, **_keywords(also))
 
 
 def pulses(*given: Any, **also: Any) -> Any:
     """Return short pulses at irregular times."""
-    return ji.pulses(*given, **_keywords(also))
+    return ji.excitation.pulses(*given, **_keywords(also))
 
 
 def _valued(values: Mapping[str, float]) -> dict[str, float]:
@@ -1037,7 +1043,7 @@ def open_loop(of: Any) -> Any:
 def fit(record: Any, model: Any, method: Any = None, *, filtering: Mapping[str, Any] | None = None) -> Any:
     """Identify, and return the estimate as an object."""
     given = None if filtering is None else ji.Filtering(**_keywords(filtering))
-    return ji.identify(record, model, method, filtering=given)
+    return ji.identify(record, model, method, filtering=given, loop_check=False)
 
 
 def fit_together(records: Sequence[Any], loops: Any, **given: Any) -> Json:
@@ -1125,7 +1131,10 @@ def response(of: Any, values: Mapping[str, float], hertz: Any, output: Any) -> J
 
 def modes(values: Mapping[str, float]) -> Json:
     """Return the three frequencies of a flexible joint, and its rigid sums."""
-    return {"hertz": _named(ji.frequencies(_valued(values))), "sums": _named(ji.rigid_sums(_valued(values)))}
+    return {
+        "hertz": _named(ji.FlexibleJoint.frequencies(_valued(values))),
+        "sums": _named(ji.FlexibleJoint.rigid_sums(_valued(values))),
+    }
 
 
 def matrices(found: Any, period: float | None = None, side: Any = None) -> Json:
@@ -1152,7 +1161,7 @@ def dossier(found: Any, record: Any) -> Json:
     made = collect(found, record, profiles=(), loop=False)
     spectra, answering = made.spectra, made.response
     return {
-        "channels": [[number(one.sample_time), one.samples, one.unit] for one in made.channels],
+        "channels": [[number(one.sample_time), len(one), one.unit] for one in made.channels.values()],
         "motion": None
         if made.motion is None
         else [signal(made.motion.position), signal(made.motion.velocity), signal(made.motion.acceleration)],
@@ -1273,9 +1282,9 @@ def reproduction(seed: int) -> Json:
         "variations": {method: _named(made.variations(method)) for method in ("idim", "didim")},
         "relative_errors": {way: [_named(one) for one in made.relative_errors(way)] for way in ("DIDIM", "IDIM")},
         "without_damping": {
-            "estimate": _brief(made.without_damping.estimate),
-            "residual_change": number(made.without_damping.residual_change),
-            "shifts": _named(made.without_damping.shifts),
+            "estimate": _brief(made.without_damping),
+            "residual_change": number(made.damping_residual),
+            "shifts": _named(made.damping_shifts),
         },
     }
 

@@ -517,14 +517,16 @@ def _rigid_arm(law: Any, values: dict[str, float], *, duration: float = 10.0, **
 @case
 def law_pd(_: Workspace) -> Any:
     """A PD law."""
-    loop, record = _rigid_arm(ask.law("pd", kp=3000.0, kd=250.0, limit=200.0), _ARM)
+    loop, record = _rigid_arm(ask.law("pd", position_gain=3000.0, derivative_gain=250.0, limit=200.0), _ARM)
     return ask.whole(ask.fit(ask.torque_only(record), loop)) | {"record": ask.recorded(record)}
 
 
 @case
 def law_pid(_: Workspace) -> Any:
     """A PID law with an anti-windup that tracks."""
-    law = ask.law("pid", kp=3000.0, kd=250.0, ki=4000.0, anti_windup="track", limit=200.0)
+    law = ask.law(
+        "pid", position_gain=3000.0, derivative_gain=250.0, integral_gain=4000.0, anti_windup="track", limit=200.0
+    )
     loop, record = _rigid_arm(law, _ARM)
     return ask.whole(ask.fit(ask.torque_only(record), loop)) | {"record": ask.recorded(record)}
 
@@ -533,7 +535,13 @@ def law_pid(_: Workspace) -> Any:
 def law_p_pi(_: Workspace) -> Any:
     """A cascade with an integral, feed-forward, and a limit that is reached."""
     law = ask.law(
-        "cascade", kp=20.0, kv=250.0, ki=15.0, velocity_feedforward=0.9, acceleration_feedforward=6.0, limit=45.0
+        "cascade",
+        position_gain=20.0,
+        velocity_gain=250.0,
+        integral_gain=15.0,
+        velocity_feedforward=0.9,
+        acceleration_feedforward=6.0,
+        limit=45.0,
     )
     loop, record = _rigid_arm(law, _ARM)
     return ask.whole(ask.fit(ask.torque_only(record), loop)) | {"record": ask.recorded(record)}
@@ -544,9 +552,9 @@ def law_of_three_rates(_: Workspace) -> Any:
     """A cascade faster than its log, with a slower position loop, a delay that is a fraction, and filters."""
     law = ask.law(
         "cascade",
-        kp=20.0,
-        kv=250.0,
-        ki=15.0,
+        position_gain=20.0,
+        velocity_gain=250.0,
+        integral_gain=15.0,
         period=250e-6,
         position_period=1e-3,
         delay=1.6e-4,
@@ -584,8 +592,8 @@ def law_with_reference_velocity(_: Workspace) -> Any:
     """A moving average of the velocity, and a reference velocity of its own."""
     law = ask.law(
         "pd",
-        kp=3000.0,
-        kd=250.0,
+        position_gain=3000.0,
+        derivative_gain=250.0,
         reference_velocity="channel",
         velocity_filter=ask.digital_filter("moving_average", samples=4),
     )
@@ -609,7 +617,7 @@ def law_with_reference_velocity(_: Workspace) -> Any:
 @case
 def gravity_link(_: Workspace) -> Any:
     """A link that turns about a horizontal axis: torque alone, encoders, drive side, and open loop."""
-    loop, record = _rigid_arm(ask.law("cascade", kp=20.0, kv=250.0), _LINK, gravity="link")
+    loop, record = _rigid_arm(ask.law("cascade", position_gain=20.0, velocity_gain=250.0), _LINK, gravity="link")
     joint = ask.joint("rigid", "revolute", gravity="link")
     return {
         "torque_only": ask.whole(ask.fit(ask.torque_only(record), loop)),
@@ -623,7 +631,10 @@ def gravity_link(_: Workspace) -> Any:
 def gravity_flexible_lift(_: Workspace) -> Any:
     """A vertical flexible axis with a counterbalance."""
     joint = ask.joint("flexible", gravity="constant", counterbalance={"constant": 100.0, "rate": 50.0})
-    loop = ask.loop(joint, ask.law("cascade", kp=160.18, kv=243.45, velocity_filter=(0.5, 0.5), gain=35.15065188))
+    loop = ask.loop(
+        joint,
+        ask.law("cascade", position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15065188),
+    )
     reference = ask.trapezoids((0.042, 0.083, 0.125), 0.83, 0.2, 1e-3, duration=10.0)
     known = ask.pulses(reference.size, 1e-3, height=150.0, width=0.02, every=0.4, seed=3)
     values = _AXIS | {
@@ -664,7 +675,7 @@ def gear_flexible(at: Workspace) -> Any:
 
 def _geared(at: Workspace, model: str, gear: dict[str, Any], values: dict[str, float]) -> Any:
     """Identify what is simulated on the motor's side as the gear reports it."""
-    law = {"kp": 25.0, "kv": 0.02, "limit": 3.0}
+    law = {"position_gain": 25.0, "velocity_gain": 0.02, "limit": 3.0}
     motor = ask.loop(ask.joint(model, "revolute"), ask.law("cascade", **law))
     reference = ask.trapezoids((10.0, 30.0, 60.0), 400.0, 40.0, 1e-3, duration=12.0)
     record = ask.simulated(motor, reference, values, sample_time=1e-3, torque_noise=_noise(reference.size, 0.002, 8))
@@ -677,7 +688,7 @@ def _geared(at: Workspace, model: str, gear: dict[str, Any], values: dict[str, f
 def position_harmonics(_: Workspace) -> Any:
     """Ripple over the position and a drift that are in the torque, found by IDIM."""
     reference = _turned()
-    loop = ask.loop(ask.joint("rigid", "revolute"), ask.law("cascade", kp=20.0, kv=250.0))
+    loop = ask.loop(ask.joint("rigid", "revolute"), ask.law("cascade", position_gain=20.0, velocity_gain=250.0))
     ripple = -2.0 * np.sin(2 * np.pi * reference / 0.25) + 0.3 * np.linspace(0, 1, reference.size)
     record = ask.simulated(
         loop, reference, _ARM, sample_time=1e-3, disturbance=ripple, torque_noise=_noise(reference.size, 0.3, 9)
@@ -862,7 +873,7 @@ def learn_emps(at: Workspace) -> Any:
 @case
 def learn_pd(_: Workspace) -> Any:
     """A PD law, learned."""
-    _, record = _rigid_arm(ask.law("pd", kp=3000.0, kd=250.0), _ARM, duration=4.0)
+    _, record = _rigid_arm(ask.law("pd", position_gain=3000.0, derivative_gain=250.0), _ARM, duration=4.0)
     return ask.learned(record)
 
 
@@ -919,7 +930,7 @@ def simulation_flexible(_: Workspace) -> Any:
 @case
 def simulation_rigid(_: Workspace) -> Any:
     """One candidate of a rigid joint that sticks, turns round, and reaches the limit."""
-    law = ask.law("cascade", kp=20.0, kv=250.0, ki=15.0, limit=30.0)
+    law = ask.law("cascade", position_gain=20.0, velocity_gain=250.0, integral_gain=15.0, limit=30.0)
     loop, record = _rigid_arm(law, _ARM | {"coulomb": 15.0})
     return {
         "same": ask.run(loop, record, _ARM | {"coulomb": 15.0}),
@@ -939,7 +950,7 @@ def simulate_many(_: Workspace) -> Any:
 def sensitivities(_: Workspace) -> Any:
     """Derivatives by parameters of the joint, the initial state and the controller."""
     record, loop, truth = ask.twin(loop="L30", noise="none")
-    names = [*truth, "initial_position", "initial_velocity", "kp", "kv", "gain", "delay"]
+    names = [*truth, "initial_position", "initial_velocity", "position_gain", "velocity_gain", "gain", "delay"]
     return ask.slopes(loop, record, truth, names, positions=True)
 
 
@@ -947,11 +958,19 @@ def sensitivities(_: Workspace) -> Any:
 def sensitivities_rigid(_: Workspace) -> Any:
     """The same of a link under a cascade with an integral, which reaches its limit."""
     law = ask.law(
-        "cascade", kp=20.0, kv=250.0, ki=15.0, limit=60.0,
+        "cascade", position_gain=20.0, velocity_gain=250.0, integral_gain=15.0, limit=60.0,
         velocity_filter=ask.digital_filter("first_order", time_constant=1e-3),
     )  # fmt: skip
     loop, record = _rigid_arm(law, _LINK, gravity="link")
-    names = [*_LINK, "initial_torque", "kp", "kv", "ki", "limit", "velocity_filter.time_constant"]
+    names = [
+        *_LINK,
+        "initial_torque",
+        "position_gain",
+        "velocity_gain",
+        "integral_gain",
+        "limit",
+        "velocity_filter.time_constant",
+    ]
     return ask.slopes(loop, record, _LINK, names)
 
 
@@ -1084,7 +1103,7 @@ _TRACES = {
 def drive_profiles(at: Workspace) -> Any:
     """A record under the names and in the units of every drive, and read back."""
     folder = at.folder("drives")
-    _, record = _rigid_arm(ask.law("pd", kp=3000.0, kd=250.0), _ARM)
+    _, record = _rigid_arm(ask.law("pd", position_gain=3000.0, derivative_gain=250.0), _ARM)
     return {
         profile: ask.refused(partial(ask.by_profile, record, folder / f"{profile}.csv", profile, columns))
         for profile, columns in _TRACES.items()

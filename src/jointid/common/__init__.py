@@ -1,1 +1,1 @@
-"""Common to all folders: errors a user can meet, units, settings, documents, progress."""
+"""Common to all folders: errors a user can meet, units, settings, messages, documents."""

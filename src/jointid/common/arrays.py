@@ -28,6 +28,30 @@ def column_norms(columns: FloatArray) -> FloatArray:
     return np.where(norms > 0, norms, 1.0)
 
 
+_BLOCK = 800  # rows, which with a few columns are too few for a linear algebra library to use threads
+
+
+def triangle(columns: FloatArray) -> FloatArray:
+    """Return the triangle R of ``columns = Q R``, (columns, columns) or as many rows as there are.
+
+    A tall matrix is factorised in blocks of rows, and then the triangles of the blocks: as accurate, and no work for
+    threads. On a machine that has other work they take a hundred times as long as the factorisation does.
+
+    Demmel, Grigori, Hoemmen, Langou: Communication-optimal parallel and sequential QR and LU factorizations,
+    SIAM J. Sci. Comput. 34 (2012), A206-A239.
+
+    Args:
+        columns: (rows, columns).
+    """
+    blocks, width = columns.shape[0] // _BLOCK, columns.shape[1]
+    if blocks < 2 or width == 0 or 2 * width > _BLOCK:
+        return np.asarray(np.linalg.qr(columns, mode="r"))
+    whole = blocks * _BLOCK
+    stacked = columns[:whole].reshape(blocks, _BLOCK, width)
+    triangles = np.asarray(np.linalg.qr(stacked, mode="r")).reshape(-1, width)
+    return triangle(np.vstack([triangles, columns[whole:]]))
+
+
 class Room(threading.local):
     """Arrays by name, each thread its own; what one holds is lost as soon as its name is asked for again.
 

@@ -1,27 +1,45 @@
-"""The two ways a function becomes a compiled kernel, and what it may ask of the machine."""
+"""How a function becomes a compiled kernel, and the kernels of more than the simulation.
+
+These are recurrences: what a sampled law answers to given inputs, and the modes of a filter of many columns.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any, TypeAlias, TypeVar, cast
 
 import numba
+import numpy as np
 from numba import types
 from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+from jointid.common.arrays import FloatArray
+from jointid.common.compiler_cache import KernelCache, warn_of_no_place
 
 F = TypeVar("F", bound=Callable[..., object])
+MODES = 4
+"""Of the filter that is compiled: it has the order 8."""
+
+Four: TypeAlias = tuple[float, float, float, float]
+
+_NOTHING = 1e-200  # what falls below it is 0: near the smallest numbers many machines are a hundred times slower
+_BLOCK = 16  # kept samples after which that is looked for
 
 
 def compiled(function: F) -> F:
     """Compile with Numba: cached on disk, GIL released, multiply-adds fused.
 
-    Numba refuses to cache where neither the package nor the user's cache folder can be written (a read-only
-    container, a service account without a home); the kernel then compiles in each process.
+    Where neither the package's nor the user's cache folder can be written (a read-only container, a service account
+    without a home), the kernel compiles in each process.
     """
-    try:
-        return _njit(function, cache=True)
-    except RuntimeError:
-        return _njit(function, cache=False)
+    kernel: Any = _njit(function)
+    if kernel is not function:  # it is where Numba is told not to compile
+        try:
+            kernel._cache = KernelCache(function)
+        except RuntimeError:  # there is no such folder
+            warn_of_no_place()
+    return cast("F", kernel)
 
 
 def inlined(function: F) -> F:
@@ -53,6 +71,100 @@ down for the first). A loop that is made of nothing else gains by them.
 """
 
 
-def _njit(function: F, *, cache: bool = False, forceinline: bool = False) -> F:
-    make = numba.njit(cache=cache, forceinline=forceinline, nogil=True, fastmath={"contract"}, error_model="numpy")
+def _njit(function: F, *, forceinline: bool = False) -> F:
+    make = numba.njit(forceinline=forceinline, nogil=True, fastmath={"contract"}, error_model="numpy")
     return cast("F", make(function))
+
+
+@inlined
+def _four(values: FloatArray) -> Four:
+    return values[0], values[1], values[2], values[3]
+
+
+@compiled
+def carry(powers: FloatArray, said: FloatArray, step: int) -> None:
+    """Carry the modes of a filter from one kept sample to the next: what each forgets is taken from what it was told.
+
+    Args:
+        powers: (2, MODES) real and imaginary part of what a mode is multiplied by from one kept sample to the next.
+        said: (columns, kept, 2 MODES) where the modes stand at the first of them in the direction, and what the samples
+            before each of the others add, real parts, then imaginary ones; then where they stand at each.
+        step: 1 forwards, -1 backwards.
+    """
+    wide_vectors()
+    (a0, a1, a2, a3), (b0, b1, b2, b3) = _four(powers[0]), _four(powers[1])
+    count = said.shape[1]
+    for k in range(1, count):
+        at = np.uint64(k if step > 0 else count - 1 - k)
+        last = np.uint64(k - 1 if step > 0 else count - k)
+        if k % _BLOCK == 0:  # what is left of a signal that ended long ago
+            for j in range(said.shape[0]):
+                for i in range(2 * MODES):
+                    said[j, last, i] = said[j, last, i] if abs(said[j, last, i]) > _NOTHING else 0.0
+        for j in range(said.shape[0]):
+            r0, r1, r2, r3 = said[j, last, 0], said[j, last, 1], said[j, last, 2], said[j, last, 3]
+            i0, i1, i2, i3 = said[j, last, 4], said[j, last, 5], said[j, last, 6], said[j, last, 7]
+            s0, t0 = said[j, at, 0] + (a0 * r0 - b0 * i0), said[j, at, 4] + (b0 * r0 + a0 * i0)
+            s1, t1 = said[j, at, 1] + (a1 * r1 - b1 * i1), said[j, at, 5] + (b1 * r1 + a1 * i1)
+            s2, t2 = said[j, at, 2] + (a2 * r2 - b2 * i2), said[j, at, 6] + (b2 * r2 + a2 * i2)
+            s3, t3 = said[j, at, 3] + (a3 * r3 - b3 * i3), said[j, at, 7] + (b3 * r3 + a3 * i3)
+            said[j, at, 0], said[j, at, 1], said[j, at, 2], said[j, at, 3] = s0, s1, s2, s3
+            said[j, at, 4], said[j, at, 5], said[j, at, 6], said[j, at, 7] = t0, t1, t2, t3
+
+
+@compiled
+def respond(
+    starts: NDArray[np.int64],
+    sources: NDArray[np.int64],
+    weights: FloatArray,
+    limits: FloatArray,
+    gates: NDArray[np.int64],
+    free: bool,
+    z: FloatArray,
+    inputs: FloatArray,
+    excess: FloatArray,
+    raw: FloatArray,
+) -> None:
+    """Fill `raw`, and `excess` unless it is given, period by period; `z` is overwritten by the last states.
+
+    Args:
+        starts: (phases, rows + 1) where each row of a phase begins among the weights; the rows are those of the
+            elements, then those of the states.
+        sources: (weights,) what a weight is of: the states, then the inputs, then the excesses.
+        weights: (weights,) those that are not 0: a long delay is many states with one weight each.
+        limits: (elements,) of the elements that are limits.
+        gates: (elements,) the place of the limit a gate watches, negative for a limit.
+        free: whether limits and gates act, so that the excess is found; else it is read.
+        z: (states,).
+        inputs: (periods, inputs).
+        excess: (periods, elements) in, or out.
+        raw: (periods, elements) out.
+    """
+    periods, width = inputs.shape
+    phases, rows = starts.shape[0], starts.shape[1] - 1
+    order, elements = z.size, limits.size
+    now = np.zeros(order + width + elements)
+    now[:order] = z
+    new = np.zeros(order)
+    for k in range(periods):
+        phase = k % phases
+        now[order : order + width] = inputs[k]
+        for row in range(rows):
+            total = 0.0
+            for at in range(starts[phase, row], starts[phase, row + 1]):
+                total += weights[at] * now[sources[at]]
+            if row >= elements:
+                new[row - elements] = total
+                continue
+            raw[k, row] = total
+            if free:
+                cut = 0.0
+                if gates[row] >= 0:
+                    if total * excess[k, gates[row]] < 0.0:
+                        cut = -total
+                elif abs(total) > limits[row]:
+                    cut = np.copysign(limits[row], total) - total
+                excess[k, row] = cut
+            now[order + width + row] = excess[k, row]
+        now[:order] = new
+    z[:] = now[:order]

@@ -1,27 +1,42 @@
 """A result as a document: blocks without a format, rendered as text for the terminal, as Markdown or as HTML.
 
 Headings, paragraphs, tables, verdicts and pictures; a result becomes a document once, and every printed form is made of
-that.
+that; and an answer as JSON, in which a number that does not exist is null, never NaN.
 """
 
 from __future__ import annotations
 
 import base64
+import json
+import math
 import re
+import sys
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from html import escape
-from pathlib import PurePath
-from typing import TypeAlias
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-from jointid.common.text import aligned
+from jointid.common.errors import extra
+from jointid.common.files import write_whole
+from jointid.common.text import aligned, encodable, short, wrapped
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 _MARKS = {True: "yes", False: "no", None: "?"}
 _ANSWERS = {True: "Yes", False: "No", None: "Not known"}
 _CLASSES = {True: "good", False: "bad", None: "open"}
+WIDTH = 80
+"""Characters of a line of plain text."""
+
 _LEAST = 13  # characters of a fact's name, or blocks of facts would not line up with each other
 _ASKED = 20  # characters of a question
+_CELL = 3800  # characters of HTML that a notebook's cell shows of a result, about
+_TITLE = 200  # characters of its title
+_SENTENCE = 400  # and of the sentence below it; escaped, a character is six at most
+_ROWS, _ITEMS = 16, 4  # of a table and of a list there
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,12 +47,16 @@ class Heading:
     level: int = 2
 
 
+Tone: TypeAlias = Literal["", "good", "bad", "open"]
+
+
 @dataclass(frozen=True, slots=True)
 class Paragraph:
-    """Plain text; `lead` is what is to be read first."""
+    """Plain text; `lead` is what is to be read first, and `tone` whether it is good news; none when empty."""
 
     text: str
     lead: bool = False
+    tone: Tone = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +131,7 @@ class Document:
 
     Attributes:
         title: of the page.
-        blocks: in order.
+        blocks: in order; facts and listings that hold nothing are left out.
         answer: JSON that a page carries along for other programs; none when empty.
     """
 
@@ -120,22 +139,25 @@ class Document:
     blocks: tuple[Block, ...]
     answer: str = ""
 
-    def text(self) -> str:
-        """Return plain text, columns aligned; what follows a heading stands right below it."""
-        text, gap = self.title, "\n" if self.blocks and isinstance(self.blocks[0], Facts) else "\n\n"
+    def __post_init__(self) -> None:
+        kept = tuple(block for block in self.blocks if block not in (Facts(()), Listing(())))
+        object.__setattr__(self, "blocks", kept)
+
+    def text(self, width: int = WIDTH) -> str:
+        """Return plain text, columns aligned; what follows a heading stands right below it.
+
+        Args:
+            width: of a line, in characters; only a longer word, and code, go beyond it.
+        """
+        text, gap = wrapped(self.title, width), "\n" if self.blocks and isinstance(self.blocks[0], Facts) else "\n\n"
         for block in self.blocks:
-            text += gap + _block_text(block)
+            text += gap + _block_text(block, width)
             gap = "\n" if isinstance(block, Heading) else "\n\n"
         return text
 
     def markdown(self) -> str:
         """Return Markdown; its pictures are files beside it. Of text that comes in no tag and no link is made."""
         return "\n\n".join(map(_block_markdown, (Heading(self.title, 1), *self.blocks))) + "\n"
-
-    def html(self) -> str:
-        """Return a fragment of HTML, every text escaped, as a notebook shows it."""
-        blocks = "\n".join(map(block_html, self.blocks))
-        return f'<div class="jointid">\n<p><strong>{escape(self.title)}</strong></p>\n{blocks}\n</div>'
 
     @property
     def pictures(self) -> dict[str, bytes]:
@@ -157,12 +179,66 @@ class Documented(ABC):
         return self.document(details=details).text()
 
     def __str__(self) -> str:
-        """Return the summary."""
-        return self.summary()
+        """Return the summary, as the standard output can show it: ``+-`` where that has no ``±``."""
+        return encodable(self.summary(), getattr(sys.stdout, "encoding", None))
+
+    @property
+    def sentence(self) -> str:
+        """The result in a sentence, with which a notebook shows it; empty where its document begins with one."""
+        return ""
 
     def _repr_html_(self) -> str:
-        """Return the document as a notebook shows it."""
-        return self.document().html()
+        """Return the sentence and the document, as much of it as a notebook's cell shows."""
+        return notebook_html(self.document(), self.sentence)
+
+
+def notebook_html(document: Document, sentence: str = "") -> str:
+    """Return a document as a fragment of HTML that a notebook's cell shows: every text escaped, and none too long.
+
+    Tables and lists are cut to a few rows, and what comes after about 4,000 characters is left to ``print``.
+
+    Args:
+        document: of the result.
+        sentence: that it begins with, below the title.
+    """
+    parts = [f"<p><strong>{escape(short(document.title, _TITLE))}</strong></p>"]
+    if sentence and sentence != document.title:
+        parts.append(f"<p>{escape(short(sentence, _SENTENCE))}</p>")
+    room, whole = _CELL - sum(map(len, parts)), True
+    for block in document.blocks:
+        if isinstance(block, Picture):
+            continue
+        fewer = _fewer(block)
+        made = block_html(fewer)
+        if len(made) > room:
+            whole = False
+            continue
+        room -= len(made)
+        whole = whole and fewer is block
+        parts.append(made)
+    if not whole:
+        parts.append("<p>There is more: print it.</p>")
+    return "\n".join(['<div class="jointid">', *parts, "</div>"])
+
+
+def _fewer(block: Block) -> Block:
+    """Return a block without the rows that are too many for a cell."""
+    if isinstance(block, Table) and len(block.rows) > _ROWS:
+        return replace(block, rows=block.rows[:_ROWS])
+    if isinstance(block, Listing) and len(block.items) > _ITEMS:
+        return Listing(block.items[:_ITEMS])
+    return block
+
+
+def data_frame(rows: Mapping[str, Mapping[str, object]], index: str) -> DataFrame:
+    """Return a pandas data frame of rows by their names, which `index` calls.
+
+    Raises:
+        ExtraError: pandas is not installed.
+    """
+    pandas = extra("pandas", "dataframe", "A data frame")
+    frame: DataFrame = pandas.DataFrame.from_dict(rows, orient="index").rename_axis(index)
+    return frame
 
 
 def common_facts(resampled: object | None, transmission: object | None) -> tuple[tuple[str, str], ...]:
@@ -171,22 +247,48 @@ def common_facts(resampled: object | None, transmission: object | None) -> tuple
     return tuple((name, str(value)) for name, value in found if value is not None)
 
 
-def _block_text(block: Block) -> str:
+def _block_text(block: Block, width: int) -> str:
     if isinstance(block, Heading | Paragraph | Picture):
-        return block.text
+        return wrapped(block.text, width)
     if isinstance(block, Listing):
-        return "\n".join(block.items)
+        return "\n".join(wrapped(item, width, below=2) for item in block.items)
     if isinstance(block, Facts):
-        width = max([_LEAST, *(len(name) for name, _ in block.pairs)])
-        return "\n".join(f"{name.ljust(width)} {value}" for name, value in block.pairs)
+        names = max([_LEAST, *(len(name) for name, _ in block.pairs)])
+        return "\n".join(wrapped(value, width, f"{name.ljust(names)} ") for name, value in block.pairs)
     if isinstance(block, Verdicts):
-        below = f",\n{'':{_ASKED + 6}}"
-        return "\n".join(f"{asked:{_ASKED}} {_MARKS[good]:4} {below.join(why)}" for asked, good, why in block.rows)
+        return "\n".join(_verdict_text(*row, width) for row in block.rows)
     if isinstance(block, Code):
         return f"{block.caption}\n{block.text}" if block.caption else block.text
-    right = tuple(i not in block.words for i in range(len(block.header)))
-    table = aligned(block.header, block.rows, right)
-    return f"{block.caption}\n{table}" if block.caption else table
+    return "\n".join([*([wrapped(block.caption, width)] if block.caption else []), _table_text(block, width)])
+
+
+def _verdict_text(asked: str, good: bool | None, reasons: Sequence[str], width: int) -> str:
+    head = f"{asked:{_ASKED}} {_MARKS[good]:4} "
+    if not reasons:
+        return wrapped("", width, head)
+    first, *others = reasons
+    below = (wrapped(other, width - 1, " " * len(head)) for other in others)  # a comma takes one
+    return ",\n".join((wrapped(first, width - 1, head), *below))
+
+
+def _table_text(block: Table, width: int) -> str:
+    """Return a table; what is wider than a line goes on below, under the first column again, where there is any."""
+    table = [block.header, *block.rows]
+    widths = [max(len(row[i]) for row in table) for i in range(len(block.header))]
+    parts, taken = [[0]], widths[0]
+    for i in range(1, len(widths)):
+        if len(parts[-1]) > 1 and taken + 2 + widths[i] > width:
+            parts.append([0])
+            taken = widths[0]
+        parts[-1].append(i)
+        taken += 2 + widths[i]
+    shown = []
+    for part in parts:
+        header, *rows = ([row[i] for i in part] for row in table)
+        if part is not parts[0]:
+            rows = [row for row in rows if any(row[1:])]
+        shown.append(aligned(header, rows, [i not in block.words for i in part]))
+    return "\n\n".join(shown)
 
 
 def _block_markdown(block: Block) -> str:
@@ -237,7 +339,9 @@ def block_html(block: Block, anchor: str = "") -> str:
         link = f' id="{escape(anchor)}"' if anchor else ""
         return f"<h{block.level}{link}>{escape(block.text)}</h{block.level}>"
     if isinstance(block, Paragraph):
-        return f"<p{' class=lead' if block.lead else ''}>{escape(block.text)}</p>"
+        kinds = [kind for kind in ("lead" if block.lead else "", block.tone) if kind]
+        style = f' class="{" ".join(kinds)}"' if kinds else ""
+        return f"<p{style}>{escape(block.text)}</p>"
     if isinstance(block, Listing | Verdicts | Facts):
         return "\n".join(_lines_html(block))
     if isinstance(block, Code):
@@ -246,9 +350,9 @@ def block_html(block: Block, anchor: str = "") -> str:
     return _picture_html(block) if isinstance(block, Picture) else _table_html(block)
 
 
-def inert(json: str) -> str:
+def inert(answer: str) -> str:
     """Return JSON in which no tag, comment or entity of HTML can begin; it is the same JSON."""
-    return json.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+    return answer.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def _lines_html(block: Listing | Verdicts | Facts) -> list[str]:
@@ -290,3 +394,25 @@ def _table_html(block: Table) -> str:
     start = f'<div class="wide" tabindex="0" role="region" aria-label="{label}"><table>'
     head = [start, *caption, f"<thead><tr>{heads}</tr></thead>", "<tbody>"]
     return "\n".join([*head, *rows, "</tbody>", "</table></div>"])
+
+
+def dumps(answer: dict[str, Any]) -> str:
+    """Return an answer as JSON text, the same bytes for the same answer."""
+    return json.dumps(_finite(answer), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def write(answer: dict[str, Any], path: str | Path) -> None:
+    """Write an answer as JSON.
+
+    Raises:
+        RecordError: the file cannot be written.
+    """
+    write_whole(path, dumps(answer))
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -45,6 +45,12 @@ class MethodError(JointidError):
     """A method asked for what the record, the joint or the controller does not have."""
 
 
+class UnknownName(MethodError, KeyError):  # noqa: N818, it is a name that Python's own KeyError is caught by
+    """A parameter was asked for by a name that there is not."""
+
+    __str__ = Exception.__str__  # KeyError's own puts the sentence in quotes
+
+
 class ExtraError(JointidError):
     """An optional package is missing; the sentence names the extra that brings it."""
 

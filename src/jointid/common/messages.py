@@ -1,4 +1,4 @@
-"""What is told to a reader: statements of a result, and the words for faults of settings and of files.
+"""What is told to a reader: the steps of long work, statements of a result, and the words for faults.
 
 A statement is a code and values for programs, and words for people. A fault is told by a value as it looks, what was
 expected, and the remedy; most functions here return the rest of a sentence that begins with the place of the fault.
@@ -8,16 +8,116 @@ from __future__ import annotations
 
 import difflib
 import json
+import math
 import re
-from collections.abc import Iterable, Mapping
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 _LONGEST = 60  # characters of a value that a sentence shows
 _GUESSED = 100  # characters of a word that another one may be meant by
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
+_BETWEEN = 10.0  # seconds between two lines of progress where no bar is drawn
+_MINUTES, _HOURS = 100.0, 5400.0  # seconds from which a time is said in minutes, and in hours
 _WITHOUT_QUOTES = re.compile(r"\s*([+-]?(\d[\d_]*)?\.?\d+([eE][+-]?\d+)?|true|false)\s*")
+
+T = TypeVar("T")
+
+Progress = Callable[[str], None]
+"""Receives one short sentence each time long work has something new to say."""
+
+
+def silent(message: str) -> None:
+    """Say nothing; the default listener."""
+
+
+@runtime_checkable
+class BarListener(Protocol):
+    """A listener to progress that also draws how far a piece of work is."""
+
+    def __call__(self, message: str) -> None:
+        """Receive a sentence."""
+
+    def draw(self, what: str, done: float, total: float, unit: str) -> None:
+        """Receive how far a piece of work is; at its total it is done.
+
+        Args:
+            what: the work.
+            done: of it.
+            total: all of it.
+            unit: of both, such as "draws" or "%".
+        """
+
+
+class Work:
+    """How far a piece of work is, for whoever listens: drawn where bars are, else a line every ten seconds.
+
+    Args:
+        progress: the listener.
+        what: the work.
+        total: all of it; infinite while that is not known.
+        unit: of the total, such as "draws" or "%".
+    """
+
+    def __init__(self, progress: Progress, what: str, total: float, unit: str) -> None:
+        self._progress, self._what, self.total, self._unit = progress, what, total, unit
+        self._lock = threading.Lock()
+        self._began = self._told = time.monotonic()
+        self.reach(0.0)
+
+    def reach(self, done: float) -> None:
+        """Tell how much is done."""
+        self._done = done
+        if isinstance(self._progress, BarListener):
+            self._progress.draw(self._what, done, self.total, self._unit)
+            return
+        now = time.monotonic()
+        if done < self.total and now - self._told >= _BETWEEN:
+            self._told = now
+            self._progress(f"{self._what}: {describe_pace(done, self.total, self._unit, now - self._began)}")
+
+    def add(self) -> None:
+        """Tell that one more is done, from any thread."""
+        with self._lock:
+            self.reach(self._done + 1)
+
+    def along(self, steps: Iterable[T]) -> Iterator[T]:
+        """Yield steps, each of which is one more that is done."""
+        for step in steps:
+            yield step
+            self.add()
+
+
+def follow(steps: Iterable[T], progress: Progress, what: str, total: float, unit: str) -> Iterator[T]:
+    """Yield steps, and tell how many are done; see `Work`."""
+    work = Work(progress, what, total, unit)
+    try:
+        yield from work.along(steps)
+    finally:
+        work.reach(total)
+
+
+def describe_pace(done: float, total: float, unit: str, seconds: float) -> str:
+    """Return how much of a piece of work is done, how fast it goes and, of a finite one, how long the rest takes."""
+    whole = "" if math.isinf(total) else f" of {total:.0f}"
+    said = f"{done:.0f} %" if unit == "%" else f"{done:.0f}{whole} {unit}"
+    if not (done > 0 and seconds > 0):
+        return said
+    rate = done / seconds
+    if math.isinf(total):
+        return f"{said}, {rate:.2g}/s"
+    each = "" if unit == "%" else f", {rate:.2g}/s"
+    return f"{said}, {describe_time((total - done) / rate)} left{each}"
+
+
+def describe_time(seconds: float) -> str:
+    """Return a length of time as a person says it: "8 s", "2 min", "1.5 h"."""
+    if seconds < _MINUTES:
+        return f"{max(round(seconds), 1)} s"
+    return f"{round(seconds / 60)} min" if seconds < _HOURS else f"{seconds / 3600:.1f} h"
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,11 +128,18 @@ class Message:
         code: the kind of statement, by which a program knows it; never by the words.
         words: the same as a sentence.
         values: names and numbers in it.
+        clause: the fact alone, without its evidence, for a sentence about something else; empty where the words are it.
     """
 
     code: StrEnum
     words: str
     values: Mapping[str, Any] = field(default_factory=dict)
+    clause: str = ""
+
+    @property
+    def brief(self) -> str:
+        """The clause, or the words where they are one."""
+        return self.clause or self.words
 
     def __str__(self) -> str:
         """Return the words."""
@@ -57,13 +164,15 @@ class Says:
     negative: str = ""
 
 
-def dot_path(location: Iterable[int | str]) -> str:
-    """Return the path of a key, its parts quoted where TOML quotes them; tables of one name are counted from 1.
+def first_place(key: int | str | None) -> int:
+    """Return the number of the first one in a list: filters count from 0, as in the names of their numbers, else 1."""
+    return 0 if key == "torque_filters" else 1
 
-    Filters are counted from 0, as in the names of their numbers.
-    """
+
+def dot_path(location: Iterable[int | str]) -> str:
+    """Return the path of a key, its parts quoted where TOML quotes them; tables of one name are counted too."""
     path = list(location)
-    firsts = [0 if key == "torque_filters" else 1 for key in [None, *path]]
+    firsts = map(first_place, [None, *path])
     parts = (str(key + first) if isinstance(key, int) else key for key, first in zip(path, firsts, strict=False))
     return ".".join(key if _BARE.fullmatch(key) else json.dumps(key) for key in parts)
 
@@ -88,22 +197,34 @@ def format_value(value: object) -> str:
     return text
 
 
+def is_number(text: str) -> bool:
+    """Return True for a text that is a number, or true or false, in quotes."""
+    return _WITHOUT_QUOTES.fullmatch(text) is not None
+
+
 def either(choices: Iterable[str]) -> str:
     """Return the choices, quoted and in a row."""
     *most, last = [f'"{choice}"' for choice in choices] or [""]
     return f"{', '.join(most)} or {last}" if most else last
 
 
-def suggest(word: object, known: Iterable[str], otherwise: str) -> str:
-    """Return the question whether the nearest of the known words was meant; `otherwise`, if none is near."""
+_ALIKE = 0.7  # of the letters of two words: "integral_gain" and "interpolation" have 0.69
+
+
+def nearest(word: object, known: Iterable[str]) -> str | None:
+    """Return the known word that is nearest to one, None if none is near."""
+    if not isinstance(word, str) or len(word) >= _GUESSED:
+        return None
     # Of short words such as kp a wrong case is half the letters: it is not to count.
     spelt = {one.casefold(): one for one in known}
-    match = (
-        difflib.get_close_matches(word.casefold(), list(spelt), 1)
-        if isinstance(word, str) and len(word) < _GUESSED
-        else []
-    )
-    return f"did you mean {spelt[match[0]]}?" if match else f"{otherwise}."
+    match = difflib.get_close_matches(word.casefold(), list(spelt), 1, _ALIKE)
+    return spelt[match[0]] if match else None
+
+
+def suggest(word: object, known: Iterable[str], otherwise: str) -> str:
+    """Return the question whether the nearest of the known words was meant; `otherwise`, if none is near."""
+    meant = nearest(word, known)
+    return f"did you mean {meant}?" if meant is not None else f"{otherwise}."
 
 
 def missing(expected: str, meaning: str) -> str:
@@ -144,7 +265,7 @@ def unexpected(value: object, says: Says, optional: bool) -> str:
     remedy = "correct it, or leave it out" if optional else "correct it"
     if isinstance(value, int | float) and value < 0 and says.negative:
         remedy = says.negative
-    elif isinstance(value, str) and _WITHOUT_QUOTES.fullmatch(value):
+    elif isinstance(value, str) and is_number(value):
         remedy = "write it without quotes"
     return f" is {format_value(value)}; expected {says.expected}: {remedy}."
 

@@ -1,10 +1,21 @@
-"""Parameters: names of what is identified, with symbol, quantity, start and bounds."""
+"""Parameters: names of what is identified, with symbol, quantity, unit, start and bounds."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.units import Kind
+
+POSITION_UNIT: Mapping[str, str] = {"prismatic": "m", "revolute": "rad"}
+TORQUE_UNIT: Mapping[str, str] = {"prismatic": "N", "revolute": "N m"}
 
 
 class Quantity(StrEnum):
@@ -14,6 +25,7 @@ class Quantity(StrEnum):
     VISCOUS = "viscous friction"
     FORCE = "force"
     STIFFNESS = "stiffness"
+    FORCE_RATE = "force per position"
     COMPLIANCE = "compliance"
     FORCE_DRIFT = "force per time"
     VISCOUS_DRIFT = "viscous friction per time"
@@ -48,3 +60,86 @@ class Parameter:
     def fixed(self, value: float) -> Parameter:
         """Return this parameter kept at `value`."""
         return replace(self, free=False, start=float(value))
+
+
+def unit_of(quantity: Quantity, kind: Kind, torque_unit: str) -> str:
+    """Return the unit of a quantity for a joint of that kind whose torque is kept in `torque_unit`.
+
+    In N and N m the inertias come in kg and kg m2; in the drive's own A or V everything comes per ampere or volt.
+    """
+    position = POSITION_UNIT[kind]
+    inertia = {"N": "kg", "N m": "kg m2"}.get(torque_unit, f"{torque_unit} s2/{position}")
+    return {
+        Quantity.INERTIA: inertia,
+        Quantity.VISCOUS: f"{torque_unit} s/{position}",
+        Quantity.FORCE: torque_unit,
+        Quantity.STIFFNESS: f"{torque_unit}/{position}",
+        Quantity.FORCE_RATE: f"{torque_unit}/{position}",
+        Quantity.COMPLIANCE: f"{position}/({torque_unit})" if " " in torque_unit else f"{position}/{torque_unit}",
+        Quantity.FORCE_DRIFT: f"{torque_unit}/s",
+        Quantity.VISCOUS_DRIFT: f"{torque_unit} s/{position} per s",
+        Quantity.POSITION: position,
+        Quantity.VELOCITY: f"{position}/s",
+        Quantity.TIME: "s",
+        Quantity.RATIO: "1",
+        Quantity.GAIN: "as declared",
+    }[quantity]
+
+
+def adjusted(parameters: Iterable[Parameter], changes: Mapping[str, Parameter]) -> tuple[Parameter, ...]:
+    """Return the parameters with those named in `changes` replaced.
+
+    Raises:
+        MethodError: a name is not one of the parameters; the sentence lists them.
+    """
+    wrong = [name for name, change in changes.items() if not isinstance(change, Parameter)]
+    if wrong:
+        raise MethodError(
+            f"A change of {', '.join(wrong)} is a Parameter; received {changes[wrong[0]]!r}: take the joint's own and "
+            "use its fixed(value), or dataclasses.replace."
+        )
+    parameters = tuple(parameters)
+    names = [parameter.name for parameter in parameters]
+    unknown = [name for name in changes if name not in names]
+    if unknown:
+        raise MethodError(f"No parameter is called {', '.join(unknown)}; this model has {', '.join(names)}.")
+    return tuple(changes.get(parameter.name, parameter) for parameter in parameters)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bounds:
+    """Lower and upper bounds, each (parameters,)."""
+
+    lower: FloatArray
+    upper: FloatArray
+
+    @classmethod
+    def of(cls, parameters: Sequence[Parameter]) -> Bounds:
+        """Return the bounds of parameters, in their order."""
+        return cls(np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters]))
+
+    @classmethod
+    def none(cls, size: int) -> Bounds:
+        """Return no bounds on so many parameters."""
+        anywhere = np.full(size, np.inf)
+        return cls(-anywhere, anywhere)
+
+    def clip(self, x: FloatArray) -> FloatArray:
+        """Return the nearest point within the bounds."""
+        return np.minimum(np.maximum(x, self.lower), self.upper)
+
+    def reached(self, x: FloatArray, gap: float | FloatArray = 0.0) -> NDArray[np.bool_]:
+        """Return which parameters are at a bound, or nearer to one than `gap`."""
+        return np.asarray((x <= self.lower + gap) | (x >= self.upper - gap))
+
+    def blocked(self, x: FloatArray, step: FloatArray) -> NDArray[np.bool_]:
+        """Return which parameters are at a bound that a step would lead beyond."""
+        return np.asarray(((x <= self.lower) & (step < 0)) | ((x >= self.upper) & (step > 0)))
+
+    def around(self, x: FloatArray) -> Bounds:
+        """Return the bounds on a step from a point."""
+        return Bounds(self.lower - x, self.upper - x)
+
+    def in_units(self, unit: FloatArray) -> Bounds:
+        """Return the bounds on parameters that are divided by positive units."""
+        return Bounds(self.lower / unit, self.upper / unit)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import inspect
 import math
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields
 from enum import StrEnum
@@ -146,7 +147,8 @@ class Declared:
         if self.type is bool or (self.type in (int, float) and isinstance(value, bool)):
             return self.type is bool and isinstance(value, bool)
         if self.type in (int, float):
-            return isinstance(value, Integral if self.type is int else Real) and self._within(float(value))
+            is_number = isinstance(value, Integral if self.type is int else Real)
+            return is_number and not _is_beyond_floats(value) and self._within(float(value))
         return self.type != tuple[int, int] or _is_pair(value)  # a part checks itself
 
     def _within(self, value: float) -> bool:
@@ -159,6 +161,10 @@ class Declared:
             and not (declared.nonzero and value == 0)
             and (not declared.only or value in declared.only)
         )
+
+
+def _is_beyond_floats(value: Any) -> bool:
+    return isinstance(value, int) and abs(value) > sys.float_info.max
 
 
 def _is_pair(value: Any) -> bool:

@@ -7,6 +7,13 @@ One ratio r, the motor's position per position of the load, says all of it. Powe
 A drive logs its channels on either side; a joint is identified on one of them, and its record is *referred* to that
 side when it is read: positions by what takes a position there, torques by the inverse of that.
 
+An estimate is referred to the other side (`OtherSide`) when it is asked for there. The motor's
+``tau motor = J a + Fv v + Fc sign(v) + offset`` is on the load::
+
+    tau load = r^2 J a + r^2 Fv v + |r| Fc sign(v) + r offset
+
+Stiffness and damping go with r^2, a compliance with its inverse. Where r is negative, forwards is backwards.
+
 The efficiency is taken as 1, the same in both directions. What a real gear loses is found in the friction: a loss that
 grows with the speed in the viscous, one that does not in the Coulomb part. A loss in proportion to the torque that is
 passed on belongs to neither, and is spread over them and over the load's inertia.
@@ -21,13 +28,32 @@ from typing import Literal, TypeAlias
 
 from jointid.common import units
 from jointid.common.errors import MethodError
+from jointid.common.parameters import TORQUE_UNIT, Quantity, unit_of
 from jointid.common.settings import check_settings, declare, documented, setting
 
 Side: TypeAlias = Literal["motor", "load"]
 
 SIDES: tuple[Side, ...] = ("motor", "load")
 
-SI_UNITS: Mapping[str, tuple[str, str]] = {"prismatic": ("m", "N"), "revolute": ("rad", "N m")}
+_POWERS: Mapping[Quantity, int] = {
+    Quantity.INERTIA: 2,
+    Quantity.VISCOUS: 2,
+    Quantity.VISCOUS_DRIFT: 2,
+    Quantity.STIFFNESS: 2,
+    Quantity.FORCE_RATE: 2,
+    Quantity.COMPLIANCE: -2,
+    Quantity.FORCE: 1,
+    Quantity.FORCE_DRIFT: 1,
+    Quantity.POSITION: -1,
+    Quantity.VELOCITY: -1,
+}
+"""Of the ratio from one side to the other; what is not here is the same on both."""
+
+_TURNED = (
+    "offset", "force_drift", "cosine", "_position", "_velocity", "initial_torque", "gravity_constant", "gravity_cos",
+    "gravity_sin", "counterbalance_constant", "counterbalance_cos", "counterbalance_sin",
+)  # fmt: skip
+"""Ends of the names of what changes its sign with the direction; all else is odd in the motion, or a size."""
 
 
 @documented
@@ -41,7 +67,7 @@ class Transmission:
     Example:
         >>> import jointid as ji
         >>> screw = ji.Transmission(load="prismatic", lead=0.010)
-        >>> law = ji.Cascade(kp=25.0, kv=0.02, ratio=screw.torque("motor"))  # its numbers are the motor's
+        >>> law = ji.Cascade(position_gain=25.0, velocity_gain=0.02, ratio=screw.torque("motor"))
         >>> loop = ji.ClosedLoop(ji.RigidJoint("prismatic", transmission=screw), law)
         >>> print(screw)
         10 mm per turn, without loss (efficiency taken as 1); values are on the load side
@@ -132,3 +158,58 @@ def transmission_lines(transmission: Transmission | None) -> list[str]:
 def usual_side(name: str) -> Side:
     """Return the side a channel is of unless another is declared: a load encoder's is the load's."""
     return "load" if name == "load_position" else "motor"
+
+
+@dataclass(frozen=True, slots=True)
+class OtherSide:
+    """From the side a joint is identified on to the other one.
+
+    Attributes:
+        transmission: between them.
+        torque_unit: in which the joint's parameters are: N, N m, A or V.
+    """
+
+    transmission: Transmission
+    torque_unit: str
+
+    @property
+    def side(self) -> Side:
+        """Which side it is."""
+        return self.transmission.other
+
+    @property
+    def ratio(self) -> float:
+        """Factor from a torque of the joint's side to the other side."""
+        return self.transmission.position(self.side)
+
+    def name(self, name: str) -> str:
+        """Return the name of the parameter that is on this side what `name` is on the other: forwards is backwards."""
+        if self.ratio > 0:
+            return name
+        for one, other in (("forwards", "backwards"), ("backwards", "forwards")):
+            if name.endswith(one):
+                return name.removesuffix(one) + other
+        return name
+
+    def unit(self, unit: str) -> str:
+        """Return the unit of a quantity there, from its unit here."""
+        quantity = self._quantity(unit)
+        kind = self.transmission.kind_of(self.side)
+        own = TORQUE_UNIT[kind] if self.torque_unit in TORQUE_UNIT.values() else self.torque_unit
+        return unit if quantity is None else unit_of(quantity, kind, own)
+
+    def factor(self, name: str, unit: str) -> float:
+        """Return the factor from a value of that name and unit to the other side."""
+        quantity = self._quantity(unit)
+        size = abs(self.ratio) ** (0 if quantity is None else _POWERS.get(quantity, 0))
+        return -size if self.ratio < 0 and name.endswith(_TURNED) else size
+
+    def _quantity(self, unit: str) -> Quantity | None:
+        """Return the quantity of a unit of this side; those of one unit go with the same power of the ratio."""
+        kind = self.transmission.kind
+        return next((q for q in Quantity if unit_of(q, kind, self.torque_unit) == unit), None)
+
+
+def other_side(transmission: Transmission | None, torque_unit: str) -> OtherSide | None:
+    """Return the other side of a joint's transmission; None without one."""
+    return None if transmission is None else OtherSide(transmission, torque_unit)

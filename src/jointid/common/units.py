@@ -1,17 +1,22 @@
 """Units at the edges: everything inside is SI, and every number that comes in or goes out names its unit.
 
-A unit is a name, a dimension and a factor to SI. A joint's *motor unit* is the unit its torque is kept in: N or
-N m, or the drive's own A or V while the torque constant is unknown; parameters then come per ampere or per volt.
-Encoder counts and shares of a rated torque are units of one drive; `data.drive` takes them to SI.
+A unit is a name, a dimension and a factor to SI. `parse_unit` reads products, quotients and powers of units,
+`parse_quantity` a number with one of them, as ``0.8 A s/rad``. A joint's *motor unit* is the unit its torque is kept
+in: N or N m, or the drive's own A or V while the torque constant is unknown; parameters then come per ampere or per
+volt.
+Encoder counts and shares of a rated torque are units of one drive; `records.drives` takes them to SI.
 """
 
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, Protocol, TypeAlias
 
 from jointid.common.errors import JointidError
+from jointid.common.messages import nearest
 
 Kind: TypeAlias = Literal["prismatic", "revolute"]
 """How a joint, or one side of its transmission, moves."""
@@ -65,6 +70,8 @@ _UNITS: dict[str, Unit] = {
     **_family(COUNTS, "counts", counts=1.0),
     **_family(SHARE, "rated torque", permille=1e-3, per_mille=1e-3, **{"%": 1e-2}),
     **_family("time", "s", s=1.0, ms=1e-3, us=1e-6, ns=1e-9, min=60.0, h=3600.0),
+    **_family("frequency", "Hz", Hz=1.0, kHz=1e3),
+    **_family("mass", "kg", kg=1.0, g=1e-3),
 }
 
 POSITION_UNITS = {"prismatic": ("length", COUNTS), "revolute": ("angle", COUNTS)}
@@ -84,8 +91,13 @@ def unit(name: str) -> Unit:
     try:
         return _UNITS[name]
     except KeyError:
-        known = ", ".join(_UNITS)
-        raise UnitError(f'Unit "{name}" is not known; use one of {known}.') from None
+        raise UnitError(f'Unit "{name}" is not known; {_known_instead(name)}.') from None
+
+
+def _known_instead(name: str) -> str:
+    """Return what may be written instead of a unit that is not known."""
+    meant = nearest(name, _UNITS)
+    return f"expected one of {', '.join(_UNITS)}" if meant is None else f'write "{meant}" if that is meant'
 
 
 def units_of(*dimensions: str) -> tuple[str, ...]:
@@ -97,9 +109,12 @@ _SPELLINGS = {
     "N·m": "N m", "N⋅m": "N m", "N*m": "N m", "N.m": "N m", "newton": "N", "newtons": "N", "newton metre": "N m",
     "°": "deg", "degree": "deg", "degrees": "deg", "radian": "rad", "radians": "rad", "°/s": "deg/s",
     "metre": "m", "metres": "m", "meter": "m", "meters": "m", "µm": "um", "μm": "um", "µs": "us", "μs": "us",
-    "sec": "s", "second": "s", "seconds": "s", "1/min": "rpm", "r/min": "rpm", "RPM": "rpm",
+    "sec": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us", "µsec": "us", "μsec": "us", "nsec": "ns",
+    "minute": "min", "minutes": "min", "hour": "h", "hours": "h", "hz": "Hz", "khz": "kHz",
+    "1/min": "rpm", "r/min": "rpm", "RPM": "rpm", "rev/min": "rpm", "U/min": "rpm", "min-1": "rpm", "min^-1": "rpm",
+    "U": "rev", "inc": "counts", "incs": "counts", "increment": "counts", "increments": "counts", "‰": "permille",
     "m s-1": "m/s", "rad s-1": "rad/s", "ampere": "A", "amperes": "A", "volt": "V", "volts": "V", "count": "counts",
-    "percent": "%", "-": "", "1": "", "none": "",
+    "amp": "A", "amps": "A", "percent": "%", "-": "", "1": "", "none": "",
 }  # fmt: skip
 
 
@@ -107,3 +122,161 @@ def spelled(name: str) -> str:
     """Return the name in the table of a unit that a file spells in another way; any other as it is, "" for none."""
     name = name.strip()
     return _SPELLINGS.get(name, _SPELLINGS.get(name.lower(), name))
+
+
+# Products, quotients and powers
+
+_BASES: Mapping[str, Mapping[str, int]] = {
+    "length": {"m": 1}, "angle": {"rad": 1}, "linear velocity": {"m": 1, "s": -1},
+    "angular velocity": {"rad": 1, "s": -1}, "force": {"kg": 1, "m": 1, "s": -2}, "torque": {"kg": 1, "m": 2, "s": -2},
+    "current": {"A": 1}, "voltage": {"V": 1}, COUNTS: {"counts": 1}, SHARE: {"share": 1}, "time": {"s": 1},
+    "frequency": {"cycle": 1, "s": -1}, "mass": {"kg": 1},
+}  # fmt: skip
+"""The powers of the base units in each dimension; a cycle is one, since 1 Hz and 1 rad/s are not the same."""
+
+_LONGEST = 100  # characters of a unit; each bracket in it is a call
+_TOGETHER = {"Nms": "N m s", "Ns": "N s", "As": "A s", "Vs": "V s", "mNms": "mN m s", "kgm": "kg m"}
+_RAISED = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻−", "0123456789--")
+_MULTIPLIED = str.maketrans("·⋅*×", "    ")
+_POINT = re.compile(r"(?<=[^\W\d])\.(?=[^\W\d])")  # between two units, as in N.m
+_TOKEN = re.compile(r"\s*(?:(?P<name>[^\W\d]+|[°%‰])(?:\^?(?P<power>-?\d+))?|(?P<number>\d+)|(?P<mark>[()/]))")
+_QUANTITY = re.compile(r"\s*(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(?P<unit>.*)", re.DOTALL)
+
+
+def per(above: str, below: str) -> str:
+    """Return the unit of something per another unit, as drives write it.
+
+    Example:
+        >>> from jointid.common.units import per
+        >>> per("A", "rad/s"), per("N", "m"), per("N m", "rad s")
+        ('A s/rad', 'N/m', 'N m/(rad s)')
+    """
+    over, stroke, under = below.partition("/")
+    if stroke:
+        return f"{above} {under}/{over}"
+    return above if not below else f"{above}/{f'({below})' if ' ' in below else below}"
+
+
+@dataclass(frozen=True, slots=True)
+class Compound:
+    """A product of powers of units: the factor that takes a value to SI, and the power of each base unit."""
+
+    factor: float
+    powers: Mapping[str, int]
+
+    def times(self, other: Compound, power: int = 1) -> Compound:
+        """Return the product with a power of another one."""
+        bases = dict.fromkeys([*self.powers, *other.powers])
+        powers = {base: self.powers.get(base, 0) + power * other.powers.get(base, 0) for base in bases}
+        return Compound(self.factor * other.factor**power, {base: p for base, p in powers.items() if p})
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A number with its unit as a file says it."""
+
+    number: float
+    unit: str
+
+    def matching(self, expected: str) -> float | None:
+        """Return the value in SI if its unit measures what `expected` does, else None.
+
+        A radian may be left out, as in N m s for N m s/rad; but not beside a minute, where turns may be meant.
+        """
+        wanted = parse_unit(expected)
+        entry = _UNITS.get(spelled(self.unit))
+        one = None if entry is None else Compound(entry.factor, _BASES[entry.dimension])
+        for read in ([] if one is None else [one]) + [parse_unit(self.unit)]:
+            implied = {base: power for base, power in wanted.powers.items() if base != "rad"}
+            if read.powers == wanted.powers or (read.powers == implied and "min" not in self.unit):
+                return self.number * read.factor / wanted.factor
+        return None
+
+
+def parse_quantity(text: str) -> Quantity:
+    """Return the number and the unit of a text such as ``0.8 A s/rad``, ``6 ms`` or ``1000/min``.
+
+    Raises:
+        UnitError: it does not begin with a number, that is not finite, there is no unit behind it, or that is not
+            known.
+    """
+    found = _QUANTITY.fullmatch(text)
+    if found is None or not found["unit"].strip():
+        raise UnitError('expected a number with its unit, as "0.8 A s/rad"')
+    parse_unit(found["unit"])
+    if not math.isfinite(value := float(found["number"])):
+        raise UnitError("the number is too large")
+    return Quantity(value, found["unit"].strip())
+
+
+def parse_unit(text: str) -> Compound:
+    """Return what a product, quotient or power of units measures: ``A s/rad``, ``(m/min)/mm``, ``1000/min``, ``m/s^2``.
+
+    Raises:
+        UnitError: a unit in it is not known, or it cannot be read; the message is the rest of a sentence.
+
+    Example:
+        >>> from jointid.common.units import parse_unit
+        >>> round(parse_unit("(m/min)/mm").factor, 4), dict(parse_unit("N m s/rad").powers)
+        (16.6667, {'kg': 1, 'm': 2, 's': -1, 'rad': -1})
+    """
+    if "," in text:
+        raise UnitError('write the number with a point, as "0.8 A s/rad"')
+    spaced = _POINT.sub(" ", text.translate(_RAISED).translate(_MULTIPLIED).replace("per mille", "permille")).strip()
+    if len(spaced) > _LONGEST:
+        raise UnitError(f"its unit has {len(spaced)} characters; expected at most {_LONGEST}")
+    tokens, at = list[re.Match[str]](), 0
+    while at < len(spaced):
+        token = _TOKEN.match(spaced, at)
+        if token is None:
+            raise UnitError(f'"{text.strip()}" is no unit; expected products and quotients of units, as A s/rad')
+        tokens.append(token)
+        at = token.end()
+    try:
+        found = _read_quotient(tokens, text.strip())
+    except (OverflowError, ZeroDivisionError):
+        raise UnitError(f'"{text.strip()}" is no unit; its factor is 0 or too large') from None
+    if tokens:
+        raise UnitError(f'"{text.strip()}" has a bracket that is not closed or not opened')
+    if not 0.0 < found.factor < math.inf:
+        raise UnitError(f'"{text.strip()}" is no unit; its factor is 0 or too large')
+    return found
+
+
+def _read_quotient(tokens: list[re.Match[str]], text: str) -> Compound:
+    """Return what the tokens say up to the end or a closing bracket; those that are read are taken away."""
+    found, divided = Compound(1.0, {}), False
+    if not tokens or tokens[0]["mark"] == ")":
+        raise UnitError(f'"{text}" is no unit; expected products and quotients of units, as A s/rad')
+    while tokens and tokens[0]["mark"] != ")":
+        if tokens[0]["mark"] == "/":
+            tokens.pop(0)
+            found, divided = found.times(_read_factor(tokens, text), -1), True
+        elif divided:
+            raise UnitError(f'"{text}" has a product behind a stroke; write brackets, as A/(rad s), or A s/rad')
+        else:
+            found = found.times(_read_factor(tokens, text))
+    return found
+
+
+def _read_factor(tokens: list[re.Match[str]], text: str) -> Compound:
+    if not tokens or tokens[0]["mark"] in ("/", ")"):
+        raise UnitError(f'"{text}" is no unit; expected products and quotients of units, as A s/rad')
+    token = tokens.pop(0)
+    if token["mark"] == "(":
+        found = _read_quotient(tokens, text)
+        if not tokens:
+            raise UnitError(f'"{text}" has a bracket that is not closed or not opened')
+        tokens.pop(0)
+        return found
+    if token["number"]:
+        return Compound(float(token["number"]), {})
+    named, power = token["name"], int(token["power"] or 1)
+    if named in _TOGETHER:
+        *most, last = _TOGETHER[named].split()
+        found = parse_unit(" ".join(most))
+        return found.times(parse_unit(last), power)
+    entry = _UNITS.get(spelled(named))
+    if entry is None:
+        raise UnitError(f'"{named}" is no unit that is known; {_known_instead(named)}')
+    return Compound(1.0, {}).times(Compound(entry.factor, _BASES[entry.dimension]), power)

@@ -4,18 +4,20 @@ from jointid.config.contents import JointFile
 from jointid.config.loading import (
     controller_text,
     dumps,
+    learned_text,
     load,
+    load_to_learn,
     loads,
     save,
     save_with_controller,
-    with_controller,
-    with_parameters,
     with_paths,
+    with_record,
+    with_table,
 )
 from jointid.config.schema import json_schema
 from jointid.config.schema_record import Run, Source, Together
 
 __all__ = [
-    "JointFile", "Run", "Source", "Together", "controller_text", "dumps", "json_schema", "load", "loads", "save",
-    "save_with_controller", "with_controller", "with_parameters", "with_paths",
+    "JointFile", "Run", "Source", "Together", "controller_text", "dumps", "json_schema", "learned_text", "load",
+    "load_to_learn", "loads", "save", "save_with_controller", "with_paths", "with_record", "with_table",
 ]  # fmt: skip

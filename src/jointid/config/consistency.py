@@ -9,23 +9,23 @@ import math
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 from jointid.common import messages, units
-from jointid.common.transmission import Side
-from jointid.config.draft import KINDS, Draft
-from jointid.config.schema import GravityTable, JointTable, MethodTable, ParameterTable, TransmissionTable, keys_of
+from jointid.common.parameters import TORQUE_UNIT, Parameter
+from jointid.common.units import Kind
+from jointid.config.draft import KINDS, Draft, table_at
+from jointid.config.schema import GravityTable, JointTable, MethodTable, ParameterTable, keys_of
 from jointid.config.schema_record import ChannelTable
 from jointid.config.table import refusal
 from jointid.estimation.methods.registry import METHODS, MODELS, method_of, methods
-from jointid.estimation.problems.nuisance_parameters import surrounding
+from jointid.estimation.problems.base import surrounding
 from jointid.models.controllers import Controller, numbers_of, with_numbers
 from jointid.models.friction import FRICTIONS
 from jointid.models.gravity import GRAVITY_PARAMETERS
-from jointid.models.joints import Joint
-from jointid.models.parameters import TORQUE_UNIT, Kind, Parameter
+from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.columns import known_units
-from jointid.records.drives.drive import Drive
-from jointid.simulation.loop_input import ClosedLoop
+from jointid.records.drives import Drive
 
 _NEXT_TO_ZERO = 1e-200
 _BESIDE_LOAD = (
@@ -39,24 +39,29 @@ _BESIDE_FRICTION = (
 )
 
 
-def choose_method(name: str | None, channels: Collection[str], controlled: bool, model: str) -> str | None:
+def choose_method(draft: Draft, name: str | None, model: str) -> str | None:
     """Return the method: the one named, or the first whose needs are met, or None.
 
     DIDIM comes first, even where there is a motor position, which it does not read.
 
     Args:
+        draft: whose channels and controller there are.
         name: of the method, if the file names one.
-        channels: names of the channels there are.
-        controlled: whether the controller is known.
         model: of the joint; IDIM of a flexible one needs the load's position too.
     """
     if name is not None:
         return name
     for default in _defaults():
         method = method_of(default, model)
-        if (controlled or not method.needs_controller) and set(method.channels(model)) <= set(channels):
+        if (draft.controlled or not method.needs_controller) and set(method.channels(model)) <= set(draft.named):
             return default
     return None
+
+
+def named_method(raw: Mapping[str, Any]) -> str | None:
+    """Return the method that a joint file names, or that it has where it names none; None if that is not known."""
+    draft = Draft.of(raw)
+    return choose_method(draft, table_at(raw, "method").get("name"), draft.model or "rigid")
 
 
 def needed_channels(method: str, controller: Controller | None, model: str) -> tuple[str, ...]:
@@ -80,7 +85,7 @@ def method_faults(draft: Draft, table: MethodTable) -> Iterator[str]:
         uncontrolled = method_of(method, of_model).needs_controller and not draft.controlled
         return [*missing, "controller"] if uncontrolled else missing
 
-    name = choose_method(table.name, draft.named, draft.controlled, of_model)
+    name = choose_method(draft, table.name, of_model)
     if name is None:
         yield _no_method({method: lacking(method) for method in _defaults()}, draft, of_model)
     else:
@@ -115,7 +120,7 @@ def _needs(method: str, model: str) -> str:
 def _no_method(lacking: Mapping[str, list[str]], draft: Draft, model: str) -> str:
     """Return the sentence on a file that has what no method needs."""
     lacks = [f"{method_of(method, model).called(model)} lacks {' and '.join(keys)}" for method, keys in lacking.items()]
-    rigid = choose_method(None, draft.named, draft.controlled, "rigid") is not None
+    rigid = choose_method(draft, None, "rigid") is not None
     remedy = "add what one of them lacks" + (', or set joint.model = "rigid"' if rigid else "")
     return f"method.name is missing, and no method can be chosen: {', '.join(lacks)}; {remedy}."
 
@@ -254,89 +259,77 @@ def _no_parameter(name: str, joint: JointTable, gravity: GravityTable | None, kn
 
 def channel_faults(draft: Draft) -> Iterator[str]:
     """Yield channels without a column, or with settings or units that are not theirs, and torques that differ."""
-    channels, transmission, drive = draft.channels, draft.transmission, draft.drive
     # Behind a transmission that is not right, a motor may move in any way.
-    kinds = KINDS if draft.geared and not transmission else draft.kinds
-    for name, table in channels.items():
-        if table.column is None and drive is not None and drive.traces is None:
+    kinds = KINDS if draft.geared and not draft.transmission else draft.kinds
+    for name, table in draft.channels.items():
+        if table.column is None and draft.drive is not None and draft.drive.traces is None:
             yield (
                 f"record.channels.{name}.column is missing; expected text in quotes (name of the column in the "
                 "record's file): add it, or give drive.profile."
             )
         yield from (f"record.channels.{fault}" for fault in table.build().misplaced_faults(name))
-        yield from _unit_faults(name, table, kinds, transmission, drive)
-    if "injected" in channels:
-        both = ("injected", "torque")
-        pairs = {tuple(_si_unit(name, channels, kind, transmission, drive) for name in both) for kind in kinds}
+        yield from _unit_faults(draft, name, table, kinds)
+    if "injected" in draft.channels:
+        pairs = {(_si_unit(draft, "injected", kind), _si_unit(draft, "torque", kind)) for kind in kinds}
         pair = pairs.pop() if len(pairs) == 1 else (None, None)
         # A force on one side of a screw and a torque on the other are both in SI.
         if None not in pair and len({unit in TORQUE_UNIT.values() or unit for unit in pair}) > 1:
             yield f"record.channels.injected is in {pair[0]}, but the torque in {pair[1]}: give both in one unit."
 
 
-def _unit_faults(
-    name: str,
-    table: ChannelTable,
-    kinds: Collection[Kind],
-    transmission: TransmissionTable | None,
-    drive: Drive | None,
-) -> Iterator[str]:
+def _unit_faults(draft: Draft, name: str, table: ChannelTable, kinds: Collection[Kind]) -> Iterator[str]:
     """Yield a unit that a joint of none of these kinds can have, or for which a number of the drive is missing."""
-    side = _side(name, table, drive)
-    moving = [kind_of(side, kind, transmission) for kind in kinds]
+    moving = [_kind_of(draft, name, kind) for kind in kinds]
     known = tuple(dict.fromkeys(unit for kind in moving for unit in known_units(name, kind)))
     stated = table.build().stated_unit(known)
     if stated is None:
         return
+    if named := table.build().doubled_unit(known):
+        yield (
+            f'record.channels.{name}.unit is "{table.unit}", but its column "{table.column}" names the unit "{named}"; '
+            "expected one of them: leave unit out, or rename the column."
+        )
     if stated not in known:
         where = "unit is" if table.unit is not None else "column names the unit"
         yield f'record.channels.{name}.{where} "{stated}"{_misfit(name, stated, known, kinds, moving)}'
-    elif drive is not None and len(set(moving)) == 1:
-        lack = _lacking(name, stated, moving[0], transmission, drive)
+    elif draft.drive is not None and len(set(moving)) == 1:
+        lack = _lacking(draft, name, stated, moving[0])
         yield from () if lack is None else (f'record.channels.{name} is in "{stated}", {lack}.',)
 
 
-def torque_unit(
-    channels: Mapping[str, ChannelTable], kind: Kind, transmission: TransmissionTable | None, drive: Drive
-) -> str | None:
+def torque_unit(draft: Draft, kind: Kind) -> str | None:
     """Return "A" or "V" for a torque in the drive's own units, None for one in N or N m."""
-    unit = _si_unit("torque", channels, kind, transmission, drive)
+    unit = _si_unit(draft, "torque", kind)
     return None if unit in TORQUE_UNIT.values() else unit
 
 
-def _si_unit(
-    channel: str,
-    channels: Mapping[str, ChannelTable],
-    kind: Kind,
-    transmission: TransmissionTable | None,
-    drive: Drive | None,
-) -> str | None:
+def _si_unit(draft: Draft, channel: str, kind: Kind) -> str | None:
     """Return the unit in which a channel is logged, made SI; None if it cannot be."""
-    table = channels.get(channel)
-    moving = kind_of(_side(channel, table, drive), kind, transmission)
+    table, moving = draft.channels.get(channel), _kind_of(draft, channel, kind)
     known = known_units(channel, moving)
     stated = table.build().stated_unit(known) if table else None
     if stated is None and channel == "injected":
-        torque = _si_unit("torque", channels, kind, transmission, drive)
+        torque = _si_unit(draft, "torque", kind)
         return torque if torque is None or torque in known else known[0]
     if stated is None:
         return known[0]
-    if stated not in known or _lacking(channel, stated, moving, transmission, drive or Drive()):
+    if stated not in known or _lacking(draft, channel, stated, moving):
         return None
-    return (drive or Drive()).resolve_unit(units.unit(stated), moving).si
+    return (draft.drive or Drive()).resolve_unit(units.unit(stated), moving).si
 
 
-def _side(channel: str, table: ChannelTable | None, drive: Drive | None) -> Side:
-    """Return the side of a transmission on which a channel is measured."""
-    declared = None if table is None else table.build()
-    return (drive or Drive()).side(channel, declared)
+def _kind_of(draft: Draft, channel: str, kind: Kind) -> Kind:
+    """Return how a channel's side of a joint moves whose load is of that kind: with a lead the motor turns."""
+    table, transmission = draft.channels.get(channel), draft.transmission
+    side = (draft.drive or Drive()).side(channel, None if table is None else table.build())
+    return "revolute" if transmission and transmission.lead is not None and side == "motor" else kind
 
 
-def _lacking(channel: str, unit: str, kind: Kind, transmission: TransmissionTable | None, drive: Drive) -> str | None:
+def _lacking(draft: Draft, channel: str, unit: str, kind: Kind) -> str | None:
     """Return the end of the sentence on a unit for which a number of the drive is missing."""
+    geared = draft.transmission is not None and draft.transmission.geared
     try:
-        geared = transmission is not None and transmission.geared
-        drive.resolve_unit(units.unit(unit), kind, of_load=channel == "load_position", geared=geared)
+        (draft.drive or Drive()).resolve_unit(units.unit(unit), kind, of_load=channel == "load_position", geared=geared)
     except units.UnitError as error:
         return str(error)
     return None
@@ -372,8 +365,3 @@ def transmission_faults(draft: Draft) -> Iterator[str]:
         named["controller"] = draft.law.side
     for table, side in named.items():
         yield f'{table}.side is "{side}", but nothing lies between motor and load: add [transmission], or leave it out.'
-
-
-def kind_of(side: Side, kind: Kind, transmission: TransmissionTable | None) -> Kind:
-    """Return how a side of a joint of that kind, which is its load's, moves: with a lead the motor turns."""
-    return "revolute" if transmission and transmission.lead is not None and side == "motor" else kind

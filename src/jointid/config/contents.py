@@ -3,34 +3,59 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
+from pydantic import ValidationError
+
+from jointid.common import units
 from jointid.common.errors import JointFileError, MethodError, RecordError
-from jointid.common.progress import Progress, silent
+from jointid.common.messages import Progress, silent
+from jointid.common.parameters import TORQUE_UNIT, Parameter
+from jointid.common.units import Kind
 from jointid.config import serialise
-from jointid.config.consistency import change_parameter, choose_method, needed_channels, torque_unit
-from jointid.config.draft import list_channels
+from jointid.config.consistency import (
+    change_parameter,
+    channel_faults,
+    choose_method,
+    free_faults,
+    method_faults,
+    needed_channels,
+    parameter_faults,
+    record_faults,
+    torque_unit,
+    transmission_faults,
+)
+from jointid.config.controller_gain import controller_gain, unit_faults
+from jointid.config.draft import Draft
+from jointid.config.drive_gains import in_our_words
+from jointid.config.drive_numbers import drive_numbers
+from jointid.config.quantities import Stated, stated_in
+from jointid.config.schema import FileTable, with_gains_meant
 from jointid.config.schema_record import Run, Source, Together
-from jointid.config.validation import check_tables
+from jointid.config.swapped_gains import ask_about_gains
+from jointid.config.table import sentences
 from jointid.estimation.identify import identify
-from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Controller, with_numbers
-from jointid.models.joints import Joint
-from jointid.models.parameters import Parameter
+from jointid.models.controllers.drive_numbers import DriveNumber
+from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.checks import check_record
 from jointid.records.chunks import Log
-from jointid.records.columns import Column
-from jointid.records.drives.drive import Drive
+from jointid.records.columns import Column, known_units
+from jointid.records.drives import Drive
 from jointid.records.reading import read
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.records.writing import write
-from jointid.simulation.loop_input import ClosedLoop
+
+if TYPE_CHECKING:
+    from jointid.controller_id.learned_loop import LearnedLoop
+
+_MOST = 1000  # keys of a table, records of a file
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +75,8 @@ class JointFile:
         runs: records that are identified together.
         together: how they are; see `jointid.SeveralRecords`.
         path: of the joint file; a text is taken to stand in `joint.toml`.
+        stated: numbers that were given with a unit, by the path of their key; a file that is written has them so.
+        said: keys of [controller] that the file gives, and the gains that they say in other words.
 
     Example:
         >>> from jointid.config import loads
@@ -61,7 +88,7 @@ class JointFile:
         ... motor_position = { column = "pos [deg]" }
         ... ''')
         >>> print(file.method, file.joint.torque_unit)
-        IDIM(estimator='ols', effects=()) A
+        IDIM(estimator='ols', effects=(), encoders='as_logged') A
     """
 
     joint: Joint
@@ -76,6 +103,8 @@ class JointFile:
     runs: tuple[Run, ...] = ()
     together: Together = field(default_factory=Together)
     path: Path = field(default=Path("joint.toml"), compare=False)
+    stated: Mapping[str, Stated] = field(default_factory=dict, compare=False, repr=False)
+    said: Collection[str] = field(default=(), compare=False, repr=False)
 
     @classmethod
     def of(cls, tables: Mapping[str, Any], path: Path = Path("joint.toml")) -> Self:
@@ -88,28 +117,83 @@ class JointFile:
         Raises:
             JointFileError: with one sentence for each fault.
         """
-        file = check_tables(tables)
-        channels, gear, drive = file.record.channels.given(), file.transmission, file.drive.build()
-        transmission = gear.transmission(file.joint.kind) if gear else None
-        joint = file.joint.joint(torque_unit(channels, file.joint.kind, gear, drive), transmission, file.gravity)
-        named = list_channels(channels, drive)
-        method = choose_method(file.method.name, named, file.controller is not None, joint.model)
+        file, draft = _check_tables(tables)
+        transmission = file.transmission.transmission(file.joint.kind) if file.transmission else None
+        joint = file.joint.joint(torque_unit(draft, file.joint.kind), transmission, file.gravity)
+        method = choose_method(draft, file.method.name, joint.model)
         assert method is not None
         known = {parameter.name: parameter for parameter in joint.parameters}
         return cls(
             joint=joint,
-            columns={name: table.build() for name, table in channels.items()},
+            columns={name: table.build() for name, table in file.record.channels.given().items()},
             method=file.method.method(method, joint.model),
-            controller=file.controller.refer(transmission) if file.controller else None,
+            controller=file.controller.refer(transmission, controller_gain(draft)) if file.controller else None,
             filtering=file.filtering.build(),
             parameters={name: change_parameter(known[name], table) for name, table in file.parameters.items()},
-            drive=drive,
+            drive=file.joint.drive(file.drive.build()),
             source=file.record.build(),
             name=file.joint.name,
             runs=tuple(table.build() for table in file.records),
             together=file.together.build(),
             path=path,
+            stated=dict(stated_in(file)),
+            said=with_gains_meant(file.controller.model_fields_set) if file.controller else (),
         )
+
+    @property
+    def torque_per_unit(self) -> float | None:
+        """The torque constant: what takes plain numbers of a controller on the motor's side to torque."""
+        return self.drive.torque_constant or self.drive.torque_per_volt
+
+    def drive_numbers(self, learned: Controller) -> tuple[DriveNumber, ...]:
+        """Return how the drive shows the numbers of a learned law, beside those that this file declares."""
+        return drive_numbers(learned, self.controller, self.said, self.stated, self.joint, self.drive)
+
+    @property
+    def declared_numbers(self) -> tuple[DriveNumber, ...]:
+        """How the drive shows the numbers of the controller that this file declares.
+
+        The torque constant is one of them where it takes the logged torque, and no gain, to its unit.
+        """
+        if self.controller is None:
+            return ()
+        constant = self.torque_per_unit
+        if constant is None or self.scale or not self._is_logged_by_unit("torque"):
+            return self.drive_numbers(self.controller)
+        there = DriveNumber("torque_constant", "torque_constant", self._constant_unit, 1.0, declared=constant)
+        return (*self.drive_numbers(self.controller), there)
+
+    @property
+    def scale(self) -> str:
+        """The torque constant where all values are proportional to it: log and controller are in A or V; else nothing.
+
+        All of it then scales with it, and no record shows an error in it. What is injected in a torque, or a gain in
+        one, would.
+        """
+        constant, gear = self.torque_per_unit, self.joint.transmission
+        if constant is None or "torque" not in self.columns:
+            return ""
+        if any(name in self.columns and not self._is_logged_by_unit(name) for name in ("torque", "injected")):
+            return ""
+        through = 1.0 if gear is None else abs(gear.motor_per_load)
+        if getattr(self.controller, "gain", constant) not in (constant, constant * through):
+            return ""
+        return f"{constant:g} {self._constant_unit}"
+
+    @property
+    def _motor(self) -> Kind:
+        gear = self.joint.transmission
+        return self.joint.kind if gear is None else gear.motor
+
+    @property
+    def _constant_unit(self) -> str:
+        return f"{TORQUE_UNIT[self._motor]}/{'V' if self.drive.torque_constant is None else 'A'}"
+
+    def _is_logged_by_unit(self, name: str) -> bool:
+        """Whether a column is stated in A or V."""
+        column = self.columns.get(name)
+        unit = None if column is None else column.stated_unit(known_units(name, self._motor))
+        return unit is not None and units.unit(unit).dimension in ("current", "voltage")
 
     @property
     def loop(self) -> ClosedLoop | None:
@@ -135,31 +219,57 @@ class JointFile:
         controller, torque = self.controller, record.torque
         limit = controller.law(torque.sample_time).limit if controller is not None and torque is not None else None
         gear = self.joint.transmission
-        check_record(record, limit=limit, side=None if gear is None else gear.side)
+        check_record(
+            record,
+            limit=limit,
+            side=None if gear is None else gear.side,
+            ratio=1.0 if gear is None else abs(gear.motor_per_load),
+        )
         return record
 
     def identify(self, record: Record, progress: Progress = silent) -> Estimate:
-        """Identify the joint from a record, as the file says.
+        """Identify the joint from a record, as the file says; its loop is not checked, see `jointid.check_loop`.
+
+        Args:
+            record: what `record` gave.
+            progress: is told each step, and first of gains that look swapped, which is a warning of the estimate, too.
+
+        Raises:
+            JointidError: see `jointid.identify`.
+        """
+        model = self.loop or self.joint
+        asked = ask_about_gains(self.controller, record.reference)
+        if asked is not None:
+            progress(asked)
+        estimate = identify(
+            record, model, self.method, filtering=self.filtering, parameters=self.parameters, progress=progress
+        )
+        warnings = estimate.checks.warnings if asked is None else (asked, *estimate.checks.warnings)
+        return estimate.amended(data={"torque_constant": self.scale}, checks={"warnings": warnings})
+
+    def learn_controller(self, record: Record, progress: Progress = silent) -> LearnedLoop:
+        """Learn the controller, in its own units, which the torque constant or the gain of [controller] says.
 
         Args:
             record: what `record` gave.
             progress: is told each step.
 
         Raises:
-            JointidError: see `jointid.estimation.identify.identify`.
+            JointidError: see `jointid.learn_loop`.
         """
-        model = self.loop or self.joint
-        return identify(
-            record, model, self.method, filtering=self.filtering, parameters=self.parameters, progress=progress
+        from jointid.controller_id.learn import learn_loop
+
+        gain: float = getattr(self.controller, "gain", 1.0)
+        if gain != 1.0:  # of the motor's torque; the record's is the joint's
+            gain *= abs(getattr(self.controller, "ratio", 1.0))
+        return learn_loop(
+            record, gain=gain, transmission=self.joint.transmission, declared=self.controller, progress=progress
         )
 
     @property
     def tells_of_its_loop(self) -> bool:
-        """True if a check of the loop may begin at its estimate.
-
-        The paper's search need not end where least squares would, and its loop would be blamed for that.
-        """
-        return not isinstance(self.method, FlexibleDIDIM) or self.method.minimiser == "least-squares"
+        """True if a check of the loop may begin at its estimate."""
+        return self.method.tells_of_its_loop
 
     def log(self, path: str | os.PathLike[str] | None = None) -> Log:
         """Return the record as one that is read in chunks, when it is asked for; see `record`.
@@ -269,23 +379,78 @@ class JointFile:
             JointFileError: a joint file has no word for the friction or the controller, or the method is for the other
                 model.
         """
-        model = {parameter.name: parameter for parameter in self.joint.parameters}
+        model, gear = {parameter.name: parameter for parameter in self.joint.parameters}, self.joint.transmission
         channels = {name: serialise.settings(column) for name, column in self.columns.items()}
         parameters = {name: serialise.parameter_table(p, model.get(name, p)) for name, p in self.parameters.items()}
         record = {**serialise.settings(self.source, "options"), **self.source.options, "channels": channels}
         tables = {
-            "joint": serialise.joint_table(self.joint, self.name),
-            "transmission": serialise.transmission_table(self.joint.transmission),
-            "gravity": serialise.gravity_table(self.joint.gravity, self.joint.transmission),
+            "joint": serialise.joint_table(self.joint, self.name) | serialise.torque_constant(self.drive, self.joint),
+            "transmission": {} if gear is None else serialise.settings(gear, "load"),
+            "gravity": serialise.gravity_table(self.joint.gravity, gear),
             "record": record,
-            "drive": serialise.settings(self.drive),
+            "drive": serialise.settings(self.drive, "torque_constant", "torque_per_volt"),
             "controller": {}
             if self.controller is None
-            else serialise.controller_table(self.controller, self.joint.transmission),
+            else serialise.controller_table(self.controller, gear, self.torque_per_unit),
             "filtering": serialise.filtering_table(self.filtering),
             "method": serialise.method_table(self.method, self.joint.model),
             "parameters": parameters,
             "records": [serialise.settings(run) for run in self.runs],
             "together": serialise.settings(self.together),
         }
-        return {name: table for name, table in tables.items() if table}
+        return serialise.as_stated({name: table for name, table in tables.items() if table}, self.stated)
+
+
+def _check_tables(raw: Mapping[str, Any]) -> tuple[FileTable, Draft]:
+    """Return the tables of a joint file, as a whole and one by one.
+
+    A file with faults is checked as far as it goes: every table, channel and parameter that is right in itself still
+    takes part in the checks that need several of them.
+
+    Raises:
+        JointFileError: with one sentence for each fault.
+    """
+    faults = list(_crowded(raw))
+    if faults:  # each of so many would be a sentence
+        raise JointFileError(faults)
+    corrected, faults = FileTable.corrected(raw)
+    meant = in_our_words(corrected)
+    draft = Draft.of(meant)
+    try:
+        file = FileTable.model_validate(meant)
+    except ValidationError as error:
+        faults += sentences(error)
+    faults += _faults_between(draft)
+    if faults:
+        raise JointFileError(faults)
+    return file, draft
+
+
+def _faults_between(draft: Draft) -> Iterator[str]:
+    """Yield what is wrong between the tables."""
+    if draft.drive_refusal:
+        yield f"drive{draft.drive_refusal}"
+    yield from unit_faults(draft)
+    yield from transmission_faults(draft)
+    yield from channel_faults(draft)
+    if draft.method is not None:
+        yield from method_faults(draft, draft.method)
+        yield from free_faults("method.free", draft.method.free, draft.controller)
+    if draft.gravity_refusal:
+        yield f"gravity{draft.gravity_refusal}"
+    yield from parameter_faults(draft)
+    yield from record_faults(draft)
+    if draft.together is not None:
+        yield from free_faults("together.free", draft.together.free, draft.controller)
+
+
+def _crowded(raw: Mapping[str, Any], where: str = "The joint file") -> Iterator[str]:
+    """Yield the tables that have more keys, and the lists that have more tables, than anyone writes."""
+    if len(raw) > _MOST:
+        yield f"{where} has {len(raw)} keys; expected at most {_MOST}: is it another kind of file?"
+        return
+    for key, value in raw.items():
+        if isinstance(value, dict):
+            yield from _crowded(value, key)
+        elif isinstance(value, list) and len(value) > _MOST and isinstance(value[0], dict):
+            yield f"{key} lists {len(value)} tables; expected at most {_MOST}: split the joint file."

@@ -4,24 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Any, Self, TypeVar
+from functools import partial
+from typing import Any, Self, TypeVar, get_args
 
 from pydantic import ValidationError
 
-from jointid.config.schema import GravityTable, JointTable, MethodTable, ParameterTable, TransmissionTable
-from jointid.config.schema_controller import LAW_TABLES, LawTable
+from jointid.common.units import Kind
+from jointid.config.schema import (
+    LAW_TABLES,
+    GravityTable,
+    JointTable,
+    LawTable,
+    MethodTable,
+    ParameterTable,
+    TransmissionTable,
+)
 from jointid.config.schema_record import ChannelsTable, ChannelTable, DriveTable, RunTable, TogetherTable
 from jointid.config.table import Table, refusal
 from jointid.estimation.methods.registry import MODELS
 from jointid.models.controllers import Controller
 from jointid.models.joints import Joint
-from jointid.models.parameters import Kind
-from jointid.records.drives.drive import Drive
+from jointid.records.drives import Drive
 from jointid.records.record import CHANNELS
 
 T = TypeVar("T", bound=Table)
 
-KINDS: tuple[Kind, ...] = ("prismatic", "revolute")
+KINDS: tuple[Kind, ...] = get_args(Kind)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +47,8 @@ class Draft:
         geared: whether there is one, right or not.
         channels: the channels that are right.
         named: names of those and of the others, and of those that the drive's profile may find.
-        drive: whose traces the channels are.
+        drive: whose traces the channels are, with the torque constant.
+        drive_refusal: the rest of the sentence on a drive that contradicts the torque constant.
         law: the controller's table.
         controlled: whether the file has a controller, right or not.
         method: how to identify.
@@ -60,6 +69,7 @@ class Draft:
     channels: Mapping[str, ChannelTable]
     named: Collection[str]
     drive: Drive | None
+    drive_refusal: str | None
     law: LawTable | None
     controlled: bool
     method: MethodTable | None
@@ -74,10 +84,15 @@ class Draft:
         kind, controller = table_at(raw, "joint").get("kind"), raw.get("controller")
         listed = records if isinstance(records := raw.get("records"), list) else []
         drives = _part(DriveTable, raw.get("drive", {}))
-        drive = drives.build() if drives else None
+        joint, gravity = _part(JointTable, raw.get("joint")), _part(GravityTable, raw.get("gravity"))
+        drive: Drive | None = drives.build() if drives else None
+        contradicted = None
+        if drive is not None and joint is not None:
+            contradicted = refusal(partial(joint.drive, drive))
+            drive = joint.drive(drive) if contradicted is None else None
+        found = () if drive is None or drive.traces is None else drive.traces.channels
         channels, parameters = table_at(raw, "record", "channels"), table_at(raw, "parameters")
         law = next(filter(None, (_part(law, controller) for law in LAW_TABLES)), None)
-        joint, gravity = _part(JointTable, raw.get("joint")), _part(GravityTable, raw.get("gravity"))
         refused = None if joint is None else refusal(lambda: joint.joint(None, gravity=gravity))
         whole = refused is None and (gravity is not None or "gravity" not in raw)
         return cls(
@@ -95,8 +110,9 @@ class Draft:
                 if (table := _part(ChannelsTable, {name: value}))
             },
             # Of a drive that is wrong nobody knows which channels its profile finds.
-            named=list_channels(channels, drive) if drive is not None else CHANNELS,
+            named=CHANNELS if drive is None else tuple(dict.fromkeys([*channels, *found])),
             drive=drive,
+            drive_refusal=contradicted,
             law=law,
             controlled=controller is not None,
             method=_part(MethodTable, raw.get("method", {})),
@@ -112,12 +128,6 @@ class Draft:
     def controller(self) -> Controller | None:
         """The controller's law."""
         return self.law.controller() if self.law else None
-
-
-def list_channels(channels: Collection[str], drive: Drive | None) -> tuple[str, ...]:
-    """Return the names of the channels that the file declares, or that the drive's profile may find."""
-    profile = None if drive is None else drive.traces
-    return tuple(dict.fromkeys([*channels, *(() if profile is None else profile.channels)]))
 
 
 def _part(model: type[T], raw: object) -> T | None:

@@ -8,19 +8,29 @@ import os
 import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import tomli_w
 
 from jointid.common import messages
-from jointid.common.errors import JointFileError
+from jointid.common.errors import JointFileError, RecordError
+from jointid.common.files import write_whole
+from jointid.common.parameters import POSITION_UNIT
+from jointid.common.settings import settings_of
+from jointid.common.text import number
 from jointid.common.transmission import Transmission
+from jointid.config.consistency import named_method
 from jointid.config.contents import JointFile
+from jointid.config.draft import table_at
+from jointid.config.drive_gains import keys_of_controller
+from jointid.config.schema import with_gains_meant
 from jointid.config.serialise import controller_table
-from jointid.config.validation import named_method
-from jointid.models.controllers import Controller
-from jointid.models.parameters import TORQUE_UNIT
+from jointid.config.toml_text import deepest_key, split_sections
+from jointid.models.controllers import CONTROLLER_UNITS, LAWS, Controller, numbers_of, unit_of_number
+from jointid.models.controllers.drive_numbers import DriveNumber
+from jointid.models.joints import Joint
 
 _PLACE = re.compile(r"(?P<reason>.*) \(at (line (?P<line>\d+), column (?P<column>\d+)|end of document)\)", re.DOTALL)
 
@@ -31,9 +41,8 @@ _OF_RECORD = re.compile(r"\s*(\[\s*record\s*\]|\[\[\s*records\s*\]\])")
 _FILE = re.compile(r"""^(\s*file\s*=\s*)("(?:[^"\\\n]|\\.)*"|'[^'\n]*')""", re.MULTILINE)
 _HEADING = r"\s*\[{{1,2}}\s*({0}|\"{0}\"|'{0}')\s*[.\]]"
 
-_WORD = re.compile(r"\s*[A-Za-z][A-Za-z0-9_-]*\s*")
+_WORD = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 _CONSTANTS = ("true", "false", "inf", "nan")
-_FROM_ZERO = ("torque_filters",)  # lists counted from 0, as in the names of their numbers; all others from 1
 
 
 def load(
@@ -61,14 +70,57 @@ def load(
     if "\0" in str(path):
         raise JointFileError(f"{path} is no path: it holds a zero byte; correct it.")
     try:
-        if (size := path.stat().st_size) > _LARGEST:
-            raise JointFileError(f"{path} has {size} bytes (a joint file has at most {_LARGEST}); is it the record?")
-        text = path.read_text(encoding="utf-8-sig")
+        text = _read(path)
     except OSError as error:
         raise JointFileError(f"{path} cannot be opened ({_reason(error)}); check the path.") from error
     except UnicodeDecodeError as error:
         raise JointFileError(f"{path} is not text in UTF-8 (byte {error.start}); save it as UTF-8.") from error
-    return _build(text, path, changes, method, filtering, friction)
+    return replace(loads(text, path.parent, changes, method=method, filtering=filtering, friction=friction), path=path)
+
+
+def _read(path: Path) -> str:
+    """Return the text of a joint file; no more of it is read than one has, and a device may have no end.
+
+    Raises:
+        JointFileError: it is too long for a joint file.
+        OSError, UnicodeDecodeError: it cannot be opened, or is no text.
+    """
+    with path.open("rb") as file:
+        raw = file.read(_LARGEST + 1)
+    if len(raw) > _LARGEST:
+        size = max(path.stat().st_size, len(raw))
+        raise JointFileError(f"{path} has {size} bytes (a joint file has at most {_LARGEST}); is it the record?")
+    return raw.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
+
+
+def load_to_learn(path: str | os.PathLike[str], changes: Iterable[str] = ()) -> JointFile:
+    """Load a joint file whose controller is to be learned: it need not have one, nor its gains.
+
+    What [controller] says, as the gain of the drive's chain, is kept; a gain of the loop that it does not say is 1.
+
+    Args:
+        path: as of `load`.
+        changes: as of `load`.
+
+    Raises:
+        JointFileError: see `load`.
+    """
+    changes = list(changes)
+    try:
+        tables = apply_changes(_parse(_read(Path(path))), changes)
+        said = table_at(tables, "controller")
+    except (OSError, ValueError, JointFileError):  # said by `load`, with the remedy
+        return load(path, changes)
+    if not isinstance(tables.get("controller", {}), dict):
+        return load(path, changes)
+    law = said.get("law", "cascade")
+    kind: Any = LAWS.get(law) if isinstance(law, str) else None  # mypy does not take a type for something with a hash
+    required = [one for one in settings_of(kind) if one.required] if kind else []
+    known = with_gains_meant(keys_of_controller(tables))
+    stand_ins = [f"controller.{one.name}=1.0" for one in required if one.type is float and one.name not in known]
+    law_said = ["controller.law=cascade"] if law == "cascade" else []
+    file = load(path, [*law_said, *stand_ins, *changes])
+    return replace(file, said=known.intersection(file.said))
 
 
 def loads(
@@ -85,22 +137,11 @@ def loads(
     Args:
         text: TOML.
         folder: from which the path of the record is taken.
-        changes: keys to set before it is checked, each as ``method.frequency=30``.
+        changes: as of `load`.
         method: as of `load`.
         filtering: as of `load`.
         friction: as of `load`.
     """
-    return _build(text, Path(folder) / "joint.toml", changes, method, filtering, friction)
-
-
-def _build(
-    text: str,
-    path: Path,
-    changes: Iterable[str],
-    method: str | None,
-    filtering: str | None,
-    friction: str | None,
-) -> JointFile:
     tables, changes = _parse(text), list(changes)
     if method is not None:
         # A change may bring the controller by which the file's own method is known, but not that method's name.
@@ -114,7 +155,7 @@ def _build(
     for key, choice in choices.items():
         if choice is not None:
             _put(changed, list(key), choice)
-    return JointFile.of(changed, path)
+    return JointFile.of(changed, Path(folder) / "joint.toml")
 
 
 def dumps(file: JointFile) -> str:
@@ -126,9 +167,9 @@ def dumps(file: JointFile) -> str:
     tables = file.tables()
     read_back = JointFile.of(tables)
     if read_back.joint.torque_unit != file.joint.torque_unit:
-        joints, channels = (joint.torque_unit or TORQUE_UNIT[joint.kind] for joint in (file.joint, read_back.joint))
         raise JointFileError(
-            f"The joint's torque is in {joints}, but its channel's in {channels}; give both in one unit."
+            f"The joint's torque is in {file.joint.force_unit}, but its channel's in {read_back.joint.force_unit}; "
+            "give both in one unit."
         )
     return tomli_w.dumps(tables)
 
@@ -140,13 +181,12 @@ def save(file: JointFile, path: str | os.PathLike[str]) -> None:
         JointFileError: the file cannot be written, or see `dumps`.
     """
     text = dumps(file)
-    try:
-        Path(path).write_text(text, encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise JointFileError(f"{path} cannot be written ({_reason(error)}); check the folder.") from error
+    _write(path, text)
 
 
-def save_with_controller(file: JointFile, controller: Controller, path: Path) -> None:
+def save_with_controller(
+    file: JointFile, controller: Controller, path: Path, record: str | os.PathLike[str] | None = None
+) -> None:
     """Write a joint file with its [controller] another one; all else of its text, comments too, stays as it is.
 
     But for the paths of records: in another folder they lead to the same files from there.
@@ -155,66 +195,95 @@ def save_with_controller(file: JointFile, controller: Controller, path: Path) ->
         file: the joint file, loaded from a path: its text is taken from there.
         controller: what takes the place of the one there.
         path: to write to; a file that is there is replaced.
+        record: the record that the file is to name, instead of the one it names.
 
     Raises:
         JointFileError: a file cannot be read or written.
     """
     try:
-        text = with_controller(file.path.read_text(encoding="utf-8-sig"), controller, file.joint.transmission)
-        path.write_text(with_paths(text, file.path.parent, path.parent), encoding="utf-8", newline="\n")
+        written = learned_text(file, controller)
+        text = with_table(file.path.read_text(encoding="utf-8-sig"), written)
+        text = with_paths(text, file.path.parent, path.parent)
+        if record is not None and not file.runs:
+            text = with_record(text, _from_there(os.fspath(record), Path.cwd(), path.parent))
     except OSError as error:
         raise JointFileError(f"{error.filename} cannot be used ({error.strerror}); check the folder.") from error
+    _write(path, text)
 
 
-def controller_text(controller: Controller, transmission: Transmission | None = None) -> str:
+def _write(path: str | os.PathLike[str], text: str) -> None:
+    try:
+        write_whole(path, text)
+    except RecordError as error:
+        raise JointFileError(error.faults) from error
+
+
+def controller_text(
+    controller: Controller,
+    transmission: Transmission | None = None,
+    torque_per_unit: float | None = None,
+    joint: Joint | None = None,
+    shown: Iterable[DriveNumber] = (),
+) -> str:
     """Return the table [controller] of a joint file as TOML.
 
     Args:
         controller: any of the laws there are.
         transmission: between the joint and the controller, if there is one.
+        torque_per_unit: the torque constant of the joint file, which a gain need not say again.
+        joint: whose units stand beside the gains, as comments; without it none do.
+        shown: how the drive shows the numbers, which stands there, too.
 
     Raises:
         JointFileError: a joint file has no word for the controller.
     """
-    return tomli_w.dumps({"controller": controller_table(controller, transmission)})
+    text = tomli_w.dumps({"controller": controller_table(controller, transmission, torque_per_unit)})
+    return text if joint is None else _with_units(text, controller, joint, {one.number: one for one in shown})
 
 
-def with_controller(text: str, controller: Controller, transmission: Transmission | None = None) -> str:
-    """Return the text of a joint file with its [controller] replaced, or added at its end; all else stays as it is.
+def learned_text(file: JointFile, controller: Controller) -> str:
+    """Return [controller] as TOML for a joint file whose controller was learned: units, and what the drive shows."""
+    shown = file.drive_numbers(controller)
+    return controller_text(controller, file.joint.transmission, file.torque_per_unit, file.joint, shown)
 
-    Where the controller is written without a heading of its own, as ``controller = { ... }``, the whole file is written
-    anew and its comments are lost.
+
+def _with_units(text: str, controller: Controller, joint: Joint, shown: Mapping[str, DriveNumber]) -> str:
+    """Return the lines of a controller, each number's unit behind it, and the number as the drive shows it."""
+    law = numbers_of(controller)
+
+    def comment(name: str, value: float) -> str:
+        unit = unit_of_number(controller, name, POSITION_UNIT[joint.kind], joint.force_unit)
+        there = shown.get(name)
+        if there is None or not there.unit:
+            return unit
+        if there.factor == 1.0 and not (there.inverse or there.per):
+            return there.unit
+        in_si = "" if CONTROLLER_UNITS in unit else f"{unit}; "
+        other = "" if there.name.endswith(name) else f"{there.name} "
+        return f"{in_si}{other}{number(there.of(value, law), 4)} {there.unit} in the drive" if value else unit
+
+    units = {f"{name.rpartition('.')[2]} = {value!r}": comment(name, value) for name, value in law.items()}
+    return "".join(
+        f"{line}{f'  # {units[line]}' if units.get(line) else ''}\n" for line in text.rstrip("\n").split("\n")
+    )
+
+
+def with_table(text: str, written: str) -> str:
+    """Return the text of a joint file with one table replaced, or added at its end; all else stays as it is.
+
+    Where the table is written without a heading of its own, as ``controller = { ... }``, the whole file is written anew
+    and its comments are lost.
 
     Args:
         text: TOML; it need not be a joint file that is complete.
-        controller: what takes the place of the one there.
-        transmission: between the joint and the controller, if there is one.
-
-    Raises:
-        JointFileError: the text is no TOML, or a joint file has no word for the controller.
-    """
-    return _with_table(text, "controller", controller_text(controller, transmission))
-
-
-def with_parameters(text: str, written: str) -> str:
-    """Return the text of a joint file with its [parameters] replaced, or added at its end; see `with_controller`.
-
-    Args:
-        text: TOML; it need not be a joint file that is complete.
-        written: the table as TOML, its heading and its comments included.
+        written: the table as TOML, its heading and its comments included, see `controller_text`.
 
     Raises:
         JointFileError: the text is no TOML.
     """
-    return _with_table(text, "parameters", written)
-
-
-def _with_table(text: str, name: str, written: str) -> str:
-    """Return a TOML text with one of its tables replaced by a text that has that table alone."""
-    tables = _parse(text)
-    made = _join(_sections(text), written, re.compile(_HEADING.format(name)))
-    expected = tables | tomllib.loads(written)
-    return _checked(made, expected)
+    tables, replaced = _parse(text), tomllib.loads(written)
+    (name,) = replaced
+    return _checked(_join(split_sections(text), written, re.compile(_HEADING.format(name))), tables | replaced)
 
 
 def with_paths(text: str, before: Path, after: Path) -> str:
@@ -244,9 +313,33 @@ def with_paths(text: str, before: Path, after: Path) -> str:
         file = _from_there(tomllib.loads(f"file = {line[2]}")["file"], before, after)
         return line[1] + json.dumps(file, ensure_ascii=False)
 
-    sections = _sections(text)
+    sections = split_sections(text)
     made = "".join(_FILE.sub(moved, one, count=1) if _OF_RECORD.match(one) else one for one in sections)
     return _checked(made, expected)
+
+
+def with_record(text: str, file: str) -> str:
+    """Return the text of a joint file that names another record; all else stays as it is.
+
+    Args:
+        text: TOML; it need not be a joint file that is complete.
+        file: path of the record, from the joint file's folder.
+
+    Raises:
+        JointFileError: the text is no TOML.
+    """
+    expected, line = _parse(text), json.dumps(file, ensure_ascii=False)
+    expected["record"] = {**expected.get("record", {}), "file": file}
+    sections = split_sections(text)
+    for i, one in enumerate(sections):
+        if _OF_RECORD.match(one):
+            named, count = _FILE.subn(lambda found: found[1] + line, one, count=1)
+            heading, _, rest = one.partition("\n")
+            sections[i] = named if count else f"{heading}\nfile = {line}\n{rest}"
+            break
+    else:
+        sections.append(f"\n[record]\nfile = {line}\n")
+    return _checked("".join(sections), expected)
 
 
 def _checked(made: str, expected: Mapping[str, Any]) -> str:
@@ -267,24 +360,6 @@ def _from_there(file: str, before: Path, after: Path) -> str:
         return str((before / file).resolve())
 
 
-def _sections(text: str) -> list[str]:
-    """Return a TOML text cut before each heading; what begins with a bracket inside a list is none."""
-    lines, sections, begin = text.splitlines(keepends=True), [], 0
-    for at, line in enumerate(lines):
-        if line.lstrip().startswith("[") and _is_whole("".join(lines[begin:at])):
-            sections.append("".join(lines[begin:at]))
-            begin = at
-    return [*sections, "".join(lines[begin:])]
-
-
-def _is_whole(text: str) -> bool:
-    try:
-        tomllib.loads(text)
-    except tomllib.TOMLDecodeError:
-        return False
-    return True
-
-
 def _join(sections: list[str], written: str, heading: re.Pattern[str]) -> str:
     """Return the sections with those under a heading replaced, in the first one's place, or at the end."""
     kept: list[str] = []
@@ -302,7 +377,7 @@ def _join(sections: list[str], written: str, heading: re.Pattern[str]) -> str:
 
 def _parse(text: str) -> dict[str, Any]:
     """Return the tables of a TOML text."""
-    if any(line.count(".") > _DEEPEST and "," not in line for line in text.splitlines()):
+    if deepest_key(text) > _DEEPEST:
         raise JointFileError("The joint file nests lists or tables too deeply; no key of it needs that.")
     try:
         return tomllib.loads(text)
@@ -364,13 +439,17 @@ def _parse_change(change: str) -> tuple[list[str], Any]:
     if not equals or not key.strip():
         raise JointFileError(f'--set {quoted} is not key=value; write it as "method.frequency=30".')
     try:
+        if deepest_key(change) > _DEEPEST:
+            raise ValueError
         path = list(_path(tomllib.loads(f"{key} = 0")))
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         raise JointFileError(
             f"--set {quoted} names no key; expected one with points, as method.frequency: correct it."
         ) from None
     try:
-        value = text.strip() if _WORD.fullmatch(text) and text.strip() not in _CONSTANTS else _value(text)
+        text = text.strip()
+        word = _WORD.fullmatch(text) is not None and text not in _CONSTANTS
+        (value,) = (text,) if word else tomllib.loads(f"value = {text}").values()
     except (tomllib.TOMLDecodeError, RecursionError, ValueError):
         raise JointFileError(
             f"--set {quoted} has no value that TOML knows; expected a number, true, false, a word, "
@@ -387,16 +466,6 @@ def _path(tables: Mapping[str, Any]) -> Iterator[str]:
             yield from _path(below)
 
 
-def _value(text: str) -> Any:
-    """Return a value that is written in TOML.
-
-    Raises:
-        ValueError: it is none, or more than one.
-    """
-    (value,) = tomllib.loads(f"value = {text.strip()}").values()
-    return value
-
-
 def _put(tables: dict[str, Any], path: list[str], value: Any) -> None:
     """Set the value at a path, with the tables on the way to it.
 
@@ -407,7 +476,7 @@ def _put(tables: dict[str, Any], path: list[str], value: Any) -> None:
     for place, key in enumerate(path):
         last, at = place == len(path) - 1, messages.dot_path(path[:place])
         if isinstance(here, list):
-            first = 0 if path[place - 1] in _FROM_ZERO else 1
+            first = messages.first_place(path[place - 1])
             if not key.isdecimal() or not first <= int(key) < len(here) + first:
                 raise JointFileError(
                     f"{at}.{key} is set, but {at} lists {len(here)}, counted from {first}; name one of them."

@@ -1,4 +1,4 @@
-"""The joint file as a whole, and its tables of the joint and of how it is identified.
+"""The joint file as a whole, and its tables of the joint, of its controller and of how it is identified.
 
 What may stand there, and what it becomes. What a key is when it is left out is the default of the object the table
 becomes; a test holds the two together.
@@ -6,28 +6,59 @@ becomes; a test holds the two together.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import fields
-from typing import Annotated, Any, ClassVar, Literal
+import math
+from abc import abstractmethod
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import MISSING, fields, replace
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias, Union
 
-from pydantic import Field
+from pydantic import Field, create_model
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core.core_schema import NullableSchema, WithDefaultSchema
 
 from jointid.common import messages, units
 from jointid.common.messages import Says
-from jointid.common.settings import settings_of
-from jointid.common.transmission import Transmission
-from jointid.config.keys import Bound, Flag, LengthUnit, Natural, Number, Positive, Size, Text, keys_from
-from jointid.config.schema_controller import ControllerTable
+from jointid.common.settings import Declared, settings_of
+from jointid.common.transmission import Side, Transmission
+from jointid.common.units import Kind
+from jointid.config.quantities import Stated
 from jointid.config.schema_record import DriveTable, RecordTable, RunTable, TogetherTable
-from jointid.config.table import Table, accept_by, refusal
+from jointid.config.table import (
+    Bound,
+    Flag,
+    LengthUnit,
+    Matrix,
+    Natural,
+    Number,
+    Numbers,
+    Positive,
+    Size,
+    Table,
+    Text,
+    Typed,
+    accept_by,
+    annotation_of,
+    keys_from,
+    keys_of_kinds,
+    refusal,
+    with_keys,
+    with_unit,
+)
 from jointid.estimation.methods.registry import Method, MethodName, method_of, methods
+from jointid.models.controllers import (
+    FILTERS,
+    LAWS,
+    Controller,
+    DigitalFilter,
+    Filter,
+    StateSpaceController,
+    as_filter,
+)
 from jointid.models.disturbances import Drift, Effect, PositionHarmonics
 from jointid.models.friction import FRICTIONS, friction_named
 from jointid.models.gravity import Counterbalance, Gravity
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
-from jointid.models.parameters import Kind
+from jointid.records.drives import Drive
 from jointid.records.signals.filtering import Filtering
 
 EFFECTS = ("harmonics", "period", "drift")
@@ -41,15 +72,38 @@ FILTERINGS: Mapping[str, Callable[[], Filtering]] = {
 """The presets of [filtering]."""
 
 
+_CONSTANT = "N/A, N m/A, N/V or N m/V"
+
+
 class JointTable(Table):
     """[joint]: what is identified."""
 
-    kind: Literal["prismatic", "revolute"] = Field(description="how the joint moves: m and N, or rad and N m")
+    kind: units.Kind = Field(description="how the joint moves: m and N, or rad and N m")
     model: Literal["rigid", "flexible"] = Field("rigid", description="one inertia, or two joined by a spring")
     friction: Annotated[Text, accept_by(friction_named)] = Field(
         "symmetric", description="the friction's law", json_schema_extra={"enum": list(FRICTIONS)}
     )
     name: Text | None = Field(None, description="what reports call the joint")
+    torque_constant: with_unit(Positive, _CONSTANT) | None = Field(  # type: ignore[valid-type]
+        None,
+        description="of the motor or its amplifier, on the motor's side: takes a torque in A or V, and the output of a "
+        f"controller in A or V, to N m or N; a plain number is per A [{_CONSTANT}]",
+    )
+
+    def drive(self, drive: Drive) -> Drive:
+        """Return a drive with the torque constant."""
+        if self.torque_constant is None:
+            return drive
+        constant = float(self.torque_constant)
+        if self.torque_per == "V":
+            return replace(drive, torque_per_volt=constant)
+        return replace(drive, torque_constant=constant)
+
+    @property
+    def torque_per(self) -> str:
+        """What the torque constant is per: A or V."""
+        text = self.torque_constant.text if isinstance(self.torque_constant, Stated) else "1 N/A"
+        return "V" if "V" in text else "A"
 
     def joint(
         self, torque_unit: str | None, transmission: Transmission | None = None, gravity: GravityTable | None = None
@@ -85,7 +139,7 @@ class GravityTable(Table):
 class TransmissionTable(Table):
     """[transmission]: what lies between motor and load, without loss."""
 
-    lead: Size | None = Field(
+    lead: with_unit(Size, "m") | None = Field(  # type: ignore[valid-type]
         None,
         description="how far a prismatic load goes in one turn of the motor: of a screw, a rack or a belt; the motor "
         "is revolute then [lead_unit]",
@@ -98,8 +152,9 @@ class TransmissionTable(Table):
             yield "", " has neither ratio nor lead; expected one of them: add it."
         elif self.ratio is not None and self.lead is not None:
             yield "lead", f" is {self.lead:g} beside ratio = {self.ratio:g}; expected one of them: leave one out."
-        elif self.lead is None and "lead_unit" in self.model_fields_set:
-            yield "lead_unit", " is there without a lead: leave it out."
+        elif "lead_unit" in self.model_fields_set and (self.lead is None or isinstance(self.lead, Stated)):
+            beside = "without a lead" if self.lead is None else f'beside a lead of "{self.lead.text}"'
+            yield "lead_unit", f" is there {beside}: leave it out."
 
     @property
     def geared(self) -> bool:
@@ -187,6 +242,260 @@ def keys_of(method: type[Method]) -> tuple[str, ...]:
     """Return the keys of [method], beside its name, that a method has."""
     settings = tuple(one.name for one in settings_of(method))
     return (*settings, *(EFFECTS if has_effects(method) else ()), *(("preset",) if hasattr(method, "paper") else ()))
+
+
+_NO_KEYS = ("ratio",)  # which the transmission and `side` say
+
+
+@keys_of_kinds(FILTERS)
+class FilterTable(Table):
+    """[controller.velocity_filter], and each of torque_filters: a filter; a bare list is a numerator."""
+
+    shorthand = "numerator"
+
+    kind: Literal[*FILTERS] | None = Field(  # type: ignore[valid-type]
+        None, description="which filter; it may be left out where the other keys are those of one kind alone"
+    )
+
+    cutoff: with_unit(Positive, "Hz") | None = Field(  # type: ignore[valid-type]
+        None,
+        description="of first_order: 1 / (2 pi time_constant), in place of it; of second_order: its frequency [Hz]",
+    )
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield what is missing, what is of another kind, and that there is no such filter."""
+        meant = self._meant()
+        if self.kind is None and len(meant) > 1:
+            yield "kind", messages.missing(messages.either(meant), "which filter")
+            return
+        kind = meant[0]
+        known = fields(FILTERS[kind])
+        given, names = self._given(kind), [field.name for field in known]
+        if "cutoff" in given:
+            twice = f" is {self.cutoff:g} Hz beside {_CUTOFFS.get(kind)}, which says the same: leave one out."
+            yield "cutoff", twice if kind in _CUTOFFS else messages.foreign(kind, names)
+            return
+        foreign = [key for key in given if key not in names]
+        for key in foreign:
+            yield key, messages.foreign(kind, names)
+        lacking = [f.name for f in known if (f.default is MISSING or f.name == "numerator") and f.name not in given]
+        for key in lacking:
+            yield key, self.lacks(key)
+        if not foreign and not lacking and (refused := refusal(self.filter)):
+            yield "denominator" if kind == "digital" else "", refused
+
+    def _meant(self) -> list[str]:
+        """Return the kinds that have every key that is given: the one that is named, or else all that can be."""
+        if self.kind is not None:
+            return [self.kind]
+        found = []
+        for kind, made in FILTERS.items():
+            names = {one.name: one.default is MISSING for one in fields(made)}
+            given = self._given(kind)
+            if set(given) <= set(names) and all(name in given for name, needed in names.items() if needed):
+                found.append(kind)
+        return found or list(FILTERS)
+
+    def _given(self, kind: str) -> dict[str, Any]:
+        """Return what is given, a cut-off as the setting that a filter of that kind has for it."""
+        given = self.settings("kind")
+        name = _CUTOFFS.get(kind)
+        if name is None or name in given or "cutoff" not in given:
+            return given
+        cutoff = given.pop("cutoff")
+        return {name: 1.0 / (2.0 * math.pi * cutoff) if name == "time_constant" else cutoff} | given
+
+    def filter(self) -> Filter | tuple[float, ...]:
+        """Return the filter, or the numerator where that is all there is."""
+        (kind,) = self._meant()
+        made: Filter = FILTERS[kind](**self._given(kind))
+        return made.numerator if isinstance(made, DigitalFilter) and len(self.given()) == 1 else made
+
+
+_CUTOFFS = {"first_order": "time_constant", "second_order": "frequency"}
+"""What of a filter a cut-off frequency says."""
+
+FilterTables = Annotated[list[FilterTable], Says("a list of filters, each a table or the list of a numerator")]
+
+
+def filters(tables: list[FilterTable]) -> tuple[Filter, ...]:
+    """Return the filters of a row."""
+    return tuple(as_filter(table.filter()) for table in tables)
+
+
+_MEANT_ONE = " is {} on many drives; expected {}: write the one that is meant."
+_KP = _MEANT_ONE.format(
+    "the gain of another loop", "velocity_gain for the Kp of a drive's speed loop, position_gain for the kp of the "
+    "paper or of a position controller"
+)  # fmt: skip
+_KV = _MEANT_ONE.format(
+    "the gain of another loop", "position_gain for the Kv of a drive's position loop, velocity_gain for the kv of the "
+    "paper"
+)  # fmt: skip
+_KI = _MEANT_ONE.format("a gain on some and a time", 'integral_gain, or integral_time = "6 ms" for a Tn')
+_KD = _MEANT_ONE.format("a gain on some and a time", 'derivative_gain, or derivative_time = "2 ms" for a Td')
+_TN = ' is called integral_time here; write that, as integral_time = "6 ms".'
+_TD = ' is called derivative_time here; write that, as derivative_time = "2 ms".'
+
+AMBIGUOUS: Mapping[str, str] = {
+    "kp": _KP, "Kp": _KP, "KP": _KP, "kv": _KV, "Kv": _KV, "KV": _KV, "ki": _KI, "Ki": _KI, "KI": _KI,
+    "kd": _KD, "Kd": _KD, "KD": _KD, "Tn": _TN, "tn": _TN, "Ti": _TN, "ti": _TN, "Td": _TD, "td": _TD, "Tv": _TD,
+}  # fmt: skip
+"""Names of gains that mean one loop's on one drive and the other's on another, with the rest of the sentence."""
+
+
+class LawTable(Table):
+    """A law: which one it is, and the side of its numbers."""
+
+    ambiguous: ClassVar = AMBIGUOUS
+
+    law: str = Field(description="the controller's law")
+    side: Side = Field("motor", description="of the transmission, in whose positions and torque the law's numbers are")
+
+    @abstractmethod
+    def controller(self) -> Controller:
+        """Return the controller, on its own side."""
+
+    def refer(self, transmission: Transmission | None, gain: float = 1.0) -> Controller:
+        """Return the controller as a joint sees it through its transmission, its output in units of that gain."""
+        made: Any = replace(self.controller(), gain=gain)  # type: ignore[type-var]
+        seen: Controller = made if transmission is None else replace(made, ratio=transmission.torque(self.side))
+        return seen
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield that there is no such law; what depends on the period is seen where the file has one."""
+        period = self.period
+        if refused := refusal(lambda: self.controller() if period is None else self.controller().law(period)):
+            yield "", refused
+
+
+class DrawnTable(LawTable):
+    """A law that is drawn: it may filter velocity and torque."""
+
+    def settings(self, *without: str) -> dict[str, Any]:
+        """Return what the law is made of."""
+        found = super().settings("law", "side", "velocity_filter", "torque_filters", *without)
+        for time, (gain, made) in _TIMES.items():
+            if time in found:
+                found[gain] = made(found.pop(time), found["position_gain"] if self.law != "cascade" else 1.0)
+        if self.velocity_filter is not None:
+            found["velocity_filter"] = self.velocity_filter.filter()
+        return found | ({"torque_filters": filters(self.torque_filters)} if self.torque_filters else {})
+
+    def controller(self) -> Controller:
+        """Return the controller."""
+        made: Controller = LAWS[self.law](**self.settings())
+        return made
+
+    @classmethod
+    def absent(cls, given: Collection[str]) -> Iterator[tuple[str, str]]:
+        """Yield the gains that are needed and are not there, nor the time that is another word for them."""
+        for time, (gain, _) in _TIMES.items():
+            needed = time in cls.model_fields and cls.model_fields[gain].default is None
+            if needed and not {time, gain} & set(given):
+                yield gain, cls.lacks(gain).removesuffix(": add it.") + f": add it, or {time}."
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield a time beside the gain that it is another word for, and neither of them where one is needed."""
+        wrong = [*self.absent(self.model_fields_set)]
+        for time, (gain, _) in _TIMES.items():
+            if {time, gain} <= self.model_fields_set:
+                said = f" = {getattr(self, time):g} s stands beside {gain}, which says the same: leave one out."
+                wrong.append((time, said))
+        yield from wrong or super().faults()
+
+
+class InputColumns(Table):
+    """[controller.B]: the column of each input; one that is left out is 0."""
+
+    reference: Numbers | None = Field(None, description="of the reference")
+    reference_velocity: Numbers | None = Field(None, description="of the reference's velocity")
+    position: Numbers | None = Field(None, description="of the motor position")
+    excess: Numbers | None = Field(None, description="of what the limit cut off")
+
+
+class InputGains(Table):
+    """[controller.D]: the direct gain of each input; one that is left out is 0."""
+
+    reference: Number | None = Field(None, description="of the reference")
+    reference_velocity: Number | None = Field(None, description="of the reference's velocity")
+    position: Number | None = Field(None, description="of the motor position, usually negative")
+
+
+@keys_from(StateSpaceController, without=(*_NO_KEYS, "reference_delay"))
+class StateSpaceTable(LawTable):
+    """[controller] with law = "state_space": any discrete linear law."""
+
+    law: Literal["state_space"] = Field(description="the controller's law")
+    A: Matrix = Field(description="how the states go on: n rows of n numbers")
+    B: InputColumns = Field(description="how each input moves the states: n numbers")
+    C: Numbers = Field(description="output row: n numbers")
+    D: InputGains = Field(description="direct gain of each input: a number")
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield that the shapes do not fit."""
+        if len({len(row) for row in self.A}) > 1:
+            lengths = ", ".join(str(len(row)) for row in self.A)
+            yield "A", f" has rows of {lengths} numbers; expected rows of one length: complete them."
+        else:
+            yield from super().faults()
+
+    def controller(self) -> StateSpaceController:
+        """Return the controller."""
+        return StateSpaceController(B=self.B.given(), D=self.D.given(), **self.given("law", "side", "B", "D"))
+
+
+_TIMES: Mapping[str, tuple[str, Callable[[float, float], float]]] = {
+    "integral_time": ("integral_gain", lambda time, gain: gain / time),
+    "derivative_time": ("derivative_gain", lambda time, gain: gain * time),
+}
+"""Keys that are times, the gain that each is another word for, and that gain by the time and the proportional gain."""
+
+_MEANT = {
+    ("cascade", "integral_time"): "integral time Tn of the velocity loop, 1 over its integral gain",
+    ("pd", "derivative_time"): "derivative time Td: derivative_gain = position_gain x derivative_time",
+    ("pid", "derivative_time"): "derivative time Td: derivative_gain = position_gain x derivative_time",
+    ("pid", "integral_time"): "integral time Ti: integral_gain = position_gain / integral_time",
+}
+
+
+def with_gains_meant(keys: Iterable[str]) -> frozenset[str]:
+    """Return keys of [controller] and the gains that they say in other words: integral_gain for integral_time."""
+    given = list(keys)
+    return frozenset([*given, *(_TIMES[key][0] for key in given if key in _TIMES)])
+
+
+def _declared(law: Any) -> tuple[Declared, ...]:
+    return settings_of(law)
+
+
+def _table_of(word: str, law: type[Any]) -> type[LawTable]:
+    """Return the table of a law that is drawn."""
+    make: Any = create_model
+    times: dict[str, Typed] = {}
+    types: dict[str, Typed] = {"velocity_filter": (FilterTable, None), "torque_filters": (FilterTables, [])}
+    for (of, time), meaning in _MEANT.items():
+        if of == word:
+            gain = _TIMES[time][0]
+            (declared,) = [one for one in _declared(law) if one.name == gain]
+            times[time] = (with_unit(Positive, "s") | None, Field(None, description=f"{meaning} [s]"))
+            types |= {gain: (annotation_of(declared), None)} if declared.required else {}
+    made: type[LawTable] = make(
+        f"{law.__name__}Table",
+        __base__=DrawnTable,
+        __module__=__name__,
+        __doc__=f'[controller] with law = "{word}".',
+        law=(Literal[word], Field(description="the controller's law")),
+    )
+    return with_keys(times)(keys_from(law, without=_NO_KEYS, types=types)(made))
+
+
+LAW_TABLES: tuple[type[LawTable], ...] = tuple(
+    StateSpaceTable if law is StateSpaceController else _table_of(word, law) for word, law in LAWS.items()
+)
+"""The tables of the laws there are."""
+
+ControllerTable: TypeAlias = Annotated[Union[LAW_TABLES], Field(discriminator="law")]  # type: ignore[valid-type] # noqa: UP007
 
 
 class ParameterTable(Table):

@@ -5,18 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
 from jointid.common.settings import declare, documented, setting, settings_of
 from jointid.common.units import units_of
-from jointid.config.keys import Flag, Text, keys_from
-from jointid.config.table import Table, accept_by, refusal
+from jointid.config.table import Flag, Table, Text, accept_by, keys_from, refusal
 from jointid.records.clock import CLOCK_TOLERANCE
 from jointid.records.columns import Column
-from jointid.records.drives.drive import Drive
+from jointid.records.drives import Drive
 from jointid.records.formats import Csv, format_of
 from jointid.records.record import Channel, Injection
 from jointid.records.resampling import Resampling
@@ -165,9 +164,14 @@ class RecordTable(Table):
         return Source(**self.given("channels", "resample", *options), resample=resample, options=options)
 
 
-@keys_from(Drive)
+@keys_from(Drive, without=("torque_constant", "torque_per_volt"))
 class DriveTable(Table):
     """[drive]: whose traces the record is made of, and the numbers behind the drive's own units."""
+
+    ambiguous: ClassVar = {
+        "torque_constant": " is said once, for torque and controller: write it below [joint], as "
+        'torque_constant = "0.72 N m/A".'
+    }
 
 
 @keys_from(Run)

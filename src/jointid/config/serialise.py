@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import math
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, fields, replace
 from typing import Any
@@ -9,8 +11,10 @@ from typing import Any
 import numpy as np
 
 from jointid.common.errors import JointFileError
+from jointid.common.parameters import TORQUE_UNIT, Parameter
 from jointid.common.settings import settings_of
 from jointid.common.transmission import SIDES, Transmission
+from jointid.config.quantities import Stated
 from jointid.config.schema import FILTERINGS
 from jointid.estimation.methods.registry import Method, method_of
 from jointid.models.controllers import FILTERS, LAWS, Controller, DigitalFilter
@@ -18,7 +22,7 @@ from jointid.models.disturbances import Drift, Effect, PositionHarmonics
 from jointid.models.friction import FRICTIONS
 from jointid.models.gravity import Gravity
 from jointid.models.joints import Joint
-from jointid.models.parameters import Parameter
+from jointid.records.drives import Drive
 from jointid.records.resampling import Resampling
 from jointid.records.signals.filtering import Filtering
 
@@ -47,11 +51,6 @@ def joint_table(joint: Joint, name: str | None) -> dict[str, Any]:
     return table if name is None else {**table, "name": name}
 
 
-def transmission_table(transmission: Transmission | None) -> dict[str, Any]:
-    """Return [transmission]."""
-    return {} if transmission is None else settings(transmission, "load")
-
-
 def gravity_table(gravity: Gravity | None, transmission: Transmission | None) -> dict[str, Any]:
     """Return [gravity]; its angle is that of the load, whatever the side."""
     if gravity is None:
@@ -61,8 +60,10 @@ def gravity_table(gravity: Gravity | None, transmission: Transmission | None) ->
     return settings(replace(gravity, angle=angle), "counterbalance") | ({"counterbalance": balance} if balance else {})
 
 
-def controller_table(controller: Controller, transmission: Transmission | None = None) -> dict[str, Any]:
-    """Return [controller]."""
+def controller_table(
+    controller: Controller, transmission: Transmission | None = None, torque_per_unit: float | None = None
+) -> dict[str, Any]:
+    """Return [controller]; its gain only where it is not the torque constant of the file it goes to."""
     law = _LAWS.get(type(controller))
     if law is None:
         raise JointFileError(
@@ -77,7 +78,44 @@ def controller_table(controller: Controller, transmission: Transmission | None =
             "its joint's transmission has it."
         )
     side = {} if sides[0] == "motor" else {"side": sides[0]}
-    return {"law": law, **settings(controller, "ratio"), **side}
+    gain: float = getattr(controller, "gain", 1.0)
+    through = 1.0 if transmission is None or sides[0] == "motor" else abs(transmission.motor_per_load)
+    said = {} if gain == (1.0 if torque_per_unit is None else torque_per_unit * through) else {"gain": gain}
+    return {"law": law, **settings(controller, "ratio", "gain"), **said, **side}
+
+
+def torque_constant(drive: Drive, joint: Joint) -> dict[str, Any]:
+    """Return the torque constant as a key of [joint]."""
+    if drive.torque_constant is not None:
+        return {"torque_constant": drive.torque_constant}
+    kind = joint.kind if joint.transmission is None else joint.transmission.motor
+    per_volt = drive.torque_per_volt
+    return {} if per_volt is None else {"torque_constant": f"{per_volt!r} {TORQUE_UNIT[kind]}/V"}
+
+
+def as_stated(tables: dict[str, Any], stated: Mapping[str, Stated]) -> dict[str, Any]:
+    """Return tables with the numbers that still are what was given with a unit in those words."""
+    written = copy.deepcopy(tables)
+    for path, number in stated.items():
+        *above, key = path.split(".")
+        table: Any = written
+        for name in above:
+            table = table.get(name) if isinstance(table, dict) else None
+        if not isinstance(table, dict):
+            continue
+        gain, value = key, float(number)
+        if key == "integral_time":  # the position gain may already stand in its own words
+            proportional = tables["controller"].get("position_gain", math.nan) if table["law"] == "pid" else 1.0
+            gain, value = "integral_gain", proportional / value
+        if _same(table.get(gain), value):
+            del table[gain]
+            table[key] = number.text
+    return written
+
+
+def _same(value: Any, number: float) -> bool:
+    """Return True if a value is that number, or a text that begins with it: in SI."""
+    return value == number or (isinstance(value, str) and value.split(maxsplit=1)[:1] == [repr(number)])
 
 
 def filtering_table(filtering: Filtering) -> dict[str, Any]:

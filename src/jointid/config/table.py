@@ -1,24 +1,43 @@
-"""A table of the joint file: pydantic checks it, and what is wrong comes out in sentences of our own.
+"""A table of the joint file and its keys: pydantic checks it, and what is wrong comes out in sentences of our own.
 
 Every kind of value says in words what is expected of it (`Says`). A fault then needs no more than the value that
 was received, whichever rule was broken, and none of pydantic's wording reaches the user.
+
+Keys are made from the settings of dataclasses: what a key may hold, its default and its description are those of the
+setting's declaration (`jointid.common.settings`).
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import chain
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeAlias, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, TypeAlias, TypeVar, get_args, get_origin
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, ModelWrapValidatorHandler, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ModelWrapValidatorHandler,
+    ValidationError,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+    create_model,
+    model_validator,
+)
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from jointid.common import messages
 from jointid.common.errors import JointidError
 from jointid.common.messages import Says
+from jointid.common.settings import Declared, settings_of
+from jointid.common.units import units_of
+from jointid.config.quantities import Stated, is_quantity, misfit, stated, units_declared
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-
     from pydantic import GetJsonSchemaHandler
     from pydantic.fields import FieldInfo
     from pydantic.json_schema import JsonSchemaValue
@@ -41,6 +60,9 @@ class Table(BaseModel):
     decided_by: ClassVar[Mapping[str, str]] = {}
     """Keys that hold one table or another, as a key of that table decides: controller by law."""
 
+    ambiguous: ClassVar[Mapping[str, str]] = {}
+    """What is no key because it may mean several, with the rest of the sentence that says which."""
+
     builds: ClassVar[Any] = None
     """The dataclass whose settings its keys are, where that is one."""
 
@@ -56,16 +78,45 @@ class Table(BaseModel):
     def given(self, *without: str) -> dict[str, Any]:
         """Return the values that stand in the file, by key, without those named."""
         keys = [key for key in type(self).model_fields if key in self.model_fields_set and key not in without]
-        return {key: getattr(self, key) for key in keys}
+        given = {key: getattr(self, key) for key in keys}
+        return {key: float(value) if isinstance(value, Stated) else value for key, value in given.items()}
 
     def settings(self, *without: str) -> dict[str, Any]:
         """Return the values that stand in the file as the settings of a dataclass, by key, without those named."""
         given = self.given(*without)
         return {key: tuple(value) if isinstance(value, list) else value for key, value in given.items()}
 
-    def lacks(self, key: str) -> str:
+    @classmethod
+    def corrected(cls, raw: Mapping[str, Any], *path: str) -> tuple[dict[str, Any], list[str]]:
+        """Return a table and those below it with each misspelt key as it is meant, and a sentence on each of them.
+
+        What is looked for beside it is then not missed as well.
+        """
+        found, faults = dict[str, Any](), list[str]()
+        for key, value in raw.items():
+            meant = key
+            if key not in cls.model_fields and key not in cls.ambiguous:
+                near = messages.nearest(key, cls.model_fields)
+                if near is not None and near not in raw and near not in found:
+                    meant = near
+                    faults.append(f"{messages.dot_path([*path, key])}{messages.unknown(key, cls.model_fields)}")
+            field = cls.model_fields.get(meant)
+            below = [] if field is None or get_origin(field.annotation) in (dict, list) else _tables(field)
+            found[meant] = value
+            if len(below) == 1 and isinstance(value, dict):
+                found[meant], more = below[0].corrected(value, *path, key)
+                faults += more
+        return found, faults
+
+    @classmethod
+    def absent(cls, given: Collection[str]) -> Iterator[tuple[str, str]]:
+        """Yield what is missing beside the keys that are given, though no key by itself is needed."""
+        yield from ()
+
+    @classmethod
+    def lacks(cls, key: str) -> str:
         """Return the rest of the sentence on a key that is needed beside the others and not there."""
-        field = type(self).model_fields[key]
+        field = cls.model_fields[key]
         return messages.missing(_expectation(field).expected, field.description or "")
 
     if TYPE_CHECKING:  # keys that are generated
@@ -81,7 +132,12 @@ class Table(BaseModel):
             table = handler(raw)
             found: list[Fault] = [((key,) if key else (), sentence) for key, sentence in table.faults()]
         except ValidationError as error:
-            found = [cls._fault(details, raw, short) for details in error.errors(include_url=False)]
+            given = set(raw) if isinstance(raw, dict) else set[str]()
+            faulty = error.errors(include_url=False)
+            absent = [((key,), sentence) for key, sentence in cls.absent(given)] if given else []
+            if given & set(cls.ambiguous):  # which may be what is missing
+                faulty, absent = [one for one in faulty if one["type"] != "missing"], []
+            found = [*(cls._fault(one, raw, short) for one in faulty), *absent]
         else:
             if not found:
                 return table
@@ -100,7 +156,7 @@ class Table(BaseModel):
             return (key, *(below[1:] if key in cls.decided_by else below)), error["ctx"]["sentence"]
         field = cls.model_fields.get(str(key))
         if field is None:
-            return (key,), messages.unknown(str(key), cls.model_fields)
+            return (key,), cls.ambiguous.get(str(key)) or messages.unknown(str(key), cls.model_fields)
         if error["type"].startswith("union_tag"):
             deciding = cls.decided_by[str(key)]
             return (key, deciding), _describe_undecided(deciding, field, raw[key])
@@ -202,3 +258,207 @@ def _unfolded(annotation: Any) -> Iterator[Any]:
         yield annotation
     else:
         yield from chain.from_iterable(map(_unfolded, get_args(annotation)))
+
+
+# Keys made from settings
+
+T = TypeVar("T", bound=Table)
+Typed = tuple[Any, Any]
+"""The annotation of a key, and its default, or what makes it; ... for one that is required."""
+
+_LENGTH_UNITS = units_of("length")
+MOST = 10**9
+"""Of what is counted."""
+
+
+def _not_nan(value: float) -> float:
+    if math.isnan(value):
+        raise ValueError
+    return value
+
+
+def _dotted(value: object) -> object:
+    """Return a table of tables as one, of names with points: TOML reads ``filter.depth = 0.1`` as a table below."""
+    if not isinstance(value, dict):
+        return value
+    found: dict[str, object] = {}
+    for key, below in value.items():
+        inner = _dotted(below)
+        found |= {f"{key}.{name}": one for name, one in inner.items()} if isinstance(inner, dict) else {key: inner}
+    return found
+
+
+def _length_unit(name: str) -> str:
+    if name not in _LENGTH_UNITS:
+        raise ValueError
+    return name
+
+
+Text = Annotated[str, Field(min_length=1), Says("text in quotes")]
+LengthUnit = Annotated[str, AfterValidator(_length_unit), Says(f"a unit of length, one of {', '.join(_LENGTH_UNITS)}")]
+Flag = Annotated[bool, Says("true or false")]
+
+Number = Annotated[float, Field(allow_inf_nan=False), Says("a number")]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False), Says("a positive number")]
+Bound = Annotated[float, AfterValidator(_not_nan), Says("a number, inf or -inf")]
+
+Size = Annotated[
+    float, Field(gt=0, allow_inf_nan=False), Says("a positive number", "use sign = -1 to turn the load round")
+]
+
+Natural = Annotated[int, Field(ge=0, le=MOST), Says("a whole number, 0 or more")]
+Borders = Annotated[list[Natural], Field(min_length=2, max_length=2), Says("a list of two whole numbers, 0 or more")]
+
+Names = Annotated[list[Text], Says("a list of names in quotes")]
+Numbers = Annotated[list[Number], Says("a list of numbers")]
+Coefficients = Annotated[list[Number], Field(min_length=1), Says("a list of one or more numbers")]
+Matrix = Annotated[list[list[Number]], Says("a list of rows, each a list of numbers")]
+ControllerNumbers = Annotated[dict[str, Number], BeforeValidator(_dotted)]
+"""By their names, those of a filter with points."""
+
+_PLAIN: Mapping[Any, Any] = {
+    bool: Flag, str: Text, tuple[str, ...]: Names, tuple[int, int]: Borders, tuple[float, ...]: Coefficients,
+    Mapping[str, float]: ControllerNumbers,
+}  # fmt: skip
+
+
+def keys_from(
+    *owners: type, without: Collection[str] = (), types: Mapping[str, Typed] | None = None
+) -> Callable[[type[T]], type[T]]:
+    """Return the decorator that gives a table a key for each setting of some dataclasses.
+
+    A key that several of them have is optional and says what it means in each, unless they declare it alike.
+
+    Args:
+        owners: the dataclasses.
+        without: names of settings that are no keys, or that the table declares itself.
+        types: annotation and default of keys that hold a table, or something else that is not a setting's own type.
+    """
+    declared: dict[str, list[Declared]] = {}
+    for owner in owners:
+        for one in settings_of(owner):
+            if one.name not in without:
+                declared.setdefault(one.name, []).append(one)
+    keys = {name: _key(same, (types or {}).get(name)) for name, same in declared.items()}
+    return with_keys(keys, owners[0] if len(owners) == 1 else None)
+
+
+def keys_of_kinds(kinds: Mapping[str, type]) -> Callable[[type[T]], type[T]]:
+    """Return the decorator that gives a table every key of several kinds, each optional and described by its kinds.
+
+    Args:
+        kinds: the dataclass of each kind, by the word for it.
+    """
+    declared: dict[str, list[Declared]] = {}
+    for kind, owner in kinds.items():
+        for one in settings_of(owner):
+            described = replace(one.setting, help=f"of {kind}: {one.setting.help}")
+            declared.setdefault(one.name, []).append(replace(one, setting=described))
+    return with_keys({name: _key(same, (annotation_of(same[0]), None)) for name, same in declared.items()})
+
+
+def with_keys(keys: Mapping[str, Typed], builds: type | None = None) -> Callable[[type[T]], type[T]]:
+    """Return the decorator that gives a table further keys."""
+
+    def complete(table: type[T]) -> type[T]:
+        make: Any = create_model
+        made: type[T] = make(table.__name__, __base__=table, __module__=table.__module__, __doc__=table.__doc__, **keys)
+        made.builds = builds
+        return made
+
+    return complete
+
+
+def _key(same: Sequence[Declared], typed: Typed | None) -> Typed:
+    """Return annotation and field of a key, from its declarations."""
+    unit = same[0].setting.unit
+    described = "; ".join(dict.fromkeys(one.setting.help for one in same)) + (f" [{unit}]" if unit else "")
+    annotation, default = typed or (annotation_of(same[0]), _default(same))
+    if callable(default):
+        return annotation, Field(default_factory=default, description=described)
+    return annotation if default is not None else annotation | None, Field(default, description=described)
+
+
+def _default(same: Sequence[Declared]) -> Any:
+    """Return a key's default: None for one that may be left out without one, or with one that differs."""
+    defaults = {str(one.default): one for one in same}
+    if len(defaults) > 1:
+        return None
+    if same[0].required:
+        return ...
+    if same[0].factory is not None:
+        return same[0].factory
+    return _plain(same[0].default)
+
+
+def _plain(value: Any) -> Any:
+    """Return a default as TOML has it; None where it has no word for it."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, tuple):
+        return list(value)
+    return str(value) if isinstance(value, str) else value
+
+
+def annotation_of(one: Declared) -> Any:
+    """Return what pydantic is to check of a setting's value."""
+    found = _annotation_of(one)
+    if one.setting.accept is not None:
+        found = Annotated[found, accept_by(one.setting.accept)]
+    return found | Literal[one.setting.none] if one.setting.none else found
+
+
+def _annotation_of(one: Declared) -> Any:
+    declared = one.setting
+    if declared.choices and declared.accept is not None:
+        return Annotated[Text, Field(json_schema_extra={"enum": list(declared.choices)})]
+    if one.choices:
+        return Literal[*one.choices]
+    allowed = AfterValidator(_check_allowed(one))
+    if declared.only:  # a Literal would take true for 1
+        return Annotated[int, allowed, Field(json_schema_extra={"enum": [*declared.only]}), one.says]
+    if one.type is float:
+        bounds = Field(gt=declared.above, ge=declared.at_least, le=declared.at_most, allow_inf_nan=declared.infinite)
+        number = Annotated[float, bounds, allowed, one.says]
+        return with_unit(number, declared.unit) if units_declared(declared.unit) else number
+    if one.type is int:
+        return Annotated[int, Field(gt=declared.above, ge=declared.at_least, le=declared.at_most or MOST), one.says]
+    return _PLAIN[one.type]
+
+
+def with_unit(number: Any, declared: str) -> Any:
+    """Return the annotation of a number that may be given with a unit too, as a text.
+
+    Args:
+        number: its annotation.
+        declared: its unit, see `units_declared`.
+    """
+
+    def read(value: object, handler: ValidatorFunctionWrapHandler) -> object:
+        if not isinstance(value, str) or not is_quantity(value):
+            return handler(value)
+        if (fault := misfit(value, declared)) is not None:
+            raise _our_error(fault)
+        said = stated(value, declared)
+        handler(float(said))
+        return said
+
+    return Annotated[number, WrapValidator(read), Field(json_schema_extra=_or_text)]
+
+
+def _or_text(described: dict[str, Any]) -> None:
+    """Add to the schema of a number that it may be a text with a unit."""
+    said = ("title", "description", "default")
+    number = {key: described.pop(key) for key in list(described) if key not in said}
+    described["anyOf"] = [number, {"type": "string", "description": "a number with its unit"}]
+
+
+def _check_allowed(one: Declared) -> Callable[[float], float]:
+    """Return the validator of what bounds do not say: that a number is one, and not 0, or one of a few."""
+
+    def check(value: float) -> float:
+        if one.fault(value) is not None:
+            raise ValueError
+        return value
+
+    return check

@@ -8,12 +8,13 @@ law of `structures` is::
 
 w the record's own reference velocity, T(z) the torque's filter; e, w and the first D r, whose sum a6 is of, are held
 by a slower position loop. Each law has some of the coefficients, or ties them: a cascade with an integral is
-``kv (1 + ki S) (kp e + f D r - v)``, linear in ``kv kp``, ``kv f`` and ``kv`` for a given ki.
+``kv (1 + ki S) (kp e + f D r - v)``, linear in ``kv kp``, ``kv f`` and ``velocity_gain`` for a given ki.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,15 +22,7 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.controller_id.loop_record import LoopRecord
 from jointid.controller_id.noise import position_response
-from jointid.controller_id.structures import (
-    ACCELERATION,
-    COULOMB,
-    FIELDS,
-    INTEGRAL,
-    VELOCITY,
-    Structure,
-    filters_of,
-)
+from jointid.controller_id.structures import ACCELERATION, COULOMB, FIELDS, INTEGRAL, VELOCITY, Structure, filters_of
 from jointid.controller_id.structures import CONSTANT as BALANCE
 from jointid.models.controllers import DIRECTION, INJECTED, POSITION, REFERENCE, REFERENCE_VELOCITY
 from jointid.models.controllers.filters import Filter, as_filter
@@ -42,12 +35,14 @@ _ERROR, _SPEED, _FED, _FED_FILTERED, _SUM, _COMMAND, _FILTERED, _CHANNEL, _CHANN
 _VISCOUS, _BENT, _SIGN, _ONE = _BESIDE
 EVERY = np.eye(13)
 """All coefficients free."""
+_OF_TAPS = (_SPEED, _FED_FILTERED, _FILTERED)  # those that the velocity's filter is in
 
 
 def columns(log: LoopRecord, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
     """Return the columns of the module's equation, as the log would show them, (samples, 13).
 
-    Of the numbers those of the filters and the reference's delay are read.
+    Of the numbers those of the filters and the reference's delay are read. Where the velocity's filter has free taps,
+    these are its columns behind a first tap alone; then follow `F D q`, `F D r` and `F q` behind each later one.
 
     Raises:
         MethodError: the filters cannot be.
@@ -57,8 +52,10 @@ def columns(log: LoopRecord, structure: Structure, numbers: Mapping[str, float])
     inputs = log.inputs(rate, structure.curved)
     r, q = (_prepend_line(inputs[:, i] - inputs[0, POSITION], lead, slope) for i in (REFERENCE, POSITION))
     r = _delay(r, numbers.get("reference_delay", 0.0) / period)
-    velocity, torque = filters_of(structure, numbers)
-    filtered = _filter_signals(velocity, np.column_stack([q, r]), period)
+    velocity, torque = _filters(structure, numbers)
+    filtered = np.column_stack([q, r])
+    if not structure.taps:
+        filtered = _filter_signals(velocity, filtered, period)
     speed = _differentiate(filtered, period)
     e, fed = r - q, _differentiate(r, period)
     w, direction = (np.concatenate([np.full(lead, x[0]), x]) for x in inputs[:, [REFERENCE_VELOCITY, DIRECTION]].T)
@@ -75,13 +72,14 @@ def columns(log: LoopRecord, structure: Structure, numbers: Mapping[str, float])
     found = np.column_stack([
         e, speed[:, 0], fed, speed[:, 1], e_sum, fed_sum, speed_sum, w, w_sum,
         viscous, bent, direction, np.ones(r.size),
+        *_later_taps(speed, structure.taps, period, lead),
     ])  # fmt: skip
     return log.as_logged(_filter_signals(torque, found, period)[lead:], rate)
 
 
 def injected_torque(log: LoopRecord, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
     """Return the torque injected before the limit, as the log would show it, (samples, 1)."""
-    rate, (_, torque) = structure.rate, filters_of(structure, numbers)
+    rate, (_, torque) = structure.rate, _filters(structure, numbers)
     signal = log.inputs(rate, structure.curved)[:, [INJECTED]]
     return log.as_logged(_filter_signals(torque, signal, log.period / rate), rate)
 
@@ -129,29 +127,80 @@ def coefficient_columns(structure: Structure, ki: float) -> dict[str, FloatArray
         structure.reference_velocity, EVERY[_FED] + inner * EVERY[_COMMAND]
     )
     speed = -EVERY[_SPEED] - inner * EVERY[_FILTERED]
-    parts = {"kp": EVERY[_ERROR] + inner * EVERY[_SUM]}
+    parts = {"position_gain": EVERY[_ERROR] + inner * EVERY[_SUM]}
     if structure.cascade:
-        parts["kv"] = speed + (fed if structure.reference_velocity == "full" else 0.0)
+        parts["velocity_gain"] = speed + (fed if structure.reference_velocity == "full" else 0.0)
         if structure.reference_velocity in ("share", "channel"):
             parts["velocity_feedforward"] = fed
     else:
         own = {"difference": EVERY[_FED_FILTERED], "channel": EVERY[_CHANNEL]}
-        parts["kd"] = speed + own.get(structure.reference_velocity, 0.0)
+        parts["derivative_gain"] = speed + own.get(structure.reference_velocity, 0.0)
         if structure.integrates:
-            parts["ki"] = EVERY[_SUM]
+            parts["integral_gain"] = EVERY[_SUM]
     beside = {VELOCITY: _VISCOUS, ACCELERATION: _BENT, COULOMB: _SIGN, BALANCE: _ONE}
     parts |= {FIELDS[name]: EVERY[i] for name, i in beside.items() if name in structure.feedforward}
     return parts | ({INTEGRAL: EVERY[_ONE]} if structure.integrates else {})
+
+
+def design(structure: Structure, ki: float, free: bool = False) -> FloatArray:
+    """Return what each number that the torque is linear in multiplies, (columns of `columns`, numbers).
+
+    Free taps are such numbers, times the velocity's gain, in its place.
+
+    Args:
+        structure: of the law.
+        ki: of a cascade.
+        free: whether all columns have a number of their own, or only what the law has.
+    """
+    later = max(structure.taps - 1, 0)
+    if free:
+        return np.eye(EVERY.shape[0] + len(_OF_TAPS) * later)
+    parts = coefficient_columns(structure, ki)
+    mixed = np.column_stack(list(parts.values()))
+    if not later:
+        return mixed
+    gain = parts["velocity_gain" if structure.cascade else "derivative_gain"]
+    beside = gain.copy()
+    beside[list(_OF_TAPS)] = 0.0  # what the gain multiplies whatever its filter
+    taps = np.hstack([np.tile(beside, (later, 1)), np.kron(np.eye(later), gain[list(_OF_TAPS)])])
+    return np.hstack([np.vstack([mixed, np.zeros((taps.shape[1] - mixed.shape[0], mixed.shape[1]))]), taps.T])
+
+
+def split_taps(structure: Structure, found: FloatArray) -> tuple[FloatArray, dict[str, float]]:
+    """Return the coefficients of the module's equation, (13,), and the later taps, from those of all `columns`.
+
+    The taps are those of the velocity: where all columns are free, the reference's may be others.
+    """
+    gains = found[: EVERY.shape[0]].copy()
+    if not structure.taps:
+        return gains, {}
+    later = found[EVERY.shape[0] :].reshape(-1, len(_OF_TAPS))
+    gains[list(_OF_TAPS)] += later.sum(axis=0)
+    whole = gains[_SPEED] or 1.0
+    taps = {f"velocity_filter.{i}": float(one / whole) for i, one in enumerate(later[:, 0], 1)}
+    return gains, taps
 
 
 def law_coefficients(structure: Structure, numbers: Mapping[str, float], gain: float) -> FloatArray:
     """Return the coefficients of a law, in torque, `gain` the torque per controller unit."""
     known = dict(numbers)
     if structure.cascade:
-        known["kp"] *= known["kv"]
-        known["velocity_feedforward"] = known["kv"] * known.get("velocity_feedforward", 0.0)
-    parts = coefficient_columns(structure, known.get("ki", 0.0))
+        known["position_gain"] *= known["velocity_gain"]
+        known["velocity_feedforward"] = known["velocity_gain"] * known.get("velocity_feedforward", 0.0)
+    parts = coefficient_columns(structure, known.get("integral_gain", 0.0))
     return np.asarray(gain * sum(known[name] * part for name, part in parts.items()))
+
+
+def _filters(structure: Structure, numbers: Mapping[str, float]) -> tuple[Filter | tuple[float, ...], ...]:
+    """Return the filters of a structure; free taps are none, since each has its own column."""
+    return filters_of(replace(structure, velocity_filter="none") if structure.taps else structure, numbers)
+
+
+def _later_taps(speed: FloatArray, taps: int, period: float, lead: int) -> Iterator[FloatArray]:
+    """Yield the three columns of each tap but the first: speeds of position and reference, and the position's sum."""
+    for at in range(1, taps):
+        later = np.vstack([np.zeros((at, 2)), speed[:-at]])
+        yield from (later[:, 0], later[:, 1], _running_sum(later[:, 0], lead) * period)
 
 
 def _prepend_line(signal: FloatArray, lead: int, slope: int) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Fit one structure: Gauss-Newton on the whitened residual.
+"""Fit one structure: Gauss-Newton on the whitened residual, and the covariance of its numbers.
 
 The steps are its own, not of `solvers`: a few of them are made from each of hundreds of starts, with bounds, and what a
 search compares is the cost after so many.
@@ -8,18 +8,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
+from jointid.common.parameters import Bounds
 from jointid.controller_id.columns import law_coefficients, response
 from jointid.controller_id.loop_record import LoopRecord
 from jointid.controller_id.noise import Noise, estimate_noise
 from jointid.controller_id.structures import INTEGRAL, NumberedStructure, Structure, bounds, controller
 from jointid.models.controllers import Controller, SampledLaw
-from jointid.solvers.solve import Bounds
+from jointid.uncertainty.covariance import Covariance, covariance_of, larger, robust
 
 _STEP = 1e-5  # of a number, for its difference
 _ENOUGH = 1e-7  # of the cost: a smaller improvement ends the search
@@ -94,13 +95,14 @@ class Task:
 
     def _size(self, name: str, x: FloatArray, names: tuple[str, ...]) -> float:
         """Return the scale of a parameter's difference step, in its own units; a parameter at 0 needs one."""
-        period, cascade = self.log.period, names[1] == "kv"
+        period, cascade = self.log.period, names[1] == "velocity_gain"
         gain = abs(float(x[0] * x[1] if cascade else x[0])) or 1.0  # controller units per m
         rate = abs(float(x[1])) or gain * period  # controller units per m/s
         force = float(np.max(np.abs(self.log.torque))) / self.gain
         sizes = {
             INTEGRAL: force, "constant_feedforward": force, "coulomb_feedforward": force, "limit": force,
-            "kd": rate, "kv": rate, "viscous_feedforward": rate, "acceleration_feedforward": 1e-2 * rate,
+            "derivative_gain": rate, "velocity_gain": rate, "viscous_feedforward": rate, "acceleration_feedforward":
+            1e-2 * rate,
             "time_constant": period, "reference_delay": period, "frequency": 1e-2 / period, "bandwidth": 1e-2 / period,
         }  # fmt: skip
         return sizes.get(name.rpartition(".")[2], 1.0 if cascade or not name.startswith("k") else gain)
@@ -142,16 +144,16 @@ def order_rates(task: Task, one: FittedLaw) -> FittedLaw:
     Its kp and ki are the two roots of one equation, ``kv (kp + ki)``, ``kv (1 - ki T)`` and ``kv kp ki`` being what the
     torque follows: exchanged, with another kv, they are the same law. Position loops are made faster than integrals.
     """
-    structure, known = one.structure, one.numbers
-    plain = structure.velocity_filter == "none" and structure.every == 1
-    if not (structure.law == "P-PI" and structure.reference_velocity == "full" and plain and known["kp"] < known["ki"]):
+    structure, known, period = one.structure, one.numbers, task.log.period / one.structure.rate
+    like = replace(structure, law="P-PI", reference_velocity="full", velocity_filter="none", every=1)
+    if structure != like or known["position_gain"] >= known["integral_gain"]:
         return one
-    kp, kv, ki, period = known["kp"], known["kv"], known["ki"], task.log.period / structure.rate
+    kp, kv, ki = (known[name] for name in ("position_gain", "velocity_gain", "integral_gain"))
     # What the other root is follows from the product and the sum of both, each with its own kv.
     proportional, slope, integral = kv * (kp + ki), kv * (1.0 - ki * period), kv * kp * ki
     other = integral / ((slope + proportional * period) * ki)
     gain = slope / (1.0 - other * period)
-    found = known | {"kp": integral / (gain * other), "kv": gain, "ki": other}
+    found = known | {"position_gain": integral / (gain * other), "velocity_gain": gain, "integral_gain": other}
     return fit(task, structure, found, one.noise) or one
 
 
@@ -169,3 +171,27 @@ def _gauss_newton_step(J: FloatArray, white: FloatArray, x: FloatArray, limits: 
             break
         free &= ~stuck
     return change
+
+
+def covariance(task: Task, best: FittedLaw) -> Covariance:
+    """Return the covariance of a law's numbers, robust against what colour and what uneven size remain."""
+    noise = task.noise(best.structure, best.numbers)
+    x = np.array(list(best.numbers.values()))
+    white = task.whiten(best.structure, best.numbers, noise)
+    J = -task.slopes(best.structure, x, white, noise)
+    return larger(robust(J, J, white), covariance_by_frequency(J, white))
+
+
+def covariance_by_frequency(J: FloatArray, white: FloatArray) -> Covariance:
+    """Return the covariance from the scores of each frequency alone: J (samples, numbers), the rest (samples,) white.
+
+    An encoder's rounding stands still where the motor does, so that it is loudest where the motion is slow, as the
+    motion itself is: a spectrum that is smoothed, or a few neighbouring rows, would miss that. Heteroscedasticity
+    over frequencies needs neither (White 1980, of the real transform).
+    """
+    norms = column_norms(J)
+    products = np.fft.rfft(J / norms, axis=0).conj() * np.fft.rfft(white)[:, np.newaxis]
+    scores = 2.0 / white.size * np.real(products)
+    spread = np.linalg.pinv((J / norms).T @ (J / norms))
+    found = covariance_of(spread @ (scores.T @ scores) @ spread.T, 0)
+    return Covariance(found.std / norms, found.correlation, 0)

@@ -4,25 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from itertools import product
+from itertools import groupby, product
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
+from jointid.common.text import listed
 from jointid.controller_id.noise import PositionError, informative_frequencies, position_error
 from jointid.controller_id.structures import LATE, RATES, SLOWER
-from jointid.models.controllers import (
-    INJECTED,
-    POSITION,
-    Interpolation,
-    SampledLaw,
-    law_inputs,
-    run,
-)
+from jointid.models.controllers import INJECTED, POSITION, Interpolation, SampledLaw, law_inputs, run
+from jointid.records.checks import find_encoder_step
 from jointid.records.record import InjectionPoint, Record, Tap, Timing
-from jointid.records.signals.encoder import find_encoder_step
-from jointid.records.signals.instants import at_period
+from jointid.records.resampling import at_period
 
 _NEEDED = ("torque", "reference", "motor_position")
 _FEWEST = 500  # samples
@@ -138,7 +132,13 @@ def prepare_loop_record(record: Record) -> LoopRecord:
     Raises:
         RecordError: a channel is missing, the record is too short, or nothing moves in it.
     """
-    record.require(_NEEDED, "Learning a controller")
+    missing = [name for name in _NEEDED if getattr(record, name) is None]
+    if missing:
+        raise RecordError(
+            f"A controller is learned from torque, reference and the measured motor position; {record.name} is read "
+            f"with {listed(list(record.channels))}, without {listed(missing)}: name the column of "
+            f"{missing[0]} below [record.channels], or declare the law."
+        )
     assert record.torque is not None and record.motor_position is not None and record.reference is not None
     period = record.torque.sample_time
     samples = math.floor(record.duration / period + 1e-6)
@@ -225,8 +225,5 @@ def _plateau(torque: FloatArray, added: FloatArray) -> float | None:
     inside = size >= top - max(_TOP * noise, 1e-6 * top)
     # Standing, not turning: the torque changes from sample to sample no more than its noise does.
     still = np.concatenate([[False], np.abs(np.diff(torque)) <= max(_TOP * noise, 1e-9 * top)])
-    run_length = longest = 0
-    for at in inside & still:
-        run_length = run_length + 1 if at else 0
-        longest = max(longest, run_length)
+    longest = max((len(list(run)) for stands, run in groupby(inside & still) if stands), default=0)
     return float(np.median(size[inside])) if longest >= _PLATEAU - 1 else None

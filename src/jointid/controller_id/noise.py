@@ -268,16 +268,16 @@ def informative_frequencies(
         error: what is known of the position's.
     """
     r, q = (inputs[:, i] - inputs[0, REFERENCE] for i in (REFERENCE, POSITION))
-    asked = [np.ones((r.size, 1)), np.cumsum(r - q)[:, np.newaxis], *_signal_and_past(r), *_images(_difference(r))]
+    asked = [np.ones((r.size, 1)), np.cumsum(r - q)[:, np.newaxis], *signal_and_past(r), *_images(_difference(r))]
     beside = (inputs[:, DIRECTION], inputs[:, INJECTED], added)
-    asked += [_lagged_columns(one, _BESIDE) for one in beside if np.any(one)]
-    shown, left = map(band_power, _regress(asked, [*_signal_and_past(q), *_images(r - q)], torque, kept))
+    asked += [lagged_columns(one, _BESIDE) for one in beside if np.any(one)]
+    shown, left = map(band_power, regress(asked, [*signal_and_past(q), *_images(r - q)], torque, kept))
     loud = band_power(torque - torque.mean()) > _LOUDER * left
     loud &= (error.power > _LOUDER * error.variance * band_means(error.shape**2)) | (shown > _LOUDER * left)
     return np.concatenate([[1.0], np.repeat(np.asarray(loud, dtype=np.float64), band_widths(torque.size // 2 + 1))])
 
 
-def _regress(
+def regress(
     asked: list[FloatArray], seen: list[FloatArray], torque: FloatArray, kept: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the torque explained by the position, and the residual, scaled as on samples of its own.
@@ -304,20 +304,20 @@ def _images(signal: FloatArray) -> list[FloatArray]:
     """Return the images of a signal in a slower position loop: the signal modulated by fractions of its rate."""
     parts = np.arange(1, max(SLOWER) // 2 + 1)[:, np.newaxis] / max(SLOWER)
     turns = np.exp(2j * np.pi * parts * np.arange(signal.size))
-    return [_lagged_columns(signal * part, _IMAGES) for turn in turns for part in (turn.real, turn.imag)]
+    return [lagged_columns(signal * part, _IMAGES) for turn in turns for part in (turn.real, turn.imag)]
 
 
-def _signal_and_past(signal: FloatArray) -> list[FloatArray]:
+def signal_and_past(signal: FloatArray, samples: int = _PAST) -> list[FloatArray]:
     """Return columns that span a signal and its earlier values; second differences keep them well conditioned."""
     change = _difference(signal)
-    return [signal[:, np.newaxis], change[:, np.newaxis], _lagged_columns(_difference(change), _PAST)]
+    return [signal[:, np.newaxis], change[:, np.newaxis], lagged_columns(_difference(change), samples)]
 
 
 def _difference(signal: FloatArray) -> FloatArray:
     return np.diff(signal, prepend=signal[:1])
 
 
-def _lagged_columns(signal: FloatArray, samples: int) -> NDArray[np.float64]:
+def lagged_columns(signal: FloatArray, samples: int) -> NDArray[np.float64]:
     """Return a signal and its earlier values, (samples of it, samples + 1), at its first value until it begins."""
     led = np.concatenate([np.full(samples, signal[0]), signal])
     return np.lib.stride_tricks.sliding_window_view(led, samples + 1)

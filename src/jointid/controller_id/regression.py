@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, column_norms
-from jointid.controller_id.columns import EVERY, coefficient_columns, columns, injected_torque, response
+from jointid.controller_id.columns import coefficient_columns, columns, design, injected_torque, response, split_taps
 from jointid.controller_id.loop_record import LoopRecord
 from jointid.controller_id.noise import Noise, estimate_noise
-from jointid.controller_id.structures import LATE, NumberedStructure, Structure, bounds
+from jointid.controller_id.structures import LATE, NumberedStructure, Structure, bounds, without_taps
 
 _DEPENDENT = 1e-9  # of a column: what is left of it beside the others is rounding
 _STEP = 1e-4  # of a number, for its difference
@@ -64,7 +64,7 @@ class CompressedFrame:
 
     Attributes:
         numbers: of the filters, where they were worked out.
-        blocks: (rows, 13) the columns, and their derivative by each number.
+        blocks: (rows, columns) the columns, and their derivative by each number.
         targets: (rows, delays) the torque.
         late: the log's delays.
     """
@@ -76,10 +76,10 @@ class CompressedFrame:
 
     def costs(self, structure: Structure, ki: float | None) -> FloatArray:
         """Return a law's cost after one Gauss-Newton step of its parameters, for each delay."""
-        mixed = _gain_columns(structure, ki or 0.0)
+        mixed = design(structure, ki or 0.0)
         X, moves = self.blocks[0] @ mixed, [block @ mixed for block in self.blocks[1:]]
         if ki:
-            moves.append(self.blocks[0] @ (_gain_columns(structure, 2.0 * ki) - mixed) / ki)
+            moves.append(self.blocks[0] @ (design(structure, 2.0 * ki) - mixed) / ki)
         scale = column_norms(X)
         gains = np.linalg.lstsq(X / scale, self.targets, rcond=_DEPENDENT)[0] / scale[:, np.newaxis]
         costs = np.empty(len(self.late))
@@ -132,20 +132,22 @@ class Regression:
             MethodError: the filters cannot be.
         """
         late = [structure.late] if late is None else late
-        mixed = EVERY if free else _gain_columns(structure, numbers.get("ki", 0.0))
+        mixed, given = design(structure, numbers.get("integral_gain", 0.0), free), without_taps(numbers)
         X = (columns(self.log, structure, numbers) @ mixed) * self.kept[:, np.newaxis]
         Y = self._targets(structure, numbers, late)
         scale = column_norms(X)
         seen, wanted = (_whiten(one, weighting.weights) for one in (X / scale, Y))
         coefficients = np.linalg.lstsq(seen, wanted, rcond=_DEPENDENT)[0] / scale[:, np.newaxis]
-        gains, residuals = mixed @ coefficients, Y - X @ coefficients
+        multiples, residuals = mixed @ coefficients, Y - X @ coefficients
         found = []
         for i, n in enumerate(late):
-            magnitude = response(self.log, structure, numbers, gains[:, i])
+            gains, taps = split_taps(structure, multiples[:, i])
+            known = given | taps
+            magnitude = response(self.log, structure, known, gains)
             spectrum = np.fft.rfft(residuals[:, i]) * self._weights(weighting, magnitude)
             cost = float(np.linalg.norm(np.fft.irfft(spectrum, self.log.samples)) ** 2)
             like = replace(structure, late=n)
-            found.append(RegressionFit(like, dict(numbers), cost, gains[:, i], magnitude, residuals[:, i]))
+            found.append(RegressionFit(like, known, cost, gains, magnitude, residuals[:, i]))
         return found
 
     def compress(
@@ -181,7 +183,8 @@ class Regression:
         """Return a structure with its numbers where it explains most, `free` of a law's own coefficients or not."""
         from scipy.optimize import least_squares  # itself: `solvers` search for an end, and this stops long before
 
-        names = list(one.numbers)
+        begun = without_taps(one.numbers)
+        names = list(begun)
         low, high = np.array([bounds(n, self.log.period, one.structure.rate) for n in names]).reshape(-1, 2).T
 
         def fit_gains(x: FloatArray) -> RegressionFit:
@@ -192,7 +195,7 @@ class Regression:
             found = fit_gains(x)
             return _stack(np.fft.rfft(found.residual) * self._weights(weighting, found.response))
 
-        start = np.array(list(one.numbers.values()))
+        start = np.array(list(begun.values()))
         if not names:
             return fit_gains(start)
         sizes = np.maximum(start, [_smallest_scale(name, self.log.period) for name in names])
@@ -231,20 +234,19 @@ def initial_weighting(regression: Regression) -> Weighting:
 
 def law_numbers(one: RegressionFit, gain: float) -> dict[str, float]:
     """Return the numbers of a law from what its own regression found, `gain` the torque per controller unit."""
-    structure, ki = one.structure, one.numbers.get("ki", 0.0)
+    structure, ki = one.structure, one.numbers.get("integral_gain", 0.0)
     parts = coefficient_columns(structure, ki)
     values = np.linalg.lstsq(np.column_stack(list(parts.values())), one.gains / gain, rcond=None)[0]
     found = one.numbers | dict(zip(parts, map(float, values), strict=True))
     if structure.cascade:
-        size = max(abs(found["kv"]), 1e-12 * abs(found["kp"]), 1e-300)
-        found |= {"kp": found["kp"] / size, "kv": math.copysign(size, found["kv"])}
+        size = max(abs(found["velocity_gain"]), 1e-12 * abs(found["position_gain"]), 1e-300)
+        found |= {
+            "position_gain": found["position_gain"] / size,
+            "velocity_gain": math.copysign(size, found["velocity_gain"]),
+        }
         if "velocity_feedforward" in found:
             found["velocity_feedforward"] /= size
     return {name: found.get(name, 0.0) for name in structure.names if name != "limit"}
-
-
-def _gain_columns(structure: Structure, ki: float) -> FloatArray:
-    return np.column_stack(list(coefficient_columns(structure, ki).values()))
 
 
 def _advance(signal: FloatArray, samples: int) -> FloatArray:
@@ -254,7 +256,7 @@ def _advance(signal: FloatArray, samples: int) -> FloatArray:
 def _smallest_scale(name: str, sample_time: float) -> float:
     """Return the smallest scale of a parameter, which may itself be 0."""
     last = name.rpartition(".")[2]
-    return {"depth": 0.3, "ki": 1e-3 / sample_time, "reference_delay": 0.1 * sample_time}.get(last, 0.0)
+    return {"depth": 0.3, "integral_gain": 1e-3 / sample_time, "reference_delay": 0.1 * sample_time}.get(last, 0.0)
 
 
 def _whiten(X: FloatArray, weights: FloatArray) -> FloatArray:

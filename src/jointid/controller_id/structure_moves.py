@@ -10,7 +10,9 @@ from jointid.controller_id.structures import (
     CONSTANT,
     FEEDFORWARDS,
     FIELDS,
+    FREE_TAPS,
     LATE,
+    LONGEST,
     MEANS,
     RATES,
     SLOWER,
@@ -19,12 +21,13 @@ from jointid.controller_id.structures import (
     VELOCITY_FILTERS,
     Law,
     Structure,
+    known_taps,
 )
 
 
 def remove_part(structure: Structure, name: str) -> Structure:
     """Return a structure without the part that a number is of."""
-    if name == "ki":
+    if name == "integral_gain":
         # A PD without the reference's velocity is a P-P.
         cascade = structure.cascade or structure.reference_velocity == "none"
         return replace(structure, law="P-P" if cascade else "PD", **_proportional(structure, cascade))
@@ -63,13 +66,16 @@ def list_simpler(structure: Structure) -> Iterator[Structure]:
     for part in structure.feedforward:
         yield canonical(replace(structure, feedforward=structure.feedforward - {part}))
     if structure.integrates:
-        yield canonical(remove_part(structure, "ki"))
+        yield canonical(remove_part(structure, "integral_gain"))
     if structure.cascade and structure.reference_velocity in ("share", "channel"):
         yield replace(structure, reference_velocity="none")
     if structure.cascade and structure.reference_velocity == "share":
         yield replace(structure, reference_velocity="full")
     if structure.torque_filter != "none":
         yield replace(structure, torque_filter="none")
+    if structure.taps:
+        fewer = [f"taps {structure.taps - 1}"] if structure.taps > 2 else []
+        yield from (replace(structure, velocity_filter=one) for one in (*fewer, *known_taps(structure.taps)))
     if structure.velocity_filter != "none":
         yield canonical(replace(structure, velocity_filter="none"))
     if structure.reference_delay:
@@ -98,7 +104,7 @@ def list_laws(frame: Structure, channel: bool) -> Iterator[Structure]:
 
 def _changes(structure: Structure, channel: bool) -> Iterator[Structure]:
     yield from _other_laws(structure, channel)
-    yield from (replace(structure, velocity_filter=one) for one in VELOCITY_FILTERS)
+    yield from (replace(structure, velocity_filter=one) for one in (*VELOCITY_FILTERS, *_near_taps(structure)))
     for part in FEEDFORWARDS:
         allowed = not (part == CONSTANT and structure.integrates)
         allowed &= not (part == VELOCITY and structure.law == "P-P" and structure.reference_velocity != "channel")
@@ -109,6 +115,16 @@ def _changes(structure: Structure, channel: bool) -> Iterator[Structure]:
     yield replace(structure, reference_delay=not structure.reference_delay)
     yield from _other_rates(structure)
     yield from (replace(structure, late=n) for n in (0, *LATE))
+
+
+def _near_taps(structure: Structure) -> Iterator[str]:
+    """Yield the velocity filters of free taps near a structure's: as many as there may be, one more and one fewer."""
+    if structure.rate > 1:  # the log shows too little of them
+        return
+    yield FREE_TAPS
+    if structure.taps:
+        yield from (f"taps {n}" for n in (structure.taps - 1, structure.taps + 1) if 2 <= n <= LONGEST)
+        yield from known_taps(structure.taps)
 
 
 def _move_filter(structure: Structure) -> Iterator[Structure]:
@@ -129,7 +145,7 @@ def _other_rates(structure: Structure) -> Iterator[Structure]:
 
     A loop faster than the log is tried with a position loop at its own rate, or at the log's.
     """
-    for rate in (1, *RATES):
+    for rate in (1, *RATES) if not structure.taps else (1,):
         slower = rate if structure.every > 1 else 1
         mean = _mean_over_same_time(structure.velocity_filter, rate / structure.rate)
         for curved in (False, True) if rate > 1 else (False,):
@@ -143,7 +159,7 @@ def _other_rates(structure: Structure) -> Iterator[Structure]:
 
 def _mean_over_same_time(velocity_filter: str, periods: float) -> str:
     """Return the mean over the same time where a sample becomes so many periods; other filters as they are."""
-    if velocity_filter in ("first order", "second order"):
+    if velocity_filter != "none" and not velocity_filter.startswith("mean "):
         return velocity_filter
     samples = (1 if velocity_filter == "none" else int(velocity_filter.split()[1])) * periods
     if samples == 1:

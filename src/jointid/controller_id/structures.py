@@ -8,38 +8,21 @@ from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, Literal
 
-from jointid.models.controllers import (
-    PD,
-    PID,
-    Cascade,
-    Controller,
-    Filter,
-    FirstOrder,
-    Notch,
-    SecondOrder,
-)
+from jointid.common.text import ordinal
+from jointid.models.controllers import PD, PID, Cascade, Controller, Filter, FirstOrder, Notch, SecondOrder
 
 Law = Literal["P-P", "P-PI", "PD", "PID"]
 
-MEANS = (2, 3, 4, 6, 8, 16)
-"""Samples of the moving averages that are tried."""
-
+MEANS = (2, 3, 4, 6, 8, 16)  # samples of the moving averages that are tried
 VELOCITY_FILTERS = ("none", *(f"mean {n}" for n in MEANS), "first order", "second order")
-
-COMMON = ("none", "mean 2", "mean 4", "first order", "second order")
-"""Velocity filters that are tried in every law."""
-
+COMMON = ("none", "mean 2", "mean 4", "first order", "second order")  # velocity filters that are tried in every law
+LONGEST = 8  # taps at most of a velocity that is a weighted difference
+FREE_TAPS = f"taps {LONGEST}"  # the velocity filter of free taps that a search begins with
 TORQUE_FILTERS = ("none", "first order", "second order", "notch")
 
-RATES = (2, 4, 8, 16)
-"""Periods per log sample of a loop faster than the log."""
-
-SLOWER = (2, 4, 8)
-"""Loop periods per evaluation of a slower position loop."""
-
-LATE = (1, 2, 3, 4)
-"""Delays of the logged torque, in samples."""
-
+RATES = (2, 4, 8, 16)  # periods per log sample of a loop faster than the log
+SLOWER = (2, 4, 8)  # loop periods per evaluation of a slower position loop
+LATE = (1, 2, 3, 4)  # delays of the logged torque, in samples
 VELOCITY, ACCELERATION, COULOMB, CONSTANT = "velocity", "acceleration", "coulomb", "constant"
 FEEDFORWARDS = (VELOCITY, ACCELERATION, COULOMB, CONSTANT)
 
@@ -55,7 +38,8 @@ class Structure:
         law: "P-P" and "P-PI" are cascades; see `jointid.models.controllers.laws`.
         reference_velocity: of a PD or PID: "none", "difference", filtered like the position's, or "channel". Of a
             cascade: "none", "share" of the reference's difference, "full", or a share of the "channel".
-        velocity_filter: "none", "mean 2", ..., "first order" or "second order".
+        velocity_filter: "none", "mean 2", ..., "first order" or "second order"; of weighted differences of the
+            position "taps N", all free, or one that `known_taps` names.
         feedforward: others than the velocity's of a cascade, of `FEEDFORWARDS`.
         torque_filter: "none", "first order", "second order" or "notch".
         reference_delay: whether the law sees the reference later.
@@ -90,6 +74,12 @@ class Structure:
         return self.law in ("P-PI", "PID")
 
     @property
+    def taps(self) -> int:
+        """Number of the free taps of its velocity's filter, 0 of another filter."""
+        kind, _, count = self.velocity_filter.partition(" ")
+        return int(count) if kind == "taps" else 0
+
+    @property
     def filters(self) -> tuple[str, str]:
         """Those of the velocity and of the torque."""
         return self.velocity_filter, self.torque_filter
@@ -104,9 +94,9 @@ class Structure:
     @property
     def names(self) -> tuple[str, ...]:
         """The numbers it leaves open, as `numbers_of` names them, and `INTEGRAL`."""
-        names = ["kp", "kv" if self.cascade else "kd"]
+        names = ["position_gain", "velocity_gain" if self.cascade else "derivative_gain"]
         if self.integrates:
-            names += ["ki", INTEGRAL]
+            names += ["integral_gain", INTEGRAL]
         if self.cascade and self.reference_velocity in ("share", "channel"):
             names.append("velocity_feedforward")
         names += [FIELDS[part] for part in FEEDFORWARDS if part in self.feedforward]
@@ -140,9 +130,7 @@ class Structure:
         if self.feedforward:
             said.append(" and ".join(p for p in FEEDFORWARDS if p in self.feedforward) + " feed-forward")
         if self.velocity_filter != "none":
-            kind, _, samples = self.velocity_filter.partition(" ")
-            spelled = f"mean of {samples} samples" if kind == "mean" else self.velocity_filter
-            said.append(f"velocity filter {spelled}")
+            said.append(f"velocity filter {_spell_filter(self.velocity_filter)}")
         if self.torque_filter != "none":
             said.append(f"torque filter {self.torque_filter}")
         if self.reference_delay:
@@ -152,7 +140,7 @@ class Structure:
         if self.rate > 1:
             said.append(f"{self.rate} periods per sample" + (" on a curved reference" if self.curved else ""))
         if self.every > 1:
-            said.append(f"position loop every {self.every} periods, from the {self.offset}th")
+            said.append(f"position loop every {self.every} periods, from the {ordinal(self.offset + 1)}")
         return ", ".join(said)
 
 
@@ -178,8 +166,6 @@ FIELDS = {
     COULOMB: "coulomb_feedforward",
     CONSTANT: "constant_feedforward",
 }
-SIGNED = (INTEGRAL, "constant_feedforward")
-"""Numbers that may be negative."""
 
 _REFERENCE_VELOCITY = {
     (True, "share"): "velocity feed-forward",
@@ -195,22 +181,81 @@ _FILTERS: Mapping[str, Mapping[str, tuple[float, ...]]] = {
 }
 """Numbers of the filters and where a search for them begins, in samples of the log and shares of its rate."""
 
-INTEGRAL_GAINS = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1)
-"""Starting values of a cascade's ki, as shares of the log's rate."""
-
+INTEGRAL_GAINS = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1)  # starting values of a cascade's ki, as shares of the log's rate
 _DELAYS = (0.3, 0.7, 1.3, 1.7, 2.3, 2.7, 3.3, 3.7)
 """Starting values of the reference's delay, in log samples: two in each, as it is interpolated linearly."""
 
 
 def _filter_names(place: str, kind: str) -> list[str]:
+    if kind.startswith("taps"):  # the first is what the others leave of 1
+        return [f"{place}.{at}" for at in range(1, int(kind.split()[1]))]
     return [f"{place}.{name}" for name in _FILTERS.get(kind, {})]
+
+
+def is_tap(name: str) -> bool:
+    """True if a number is one of a velocity's free taps: the torque is linear in them."""
+    return name.rpartition(".")[2].isdigit()
+
+
+def without_taps(numbers: Mapping[str, float]) -> dict[str, float]:
+    """Return those of a law's numbers that a regression on its columns does not find itself."""
+    return {name: value for name, value in numbers.items() if not is_tap(name)}
+
+
+def may_be_negative(name: str) -> bool:
+    """True if a number of a law has no sign of its own."""
+    return name in (INTEGRAL, "constant_feedforward") or is_tap(name)
+
+
+def known_taps(samples: int) -> Iterator[str]:
+    """Yield the velocity filters of so many taps that have a name.
+
+    "mean N" is the first difference over N samples, "slope N" the least-squares line through the last N + 1 positions,
+    "means K M" the difference over K samples of a mean of M.
+    """
+    yield f"mean {samples}"
+    if samples > 2:
+        yield f"slope {samples}"
+    yield from (f"means {k} {samples + 1 - k}" for k in range(2, (samples + 1) // 2 + 1))
+
+
+def list_known_taps() -> tuple[str, ...]:
+    """Return the velocity filters that have a name, of all numbers of taps."""
+    return tuple(kind for samples in range(2, LONGEST + 1) for kind in known_taps(samples))
+
+
+def _weights(kind: str) -> tuple[float, ...]:
+    """Return the taps of a velocity filter that has a name (see `known_taps`)."""
+    word, *counts = kind.split()
+    sizes = [int(one) for one in counts]
+    if word == "slope":  # of a line by least squares, in differences: n, 2 (n - 1), 3 (n - 2), ...
+        n = sizes[0]
+        raw = [(j + 1) * (n - j) for j in range(n)]
+        return tuple(one / sum(raw) for one in raw)
+    if len(sizes) == 1:
+        return (1.0 / sizes[0],) * sizes[0]
+    taps = [1.0]
+    for n in sizes:
+        taps = [sum(taps[max(0, j - n + 1) : j + 1]) / n for j in range(len(taps) + n - 1)]
+    return tuple(taps)
+
+
+def _spell_filter(kind: str) -> str:
+    word, *counts = kind.split()
+    if word == "mean":
+        return f"mean of {counts[0]} samples"
+    if word == "means":
+        return f"mean of {counts[0]} samples of a mean of {counts[1]}"
+    if word == "slope":
+        return f"line through {int(counts[0]) + 1} positions"
+    return f"of {counts[0]} free taps" if word == "taps" else kind
 
 
 def starts(structure: Structure, known: Mapping[str, float], sample_time: float) -> Iterator[dict[str, float]]:
     """Yield where to look for the numbers a law is not linear in: as known of a similar structure, or on a grid."""
     places: list[Iterable[dict[str, float]]] = []
     for place, kind in (("velocity_filter", structure.velocity_filter), ("torque_filters.0", structure.torque_filter)):
-        names = _filter_names(place, kind)
+        names = [] if kind.startswith("taps") else _filter_names(place, kind)  # the regression finds taps
         if all(name in known for name in names):
             places.append([{name: known[name] for name in names}])
         else:
@@ -218,11 +263,11 @@ def starts(structure: Structure, known: Mapping[str, float], sample_time: float)
             places.append([dict(zip(names, one, strict=True)) for one in grid])
     if structure.cascade and structure.integrates:
         begun = [share / sample_time for share in INTEGRAL_GAINS]
-        given = known.get("ki", 0.0)
-        if "kv" not in known:  # kv kp ki of a cascade is the ki of a PID, its kv kp the kp
-            given = given / known["kp"] if known.get("kp") else 0.0
+        given = known.get("integral_gain", 0.0)
+        if "velocity_gain" not in known:  # kv kp ki of a cascade is the ki of a PID, its kv kp the kp
+            given = given / known["position_gain"] if known.get("position_gain") else 0.0
         begun = [given] if given else begun
-        places.append([{"ki": ki} for ki in begun])
+        places.append([{"integral_gain": ki} for ki in begun])
     if structure.reference_delay:
         begun = [known["reference_delay"]] if "reference_delay" in known else [n * sample_time for n in _DELAYS]
         places.append([{"reference_delay": delay} for delay in begun])
@@ -233,15 +278,16 @@ def starts(structure: Structure, known: Mapping[str, float], sample_time: float)
 def convert_numbers(structure: Structure, known: Mapping[str, float]) -> dict[str, float]:
     """Return a law's numbers from those of a similar one, else 0; ``kp kv`` of a cascade is the kp of a PD."""
     given = dict(known)
-    if structure.cascade and "kd" in given:
-        given["kv"] = given.pop("kd")
-        given["kp"] = given["kp"] / given["kv"] if given["kv"] else 0.0
-        given["ki"] = given.get("ki", 0.0) / max(given["kp"] * given["kv"], 1e-300)
-        given.setdefault("velocity_feedforward", given.get("viscous_feedforward", 0.0) / max(given["kv"], 1e-300))
-    elif not structure.cascade and "kv" in given:
-        given["kd"] = given.pop("kv")
-        given["kp"] = given["kp"] * given["kd"]
-        given["ki"] = given.get("ki", 0.0) * given["kp"]
+    if structure.cascade and "derivative_gain" in given:
+        given["velocity_gain"] = given.pop("derivative_gain")
+        given["position_gain"] = given["position_gain"] / given["velocity_gain"] if given["velocity_gain"] else 0.0
+        rate, stiffness = given["velocity_gain"], given["position_gain"] * given["velocity_gain"]
+        given["integral_gain"] = given.get("integral_gain", 0.0) / max(stiffness, 1e-300)
+        given.setdefault("velocity_feedforward", given.get("viscous_feedforward", 0.0) / max(rate, 1e-300))
+    elif not structure.cascade and "velocity_gain" in given:
+        given["derivative_gain"] = given.pop("velocity_gain")
+        given["position_gain"] = given["position_gain"] * given["derivative_gain"]
+        given["integral_gain"] = given.get("integral_gain", 0.0) * given["position_gain"]
     return {name: given.get(name, 0.0) for name in structure.names}
 
 
@@ -255,7 +301,7 @@ def bounds(name: str, sample_time: float, rate: int) -> tuple[float, float]:
     """Return the bounds of a parameter of a law with `rate` periods per sample of the log (`sample_time`, s)."""
     period = sample_time / rate
     last = name.rpartition(".")[2]
-    if name in SIGNED:
+    if may_be_negative(name):
         return -math.inf, math.inf
     return {
         "time_constant": (1e-2 * period, 2e3 * period),
@@ -307,9 +353,11 @@ def filters_of(structure: Structure, numbers: Mapping[str, float]) -> tuple[Filt
 def _filter(kind: str, place: str, numbers: Mapping[str, float]) -> Filter | tuple[float, ...]:
     if kind == "none":
         return (1.0,)
-    if kind.startswith("mean"):
-        samples = int(kind.split()[1])
-        return (1.0 / samples,) * samples
+    if kind.startswith("taps"):
+        later = tuple(numbers[name] for name in _filter_names(place, kind))
+        return (1.0 - sum(later), *later)
+    if kind.startswith(("mean", "slope")):
+        return _weights(kind)
     made = {name: numbers[f"{place}.{name}"] for name in _FILTERS[kind]}
     if kind == "first order":
         return FirstOrder(**made)

@@ -1,56 +1,77 @@
 """Check that the closed loop and the log of an estimate are as declared; find their faults, the likeliest first.
 
-Each fault of `fault_tests` is tested alone, all tests of a record as one family, so that a fault is found in at most
-5 % of the records without one. The fault with the largest statistic is named, and with it those that are nearly as
-likely by the ratio of the likelihoods. Then the problem is solved again with the fault corrected, which shows its
-effect on the parameters of the joint, and the remaining faults are tested again.
+Each fault of `fault_tests` is tested alone, those of loop and log as one family, so that one is found in at most 5 % of
+the records without one; those of the mechanics (`mechanics_faults`) as another, in a tenth of that. The fault with the
+largest statistic is named, and with it those that are nearly as likely by the ratio of the likelihoods. Then the
+problem is solved again with the fault corrected, which shows its effect on the parameters of the joint, and the
+remaining faults are tested again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.document import Document, Documented, Listing, Table
-from jointid.common.errors import MethodError
-from jointid.common.messages import Message
-from jointid.common.progress import silent
-from jointid.common.text import number
-from jointid.common.transmission import Side
+from jointid.common.errors import JointidError, MethodError
+from jointid.common.messages import Progress, silent
+from jointid.common.parameters import Quantity, unit_of
+from jointid.diagnostics.fault_signature import FaultSignature
 from jointid.diagnostics.fault_tests import (
     INJECTED_GAIN,
     LIMIT,
     OFFSET,
     PRESLIDING,
     STRIBECK,
-    FaultSignature,
     FaultTest,
     compute_signatures,
     score_signatures,
 )
+from jointid.diagnostics.find_causes import explain_misfit
 from jointid.diagnostics.intervals import rebuild_problem
+from jointid.diagnostics.loop_findings import Finding, LoopCheck, ParameterShift
+from jointid.diagnostics.mechanics_faults import BACKLASH, CUBIC_SPRING, MECHANICS
+from jointid.diagnostics.other_laws import (
+    MEASURED_VELOCITY,
+    PERIOD,
+    PRESENT_SAMPLE,
+    TIMES_FASTER,
+    Refit,
+    faster_laws,
+    faster_problem,
+    refit,
+    refit_other_laws,
+    runs_at_the_logs_rate,
+)
+from jointid.diagnostics.plain_causes import find_too_short
+from jointid.estimation.methods.force_in_loop import find_force, simulate_with_force
+from jointid.estimation.methods.search import History, least_squares
+from jointid.estimation.problems.base import surrounding
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.estimation.problems.nuisance_parameters import surrounding
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.search.history import History, least_squares
 from jointid.models.controllers import with_numbers
-from jointid.models.parameters import Quantity, unit_of
+from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.records.record import Record
 from jointid.uncertainty.covariance import robust
 from jointid.uncertainty.position_dependent_error import Cells, cells, widened
-from jointid.uncertainty.verdict import Reason, Status, Subject, Verdict, not_tested
+from jointid.uncertainty.verdict import Status, Subject, Verdict, not_tested
 
-_SMALLEST_SHIFT = 0.5  # of a deviation: a smaller change of a parameter is not listed
-_LISTED = 3  # parameters in a sentence, at most
-_RATIOS = ("log_gain", INJECTED_GAIN)
 _RIVAL = 6.0  # twice the logarithm of a likelihood ratio of 20
-_LOW_SPEED = (STRIBECK, PRESLIDING)  # alternatives: after one, the other is no separate fault
+_ALTERNATIVES = ({STRIBECK, PRESLIDING}, {CUBIC_SPRING, BACKLASH})  # after one, the other is no separate fault
 _HALF = 0.5  # of the size by one step that must remain when the problem is solved again
 _ROUNDING = 1e-9  # of the torque: a residual this small has no statistics
+_SIGNIFICANT = 0.05  # a fault with a larger p-value explains nothing
+_EXCLUDED = 2.0  # deviations: a law so far away is excluded
+_INTERVAL = 2.0  # deviations: half an interval
+_BETWEEN_RATES = 0.2  # of what a faster law changes: so much less is still a rate next to it
+_AT_LEAST = 0.6  # of what half of the log's period changes, by one step: less shows that the drive is not that fast
+_REACH = 2.0  # times the same is what any faster drive changes
+_MATTERS = 1.5  # deviations: a faster drive that moves no parameter so far by one step is not looked for
+_TIMES_UNDECIDED = (2, 8)  # where the evidence is for none: further ones move nothing much further
+_FORCES = 16  # pairs of opposite ones: the deviation of what they show is known to an eighth
 _TOLERANCE = 1e-6  # of the refinement with a fault corrected: far below a deviation
 
 
@@ -74,132 +95,6 @@ class LoopTests:
                 f"A check has a level between 0 and 1 and names at least 1 fault; received {self.level} and "
                 f"{self.most}."
             )
-
-
-@dataclass(frozen=True, slots=True)
-class ParameterShift:
-    """Change of a parameter when a fault is corrected: in its unit, and in its standard deviations."""
-
-    by: float
-    sigmas: float
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """Fault of loop or log.
-
-    Attributes:
-        test: of the fault, those found before it corrected.
-        value: estimated, in the unit of the declaration; None where no parameter stands for the fault.
-        rivals: faults that are at most 20 times less likely.
-        changes: of the joint's parameters, by name, when it is corrected.
-    """
-
-    test: FaultTest
-    value: float | None
-    rivals: tuple[str, ...]
-    changes: Mapping[str, ParameterShift]
-
-
-@dataclass(frozen=True, slots=True)
-class LoopCheck(Documented):
-    """Faults of loop and log that were found, and the tests of all.
-
-    Attributes:
-        findings: faults found, the likeliest first.
-        tests: of every fault as if it were the only one, the likeliest first.
-        level: largest share of records without a fault in which one is found.
-        symbols: of the joint's parameters, by name.
-        units: of the joint's parameters by name, and of "torque" and "velocity".
-        side: of the transmission, on which all of these numbers are; None without one.
-    """
-
-    findings: tuple[Finding, ...]
-    tests: tuple[FaultTest, ...]
-    level: float
-    symbols: Mapping[str, str]
-    units: Mapping[str, str]
-    side: Side | None = None
-
-    @property
-    def as_declared(self) -> bool:
-        """True if no fault was found."""
-        return not self.findings
-
-    @property
-    def reasons(self) -> tuple[Message, ...]:
-        """The faults found, one message each; one that says so where there are none."""
-        if self.findings:
-            return tuple(map(self._describe, self.findings))
-        least = min((s.p_value for s in self.tests), default=1.0)
-        names = ", ".join(s.label for s in self.tests)
-        said = f"loop and log are as declared as far as this record shows ({names}: p >= {number(least, 2)})"
-        return (Message(Reason.LOOP_AS_DECLARED, said, {"p_value": least}),)
-
-    @property
-    def sentences(self) -> tuple[str, ...]:
-        """The words of the reasons."""
-        return tuple(map(str, self.reasons))
-
-    def document(self, *, details: bool = False) -> Document:
-        """Return the faults found, and the table of all tests; there are no further details."""
-        del details
-        return Document("Controller and log", (Listing(self.sentences), self.table()))
-
-    def table(self, caption: str = "") -> Table:
-        """Return the table of all tests, each as if nothing else were wrong."""
-        rows = tuple(
-            (s.label, f"{s.size:+.3g}", number(2 * s.std, 2), f"{s.statistic:+.1f}", number(s.p_value, 2))
-            for s in self.tests
-        )
-        return Table(("fault", "more than declared", "2 sigma", "statistic", "p"), rows, caption)
-
-    def _describe(self, finding: Finding) -> Message:
-        s = finding.test
-        p_value = "p < 1e-6" if s.p_value < 1e-6 else f"p = {number(s.p_value, 2)}"
-        said = f"{self._describe_fault(finding)} ({p_value})"
-        if s.alike:
-            said += f", or so is {' or '.join(s.alike)}, which this loop cannot distinguish from {s.name}"
-        if finding.rivals:
-            said += f"; {' or '.join(finding.rivals)} would explain nearly as much"
-        far = sorted(finding.changes.items(), key=lambda item: -abs(item[1].sigmas))[:_LISTED]
-        moved = [
-            f"{self.symbols[name]} by {change.by:+.3g} {self.units[name]} ({abs(change.sigmas):.1f} sigma)"
-            for name, change in far
-            if abs(change.sigmas) >= _SMALLEST_SHIFT
-        ]
-        if moved:
-            said += f"; correcting it changes {', '.join(moved)}"
-        values = {"suspect": s.name, "alike": list(s.alike), "more_than_declared": s.size, "std": s.std}
-        return Message(Reason.LOOP_NOT_AS_DECLARED, said, values | {"p_value": s.p_value})
-
-    def _describe_fault(self, finding: Finding) -> str:
-        """Return a fault in words."""
-        s, here = finding.test, "" if self.side is None else f" on the {self.side} side"
-        torque = self.units["torque"] + here
-        interval = f"{number(abs(s.size), 3)} +- {number(2 * s.std, 2)}"
-        if s.name in ("delay", "log_delay"):
-            sense = "later" if s.size > 0 else "earlier"
-            late = f"{number(1e3 * abs(s.size), 3)} +- {number(2e3 * s.std, 2)} ms {sense} than"
-            return (
-                f"the torque reacts {late} declared"
-                if s.name == "delay"
-                else f"the logged torque is {late} its time stamps say"
-            )
-        if s.name == LIMIT:
-            level = number(finding.value if finding.value is not None else s.shape, 4)
-            return f"the controller's output stops at {level} {torque}, which is not declared"
-        if s.name in (STRIBECK, PRESLIDING):
-            speed = f"{number(s.shape, 2)} {self.units['velocity']}"
-            sense = "larger" if s.name == STRIBECK else "smaller"
-            slow = f"towards standstill, below some {speed}{here}"
-            return f"{slow}, the friction is {interval} {self.units['torque']} {sense} than Coulomb's"
-        if s.name == OFFSET:
-            return f"a constant force of {number(s.size, 3)} +- {number(2 * s.std, 2)} {torque} is not declared"
-        scale = 1.0 if s.name in _RATIOS else abs(s.declared)
-        percent = f"{number(100 * abs(s.size) / scale, 2)} +- {number(200 * s.std / scale, 2)} %"
-        what = {"log_gain": "the logged torque", INJECTED_GAIN: "the injected signal"}.get(s.name, s.name)
-        return f"{what} is {percent} {'larger' if s.size > 0 else 'smaller'} than declared"
 
 
 def check_loop(estimate: Estimate, record: Record, settings: LoopTests | None = None) -> LoopCheck:
@@ -234,27 +129,49 @@ def check_loop(estimate: Estimate, record: Record, settings: LoopTests | None = 
         f"The estimate was identified from {estimate.data.record}, and {record.name} has another torque; give the "
         "record it was identified from."
     )
-    return find_faults(*rebuild_problem(estimate, record, another), settings)
+    std = {p.name: p.stderr for p in estimate.params if p.stderr is not None}
+    return find_faults(*rebuild_problem(estimate, record, another), settings, std, record)
 
 
-def add_loop_verdict(estimate: Estimate, record: Record) -> Estimate:
+def add_loop_verdict(
+    estimate: Estimate, record: Record, progress: Progress = silent, shown: Sequence[DriveNumber] = ()
+) -> Estimate:
     """Return an estimate with the verdict of its loop check added.
 
     An estimate that simulated no loop is returned as it is; one with a parameter that is not identifiable, with the
-    verdict that the loop was not checked.
+    verdict that the loop was not checked. Where the record does not fit, and a cause explains it (`find_causes`), that
+    is the verdict: what the sensitivities then find is not it. It is told in the drive's units where `shown` has them.
     """
-    return add_loop_check(estimate, record)[0]
+    return add_loop_check(estimate, record, progress, shown)[0]
 
 
-def add_loop_check(estimate: Estimate, record: Record) -> tuple[Estimate, LoopCheck | None]:
+def add_loop_check(
+    estimate: Estimate, record: Record, progress: Progress = silent, shown: Sequence[DriveNumber] = ()
+) -> tuple[Estimate, LoopCheck | None]:
     """Return an estimate with the verdict of its loop check added, and the check; None where there is none."""
     if estimate.settings.loop is None:
         return estimate, None
     check = None
     verdict = not_tested(Subject.LOOP, "not checked, because the joint is not fully identified; identify it as rigid")
-    if all(p.value is not None for p in estimate.params):
-        check = check_loop(estimate, record)
-        verdict = Verdict(Subject.LOOP, Status.of(check.as_declared), check.reasons)
+    whole = all(p.value is not None for p in estimate.params)
+    if whole:
+        try:
+            check = check_loop(estimate, record)
+            verdict = Verdict(Subject.LOOP, check.status, check.reasons)
+        except (JointidError, np.linalg.LinAlgError) as error:  # no check ends an identification
+            verdict = not_tested(Subject.LOOP, f"not checked: {error}")
+    findings = () if check is None else check.findings
+    faults = None if check is None else tuple(finding.test for finding in findings)
+    left = next((finding.left for finding in findings if finding.left is not None), None)
+    try:
+        causes = explain_misfit(estimate, record, faults, progress, shown, left)
+    except (JointidError, np.linalg.LinAlgError):  # nor does the search for a cause
+        causes = None
+    short = find_too_short(record) if causes is None and whole else None  # what is refused is not relied on
+    if causes is not None:
+        verdict = Verdict(Subject.LOOP, Status.FAILED, (causes.message,))
+    elif short is not None:
+        verdict = Verdict(Subject.LOOP, Status.FAILED, (short,))
     return estimate.amended(checks={"verdicts": (*estimate.checks.verdicts, verdict)}), check
 
 
@@ -273,67 +190,287 @@ class _State:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _TestResults:
-    """Residual and columns of a state, (rows, ...), the fault signatures, and their tests, the likeliest first."""
+    """Residual and columns of a state, (rows, ...), the fault signatures, and their tests, the likeliest first.
+
+    `where` and `by_forces` are of `score_signatures`; each is a simulation or more, made once and when it is wanted.
+    """
 
     residual: FloatArray
     own: FloatArray
     signatures: tuple[FaultSignature, ...]
     tests: tuple[FaultTest, ...]
+    where: Callable[[], Cells]
+    by_forces: Callable[[], list[FloatArray]]
 
 
-def find_faults(problem: ClosedLoopProblem, x: FloatArray, settings: LoopTests | None = None) -> LoopCheck:
+def find_faults(
+    problem: ClosedLoopProblem,
+    x: FloatArray,
+    settings: LoopTests | None = None,
+    std: Mapping[str, float] | None = None,
+    record: Record | None = None,
+) -> LoopCheck:
     """Find the faults of a loop and its log.
 
     Args:
         problem: with the identified parameters free; those are not tested.
         x: (free,) where it was solved.
         settings: see `LoopTests`.
+        std: standard errors of the joint's parameters by name, by which their changes are measured; autocorrelation-
+            robust ones when None.
+        record: of the problem; without it a drive that runs faster than the log is not looked for.
 
     Raises:
         MethodError: a fault asked for cannot be tested in this record.
     """
-    settings = settings or LoopTests()
-    state = _State(problem, np.asarray(x, dtype=np.float64))
+    settings, known = settings or LoopTests(), std or {}
+    state = beginning = _State(problem, np.asarray(x, dtype=np.float64))
     findings: list[Finding] = []
-    first: tuple[FaultTest, ...] | None = None
+    others: list[_OtherLawTest] = []
+    faster: list[_OtherLawTest] = []
+    first: _TestResults | None = None
+    first_law: _OtherLawTest | None = None
     while len(findings) < settings.most:
         found = _run_tests(state, settings)
-        first = found.tests if first is None else first
-        rounding = np.linalg.norm(found.residual) <= _ROUNDING * np.linalg.norm(problem.filtered(problem.measured))
-        if rounding or not found.tests or found.tests[0].p_value > settings.level:
+        if np.linalg.norm(found.residual) <= _ROUNDING * np.linalg.norm(problem.filtered(problem.measured)):
+            first, others = first or found, []
+            break
+        others = _test_other_laws(state, found, settings)
+        if first is None:
+            first, faster = found, _test_faster_laws(state, found, settings, known, record)
+        laws = others if findings else [*others, *faster]
+        told = max(
+            (one for one in laws if one.explains(found.tests, settings.level)),
+            key=lambda one: one.likelihood,
+            default=None,
+        )
+        if told is None and (not found.tests or found.tests[0].p_value > settings.level):
             break
         if not findings:  # a rigid joint's DIDIM ends near the least squares, not on them
             state = replace(state, x=_solve(problem, state.x))
-        after = _accept_fault(state, found)
-        findings.append(_make_finding(state, after, found, settings.level))
+        if told is not None:
+            first_law = first_law or told
+            alike = [one for one in laws if one is not told and one.possible and one.as_likely([told])]
+            findings.append(_find_other_law(state, told, found, settings.level, known, alike))
+            named = (*state.named, *(part for one in (told, *alike) for part in one.refit.law.parts))
+            state = replace(state, problem=told.refit.problem, x=told.refit.x, named=named)
+            others = []
+            continue
+        after, others = _accept_fault(state, found), []
+        findings.append(_make_finding(state, after, found, settings.level, known))
         state = after
+    open_ones: list[Finding] = []
+    if possible := [one for one in others if one.possible and one.test.name == PRESENT_SAMPLE]:
+        solved = state if findings else replace(state, x=_solve(problem, state.x))
+        open_ones += [_find_other_law(solved, one, found, settings.level, known) for one in possible]
+    if first is not None and (rates := _list_rates_left_open(faster, first, findings, first_law)):
+        solved = replace(beginning, x=_solve(problem, beginning.x))
+        open_ones += [_find_other_law(solved, one, first, settings.level, known) for one in rates]
+    moving = [one for one in open_ones if any(map(_is_out, one.changes.values()))]
+    undecided = max(moving, key=_size_of_change, default=None)
     joint = problem.loop.joint
     units = {p.name: joint.unit(p) for p in joint.parameters}
     force = units[OFFSET]
     units |= {"torque": force, "velocity": unit_of(Quantity.VELOCITY, joint.kind, force)}
     symbols = {p.name: p.symbol for p in joint.parameters}
     side = None if joint.transmission is None else joint.transmission.side
-    return LoopCheck(tuple(findings), first or (), settings.level, symbols, units, side)
+    tests = () if first is None else first.tests
+    return LoopCheck(tuple(findings), tests, settings.level, symbols, units, side, undecided)
 
 
 def _run_tests(state: _State, settings: LoopTests) -> _TestResults:
-    """Test every fault of a state, each alone."""
     residual, own, signatures = compute_signatures(state.problem, state.x)
     known = dict.fromkeys(a.name for a in signatures)
-    wrong = [name for name in settings.faults or () if name not in (*known, *state.named)]
+    laws = (PRESENT_SAMPLE, MEASURED_VELOCITY, PERIOD)
+    wrong = [name for name in settings.faults or () if name not in (*known, *state.named, *laws)]
     if wrong:
-        raise MethodError(
-            f"No fault called {', '.join(wrong)} can be tested in this record; choose from {', '.join(known)}."
-        )
+        choice = ", ".join((*known, *laws))
+        raise MethodError(f"No fault called {', '.join(wrong)} can be tested in this record; choose from {choice}.")
     asked = [n for n in known if n not in state.named and (settings.faults is None or n in settings.faults)]
     controller = state.problem.loop.controller
     undeclared = {STRIBECK: 0.0, PRESLIDING: 0.0, LIMIT: 0.0, OFFSET: 0.0, INJECTED_GAIN: 1.0}
+    undeclared |= dict.fromkeys(MECHANICS, 0.0)
     declared = {
         name: undeclared[name] if name in undeclared else surrounding(name, controller).start or 0.0 for name in asked
     }
-    where = cache(lambda: _assign_cells(state))  # used by every fault found, and a simulation each time
-    tests = score_signatures(residual, _stack_columns(state, own), signatures, declared, where)
-    return _TestResults(residual, own, signatures, tests)
+    where, by_forces = cache(lambda: _assign_cells(state)), cache(lambda: _simulate_forces(state))
+    tests = score_signatures(residual, _stack_columns(state, own), signatures, declared, where, by_forces)
+    return _TestResults(residual, own, signatures, tests, where, by_forces)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _OtherLawTest:
+    """A problem under another law, and the test of it: the declared law is at size 0, the other one at 1."""
+
+    refit: Refit
+    test: FaultTest
+
+    @property
+    def possible(self) -> bool:
+        """Whether the record does not exclude the other law; a rate between two that were tried is near to both."""
+        roughly = _BETWEEN_RATES if self.test.name == PERIOD else 0.0
+        return 1 - self.test.size <= max(_EXCLUDED * self.test.std, roughly)
+
+    @property
+    def likelihood(self) -> float:
+        """Twice the logarithm of its ratio to that of the declared law."""
+        return (2 * self.test.size - 1) / self.test.std**2
+
+    def explains(self, tests: Sequence[FaultTest], level: float) -> bool:
+        """Whether the record excludes the declared law, and no fault explains it better."""
+        test = self.test
+        if not self.possible or test.size <= 0 or test.p_value > level:
+            return False
+        return self.likelihood >= max((one.strength**2 for one in tests), default=0.0) - _RIVAL
+
+    def rivals(self, found: _TestResults) -> bool:
+        """Whether the record excludes it neither by itself nor by a fault that explains more."""
+        told = (one.strength**2 for one in found.tests if one.p_value <= _SIGNIFICANT)
+        return self.possible and self.likelihood >= max(told, default=0.0) - _RIVAL
+
+    def as_likely(self, others: Sequence[_OtherLawTest]) -> bool:
+        """Whether none of others is far likelier."""
+        return self.likelihood >= max(one.likelihood for one in others) - _RIVAL
+
+
+def _test_other_laws(state: _State, found: _TestResults, settings: LoopTests) -> list[_OtherLawTest]:
+    """Return the test of every law that the drive may run instead; of those asked for, where some are."""
+    tests = []
+    wrong = settings.faults is not None or any(one.p_value <= settings.level for one in found.tests)
+    laws = (PRESENT_SAMPLE, *((MEASURED_VELOCITY,) if wrong else ()))
+    asked = set(laws) & set(settings.faults or laws)
+    for refitted in refit_other_laws(state.problem, state.x, asked - {*state.named}):
+        test = _test_signature(state, found, refitted.signature)
+        if test.std > 0:
+            tests.append(_OtherLawTest(refitted, test))
+    return tests
+
+
+def _test_faster_laws(
+    state: _State, found: _TestResults, settings: LoopTests, known: Mapping[str, float], record: Record | None
+) -> list[_OtherLawTest]:
+    """Return the tests of laws that run faster than the log, where no period is declared and they may matter.
+
+    One run at half of the log's period says whether that can be: a faster drive changes twice as much at most.
+    """
+    problem, asked = state.problem, PERIOD in (settings.faults or (PERIOD,))
+    if record is None or not (asked and runs_at_the_logs_rate(problem)):
+        return []
+    step = _step_to_a_faster_law(state, found, record)
+    if step is None or not _may_matter(state, found, *step, known):
+        return []
+    evident = step[0].size > 0 and step[0].p_value <= settings.level
+    tests: list[_OtherLawTest] = []
+    start = state.x
+    for times in TIMES_FASTER if evident else _TIMES_UNDECIDED:
+        here = []
+        for law in faster_laws(problem, times):
+            try:
+                refitted = refit(problem, state.x, law, faster_problem(problem, law, record), start)
+            except (JointidError, np.linalg.LinAlgError):  # a loop that is unstable under it is not that of the record
+                continue
+            start, test = refitted.x, _test_signature(state, found, refitted.signature)
+            here += [_OtherLawTest(refitted, test)] if test.std > 0 else []
+        if not any(one.possible for one in here):
+            break
+        plain, best = here[0], max(here, key=lambda one: one.likelihood)
+        tests.append(best if best.likelihood > plain.likelihood + _RIVAL else plain)
+    return tests
+
+
+def _step_to_a_faster_law(state: _State, found: _TestResults, record: Record) -> tuple[FaultTest, FloatArray] | None:
+    """Return the test of what half of the log's period changes at the same joint, and that change, (rows,)."""
+    law = next(faster_laws(state.problem, TIMES_FASTER[0]))
+    try:
+        moved = found.residual - faster_problem(state.problem, law, record).residual(state.x)
+    except JointidError:  # no law of that period
+        return None
+    return _test_signature(state, found, FaultSignature(PERIOD, moved, raw=np.zeros(0))), moved
+
+
+def _may_matter(
+    state: _State, found: _TestResults, step: FaultTest, moved: FloatArray, known: Mapping[str, float]
+) -> bool:
+    """Whether a faster drive is not excluded, and explains what the record shows, or would move a parameter.
+
+    Args:
+        state: solved under the declared law.
+        found: what was tested there.
+        step: the test of what half of the log's period changes.
+        moved: (rows,) that change of the torque.
+        known: deviations of the joint's parameters, by name.
+    """
+    if not step.std > 0 or step.size + 3 * step.std < _AT_LEAST:
+        return False
+    best = max((one.strength**2 for one in found.tests if one.p_value <= _SIGNIFICANT), default=0.0)
+    if _REACH * step.strength**2 < best - _RIVAL:
+        return False
+    if step.size > 0 and step.p_value <= _SIGNIFICANT:
+        return True
+    own = _stack_columns(state, found.own)
+    by = np.linalg.lstsq(own, moved, rcond=None)[0]
+    std = robust(own, own, found.residual).std
+    names = [p.name for p in state.problem.free_joint]
+    return any(_REACH * abs(by[k]) > _MATTERS * known.get(name, float(std[k])) for k, name in enumerate(names))
+
+
+def _test_signature(state: _State, found: _TestResults, signature: FaultSignature) -> FaultTest:
+    """Return the test of what another law changes, beside those of the faults."""
+    own, signatures = _stack_columns(state, found.own), [*found.signatures, signature]
+    declared = {signature.name: 0.0}
+    test = score_signatures(found.residual, own, signatures, declared, found.where, found.by_forces)[0]
+    return replace(test, p_value=min((len(found.tests) + 1) * test.p_value, 1.0))
+
+
+def _list_rates_left_open(
+    faster: Sequence[_OtherLawTest], first: _TestResults, findings: Sequence[Finding], law: _OtherLawTest | None
+) -> list[_OtherLawTest]:
+    """Return the faster laws that neither a fault nor another rate excludes; none where the rate that was found counts.
+
+    Args:
+        faster: that were tested, beside `first`, the tests of the faults.
+        first: of the loop as it is declared.
+        findings: of which one may be such a law. Where it moves the value that is asked for out of its interval, that
+            is said already.
+        law: the first law that was found; a rate that is far less likely is excluded by it, too.
+    """
+    found = next((one for one in findings if one.test.name == PERIOD), None)
+    if found is not None and _size_of_change(found)[0] > _INTERVAL:
+        return []
+    told = [*faster, *([] if law is None else [law])]
+    return [
+        one for one in faster
+        if one.rivals(first) and one.as_likely(told) and (found is None or 1 / one.refit.law.rate != found.value)
+    ]  # fmt: skip
+
+
+def _find_other_law(
+    state: _State,
+    other: _OtherLawTest,
+    found: _TestResults,
+    level: float,
+    known: Mapping[str, float],
+    alike: Sequence[_OtherLawTest] = (),
+) -> Finding:
+    """Return another law as a finding, with what it changes, and the laws that explain as much, the likeliest first."""
+    least = other.test.strength**2 - _RIVAL
+    rivals = tuple(s.label for s in found.tests if s.p_value <= level and s.strength**2 > least)
+    problem, x = other.refit.problem, other.refit.x
+    left = float(np.linalg.norm(problem.residual(x))) / problem.size
+    law, changes = other.refit.law, _changes(state, problem.values(x), found, known)
+    others = tuple(one.refit.law for one in sorted(alike, key=lambda one: -one.likelihood))
+    return Finding(other.test, 1 / law.rate if law.rate else None, rivals, changes, law, left, others)
+
+
+def _size_of_change(finding: Finding) -> tuple[float, float]:
+    """Return by how many deviations a finding moves stiffness or inertia, and any parameter."""
+    sizes = {name: abs(change.sigmas) for name, change in finding.changes.items()}
+    return sizes.get("stiffness", sizes.get("inertia", 0.0)), max(sizes.values(), default=0.0)
+
+
+def _is_out(change: ParameterShift) -> bool:
+    """Whether a parameter moves out of its interval."""
+    return abs(change.sigmas) > _INTERVAL
 
 
 def _stack_columns(state: _State, own: FloatArray) -> FloatArray:
@@ -347,6 +484,15 @@ def _assign_cells(state: _State) -> Cells:
     return cells(motion[:, 0], motion[:, 1])
 
 
+def _simulate_forces(state: _State) -> list[FloatArray]:
+    """Return the residuals, (rows,), that forces as the record shows one in its loop leave; none where it has none."""
+    problem, run = state.problem, state.problem.simulate(state.x)
+    force = find_force(problem, state.x, run, problem.measured - run.torque)
+    if force is None:
+        return []
+    return [problem.filtered(one - run.torque) for one in simulate_with_force(problem, state.x, force, _FORCES)]
+
+
 def _accept_fault(state: _State, found: _TestResults) -> _State:
     """Return the state with the likeliest fault corrected, and the problem solved again.
 
@@ -355,17 +501,23 @@ def _accept_fault(state: _State, found: _TestResults) -> _State:
     """
     suspect, problem = found.tests[0], state.problem
     signature = next(a for a in found.signatures if (a.name, a.shape) == (suspect.name, suspect.shape))
-    named = (*state.named, suspect.name, *suspect.alike, *(_LOW_SPEED if suspect.name in _LOW_SPEED else ()))
+    alternatives = next((group for group in _ALTERNATIVES if suspect.name in group), ())
+    named = (*state.named, suspect.name, *suspect.alike, *alternatives)
     if signature.raw is not None:
         problem = replace(problem, measured=problem.measured - suspect.size * signature.raw)
         return _State(problem, _solve(problem, state.x), (*state.corrected, signature), named)
     wider, start = _free_parameter(problem, suspect)
-    x = _solve(wider, wider.vector(problem.values(state.x) | {suspect.name: start}))
+    held = _State(problem, state.x, (*state.corrected, signature), named)
+    try:
+        x = _solve(wider, wider.vector(problem.values(state.x) | {suspect.name: start}))
+        wider.linearised(x)
+    except MethodError:  # the number goes to where its part of the law vanishes
+        return held
     reached = wider.values(x)[suspect.name] - suspect.declared
     astray = suspect.name != LIMIT and reached * suspect.size < _HALF * suspect.size**2
     if astray or np.linalg.norm(wider.residual(x)) > np.linalg.norm(found.residual):
         # A bound or another fault prevents the fit: the test stands, the joint stays as it is.
-        return _State(problem, state.x, (*state.corrected, signature), named)
+        return held
     return _State(wider, x, state.corrected, named)
 
 
@@ -395,19 +547,14 @@ def _torque_per_unit(problem: ClosedLoopProblem) -> float:
     return float(getattr(controller, "gain", 1.0) * abs(getattr(controller, "ratio", 1.0)))
 
 
-def _make_finding(state: _State, after: _State, found: _TestResults, level: float) -> Finding:
+def _make_finding(
+    state: _State, after: _State, found: _TestResults, level: float, known: Mapping[str, float]
+) -> Finding:
     suspect = found.tests[0]
     least = suspect.strength**2 - _RIVAL
     rivals = tuple(s.label for s in found.tests[1:] if s.p_value <= level and s.strength**2 > least)
-    own = _stack_columns(state, found.own)
-    names = [p.name for p in state.problem.free_joint]
-    std = robust(own, own, found.residual).std[: len(names)]
     values = after.problem.values(after.x)
-    moved = np.array([values[name] for name in names]) - state.x[: len(names)]
-    changes = {
-        name: ParameterShift(float(by), float(by / s) if s > 0 else 0.0)
-        for name, by, s in zip(names, moved, std, strict=True)
-    }
+    changes = _changes(state, values, found, known)
     free = [p.name for p in after.problem.free]
     if len(after.corrected) > len(state.corrected) or suspect.name not in free:
         return Finding(suspect, None, rivals, changes)
@@ -419,3 +566,18 @@ def _make_finding(state: _State, after: _State, found: _TestResults, level: floa
     covariance, _ = widened(robust(columns, columns, residual), columns, columns, residual, _assign_cells(after))
     refined_std = float(covariance.std[free.index(suspect.name)])
     return Finding(replace(suspect, size=value - suspect.declared, std=refined_std), value, rivals, changes)
+
+
+def _changes(
+    state: _State, values: Mapping[str, float], found: _TestResults, known: Mapping[str, float]
+) -> dict[str, ParameterShift]:
+    """Return by how much the joint's parameters change from a state to other values."""
+    own = _stack_columns(state, found.own)
+    names = [p.name for p in state.problem.free_joint]
+    by_itself = robust(own, own, found.residual).std[: len(names)]
+    std = [known.get(name, float(one)) for name, one in zip(names, by_itself, strict=True)]
+    moved = np.array([values[name] for name in names]) - state.x[: len(names)]
+    return {
+        name: ParameterShift(float(by), float(by / s) if s > 0 else 0.0)
+        for name, by, s in zip(names, moved, std, strict=True)
+    }

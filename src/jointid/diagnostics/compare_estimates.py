@@ -11,10 +11,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
-from jointid.common.document import Document, Documented, Facts, Listing, Table
+from jointid.common.document import Document, Documented, Facts, Listing, Table, data_frame
 from jointid.common.errors import MethodError
 from jointid.common.text import number
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 LEVEL = 0.05
 """Family-wise significance level: largest share of unchanged pairs in which some quantity is called changed."""
@@ -135,6 +139,20 @@ class EstimateComparison(Documented):
         changes = [_describe_change(row) for row in self.changed]
         return (f"{len(changes)} of {tested} quantities changed significantly: {'; '.join(changes)}.", *self.notes)
 
+    @property
+    def sentence(self) -> str:
+        """Whether anything changed."""
+        return self.sentences[0]
+
+    def to_dataframe(self) -> DataFrame:
+        """Return the quantities as a pandas data frame: a row each, before, after, difference, its deviation, p-value.
+
+        Raises:
+            ExtraError: pandas is not installed.
+        """
+        keys = ("symbol", "before", "after", "difference", "std", "p_value", "unit", "reason")
+        return data_frame({row.name: {key: getattr(row, key) for key in keys} for row in self.rows}, "quantity")
+
     def document(self, *, details: bool = False) -> Document:
         """Return the table and the sentences; there are no further details."""
         del details
@@ -195,7 +213,6 @@ def compare_estimates(before: ReportedEstimate, after: ReportedEstimate, level: 
 
 
 def _require_comparable(before: ReportedEstimate, after: ReportedEstimate) -> None:
-    """Raise a `MethodError` where two estimates cannot be compared."""
     for what, one, other in (
         ("model", before.model, after.model),
         ("kind", before.kind, after.kind),

@@ -32,7 +32,8 @@ from dataclasses import dataclass, replace
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Facts, Listing, Paragraph, Table, common_facts
 from jointid.common.errors import MethodError
-from jointid.common.progress import Progress, silent
+from jointid.common.messages import Progress, Work, follow, silent
+from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import number
 from jointid.common.transmission import Transmission, transmission_lines
 from jointid.diagnostics.intervals import rebuild_problem
@@ -46,12 +47,11 @@ from jointid.diagnostics.other_experiments import (
     double_acceleration,
     find_noise_source,
 )
+from jointid.estimation.methods.flexible_search import FASTEST, pseudo_regular
+from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.estimation.problems.nuisance_parameters import INITIAL
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.search.flexible_search import FASTEST, pseudo_regular
 from jointid.models.joints import acts_on_whole
-from jointid.models.parameters import POSITION_UNIT
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Outcome
@@ -133,9 +133,8 @@ class Advice(Documented):
             "loop": "caused by a force inside the loop, the log being the controller's output",
             "log": "measurement noise of the log",
         }[self.noise]
-        facts = common_facts(None, self.transmission)
-        blocks: list[Block] = [Paragraph(f"the torque residual is taken to be {where}")]
-        blocks += [Facts(facts)] if facts else []
+        said = Paragraph(f"the torque residual is taken to be {where}")
+        blocks: list[Block] = [said, Facts(common_facts(None, self.transmission))]
         for kind, group in (("torque and", self.sensors), ("torque from", self.tests)):
             header = ("symbol", "reported", *(f"{kind} {one.name}" for one in group), "unit")
             rows = []
@@ -188,15 +187,16 @@ def advise(
     names = [p.name for p in own]
     known = estimate.params.covariance
     reported = {p.name: p.stderr or 0.0 for p in estimate.params if p.name in names}
-    progress("simulating the loop for its positions")
+    work = Work(progress, "predicting other experiments", 4, "parts")
     sensors = []
     for name, description, information in _list_encoders(problem, x, noise, choose_encoder_steps(record, encoder_step)):
         std = covariance_of(add_information(known, information), 0).std
         sensors.append(Prediction(name, description, dict(zip(names, map(float, std), strict=False))))
-    progress("simulating other motions")
+    work.add()
     height, width = pulse or choose_pulse(problem, problem.values(x))
     error, J = problem.linearised(x)
     before = stationary(J, J, error).std
+    work.add()
     tests = []
     for motion in (add_pulses(problem, height, width), double_acceleration(problem, record)):
         changed = replace(problem, experiment=motion.experiment, measured=problem.measured[: motion.experiment.samples])
@@ -208,6 +208,7 @@ def advise(
             changes = dict(zip(names, map(float, after / before), strict=False))
             predicted = {name: std * changes[name] for name, std in reported.items()}
         tests.append(Prediction(motion.name, motion.description, predicted))
+        work.add()
     return Advice(
         estimate.data.record,
         noise,
@@ -373,7 +374,6 @@ def design_stiffness_test(
 
     def predict_mode(by: ClosedLoopProblem, bound: StiffnessBound, encoder: bool) -> DetectableMode:
         assert bound.frequency is not None
-        progress(f"predicting the highest identified mode at a load share of {bound.share:g}")
         softest = pseudo_regular(rigid, bound.frequency, bound.share)
         doubt = max(_EXCLUDED / deviation(wide, softest, 1.0, False), 1.0)
 
@@ -383,10 +383,13 @@ def design_stiffness_test(
         return _find_highest_mode(bound.share, bound.frequency, deviation_at, FASTEST / sample_time)
 
     bounds = [bound for bound in estimate.checks.bounds if bound.share in SHARES and bound.frequency is not None]
+    asked = [(by, bound, encoder) for by, encoder in ((rung, False), (wide, True)) for bound in bounds]
+    steps = follow(asked, progress, "predicting the highest identified mode", len(asked), "tests")
+    modes = tuple(predict_mode(*one) for one in steps)
     return StiffnessTestDesign(
         estimate.data.record,
-        tuple(predict_mode(rung, bound, False) for bound in bounds),
-        tuple(predict_mode(wide, bound, True) for bound in bounds),
+        modes[: len(bounds)],
+        modes[len(bounds) :],
         height, width, step, problem.torque_unit, POSITION_UNIT[problem.joint.kind], problem.joint.transmission,
     )  # fmt: skip
 

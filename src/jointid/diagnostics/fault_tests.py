@@ -1,9 +1,10 @@
-"""Signatures of faults of loop and log, and the score test of each alone.
+"""Signatures of faults of loop and log, and the score test of each alone, and of those of `mechanics_faults`.
 
 For a solved problem, the signature of a fault is one column, the derivative of the filtered torque by the size of the
 fault, the joint's parameters held:
 
-- numbers of the law (``kp``, ``kv``, ``gain``, ..., ``delay``), ``log_gain`` and ``log_delay``: exact derivatives;
+- numbers of the law (``position_gain``, ``velocity_gain``, ``gain``, ..., ``delay``), ``log_gain`` and
+  ``log_delay``: exact derivatives;
 - ``injected_gain``: the known signal is larger than the record says;
 - ``offset``: a constant force, where the joint is declared without one;
 - ``limit``: the law's output is cut off below its declared limit, at some shares of the largest torque it asks for;
@@ -11,19 +12,26 @@ fault, the joint's parameters held:
   simulated motion, through the loop; ``presliding``: it is smaller by that.
 
 A wrong ``drive_gain`` is none of them: it scales the whole record, and with it the joint, so it is not identifiable. A
-gain that applies to one part only is: the law's (``gain``, ``kv``), the log's (``log_gain``), or that of a signal of
-known size (``injected_gain``).
+gain that applies to one part only is: the law's (``gain``, ``velocity_gain``), the log's (``log_gain``),
+or that of a signal of known size (``injected_gain``).
 
 The test is one Gauss-Newton step on the whitened residual. With J the sensitivities of the free parameters and c the
 column of a fault, the residual e of the problem is regressed on both. The last coefficient is the size of the fault,
 and its ratio to its deviation the statistic. Before that, e, J and c go through one filter that makes the noise nearly
 white: the prediction error of an autoregressive model of the part of e that no fault explains. So the statistic is
-nearly that of the likelihood, which distinguishes kp from kv or a gain of the log where plain least squares, in a loop
-that shapes the noise, does not. The model need not be right: the deviation is the autocorrelation-robust one of
-`uncertainty`, widened where the remaining residual is position-dependent (`position_dependent_error`).
+nearly that of the likelihood, which distinguishes the gains of a law from each other and from one of the log where
+plain least squares, in a loop that shapes the noise, does not.
+The model need not be right: the deviation is the autocorrelation-robust one of
+`uncertainty`, widened where the remaining residual is position-dependent (`position_dependent_error`). It is of the
+residual as it was before the fit took its share, frequency by frequency: a slow motion has few of them, and what a
+dozen columns leave there is too little to judge another one by.
+Where a random force acts in the loop, a fault is as likely as its size beside those that such forces alone show, each
+simulated, where these are clearly larger: what they do where friction holds the motor is no small noise of each row by
+itself.
 
-All tests of a record are one family: p-values are multiplied by the number of faults, and of shapes tried for one
-(Bonferroni). Faults whose columns are collinear, given the joint's parameters, are one.
+All tests of loop and log are one family, and all of the mechanics another, at a tenth of its level: p-values are
+multiplied by the number of faults in it, and of shapes tried for one (Bonferroni). Faults whose columns are collinear,
+given the joint's parameters, are one.
 """
 
 from __future__ import annotations
@@ -31,21 +39,24 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import TypeAlias
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
+from jointid.diagnostics.fault_signature import FaultSignature
+from jointid.diagnostics.mechanics_faults import MECHANICS, ONE_SIDED, vary_mechanics
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import numbers_of
 from jointid.records.record import Tap
 from jointid.simulation.loop_input import as_logged
-from jointid.uncertainty.covariance import robust
+from jointid.uncertainty.covariance import robust, smoothed_spectrum
 from jointid.uncertainty.position_dependent_error import Cells, widened
 
 STRIBECK, PRESLIDING, LIMIT, OFFSET, INJECTED_GAIN = "stribeck", "presliding", "limit", "offset", "injected_gain"
 
-_ONE_SIDED = (STRIBECK, PRESLIDING, LIMIT)  # faults whose size can only be positive
+_ONE_SIDED = (STRIBECK, PRESLIDING, LIMIT, *ONE_SIDED)  # faults whose size can only be positive
 _SPEEDS = (0.02, 0.04, 0.08)  # of the largest speed: the Stribeck speeds that are tried
 _SHARES = (0.5, 0.6, 0.7, 0.8, 0.9)  # of the largest torque the law asks for: the limits that are tried
 _FORCE = 1e-3  # of the largest torque: small enough for the friction to answer it linearly
@@ -55,26 +66,12 @@ _RANK = 1e-10  # of the largest singular value of columns
 _COLLINEAR = 1e-12  # of the square of a column: a smaller remainder beside the joint's parameters is rounding
 _SAME = 0.999  # cosine of two collinear columns
 _LAST = ("gain", INJECTED_GAIN)  # named only where no other fault is collinear
+_KEPT = 0.25  # of a frequency at least: what a fit takes nearly all of is not known from the remainder
 _WIDENED = 0.05  # a test with a larger p-value is not significant, however its deviation is widened
+_RARER = 10  # times as rarely as one of the loop, a fault of the mechanics is found where there is none
+_MORE = 1.2  # times the deviation: what 32 forces show is so much more in one of twenty by chance
 
 Filter: TypeAlias = Callable[[FloatArray], FloatArray]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FaultSignature:
-    """Change of the torque by one fault of loop or log.
-
-    Attributes:
-        name: of the fault.
-        column: (rows,) derivative of the filtered torque by its size.
-        shape: the level of a limit or a Stribeck speed that was tried; None where the fault has no shape.
-        raw: (samples,) the column before the filter, where a problem has no parameter for the fault.
-    """
-
-    name: str
-    column: FloatArray
-    shape: float | None = None
-    raw: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +79,7 @@ class FaultTest:
     """Test of one fault.
 
     Attributes:
-        name: "kp", "delay", "log_gain", ...: see the module.
+        name: "position_gain", "delay", "log_gain", ...: see the module.
         alike: faults that no record of this loop can distinguish from it.
         declared: value; 0 for what is not declared at all.
         size: value less the declared one; of a limit, the observed share of what it cuts off.
@@ -135,6 +132,7 @@ def compute_signatures(
         *(FaultSignature(name, columns[name]) for name in (*names, *(p.name for p in bare))),
         *_vary_injected_gain(problem, x),
         *_vary_low_speed_friction(problem, x),
+        *vary_mechanics(problem, x),
         *([] if LIMIT in taken else _vary_limit(problem, x)),
     ]
     return residual, own, tuple(a for a in found if np.linalg.norm(a.column) > 0)
@@ -215,24 +213,37 @@ def score_signatures(
     signatures: Sequence[FaultSignature],
     declared: Mapping[str, float],
     where: Callable[[], Cells],
+    by_forces: Callable[[], Sequence[FloatArray]] = tuple,
 ) -> tuple[FaultTest, ...]:
-    """Test each fault alone, the strongest first.
+    """Test each fault alone, the strongest first of those that are significant.
 
     Args:
         residual: (rows,) of a solved problem, in the order of time.
         own: (rows, free) columns of its free parameters, and of faults already corrected.
         signatures: of all faults: none of them is noise.
         declared: value, by the name of each fault to be tested.
-        where: returns the rows' cells; called only where a test is significant.
+        where: returns the rows' cells; called only where a test is significant, as is the next.
+        by_forces: returns residuals, (rows,) each, that random forces in the loop would leave alone.
     """
     basis = _find_basis(np.column_stack([own, *(a.column for a in signatures)]))
-    whiten = fit_whitener(residual - basis @ (basis.T @ residual))
+    whiten = fit_whitener(_give_back(residual - basis @ (basis.T @ residual), _share_taken(basis)))
     basis, error = _find_basis(whiten(own)), whiten(residual)
     left = error - basis @ (basis.T @ error)
     steps = [_choose_step([a for a in signatures if a.name == name], whiten, basis, left) for name in declared]
     groups = _group_identical(steps)
-    found = [_test_group(group, left, len(groups), declared, where) for group in groups]
-    return tuple(sorted(found, key=lambda test: -test.strength))
+
+    @cache
+    def forced() -> FloatArray:
+        return np.array([whiten(one) for one in by_forces()]).reshape(-1, residual.size)
+
+    taken = _share_taken(basis)
+    of_mechanics = [group[0].signature.name in MECHANICS for group in groups]
+    families = [of_mechanics.count(mechanics) * (_RARER if mechanics else 1) for mechanics in of_mechanics]
+    found = [
+        _test_group(group, left, taken, family, declared, where, forced)
+        for group, family in zip(groups, families, strict=True)
+    ]
+    return tuple(sorted(found, key=lambda test: (test.p_value > _WIDENED, -test.strength)))
 
 
 def fit_whitener(residual: FloatArray) -> Filter:
@@ -257,6 +268,21 @@ def fit_whitener(residual: FloatArray) -> Filter:
     scale = math.sqrt(products[0] - weights @ products[1:])
     taps = np.concatenate([[1.0], -weights]) / scale
     return lambda signals: np.asarray(lfilter(taps, [1.0], signals, axis=0))
+
+
+def _share_taken(basis: FloatArray) -> FloatArray:
+    """Return the share of each frequency, (rows // 2 + 1,), that a fit of orthonormal columns takes of a residual."""
+    taken = np.sum([smoothed_spectrum(column, column.size)[0] for column in basis.T], axis=0)
+    return np.concatenate([taken[:1], taken])
+
+
+def _give_back(residual: FloatArray, taken: FloatArray) -> FloatArray:
+    """Return a residual, (rows,), as large at each frequency as it was before a fit took a share of it.
+
+    Columns of a slow motion take all that they take at its few frequencies: there the spectrum of the remainder is far
+    too small, and so would be the deviation of a fault, which acts there, too.
+    """
+    return np.fft.irfft(np.fft.rfft(residual) / np.sqrt(np.maximum(1 - taken, _KEPT)), residual.size)
 
 
 def _find_basis(columns: FloatArray) -> FloatArray:
@@ -299,23 +325,29 @@ def _group_identical(steps: Sequence[_Step]) -> list[list[_Step]]:
 
 
 def _test_group(
-    group: Sequence[_Step], left: FloatArray, family: int, declared: Mapping[str, float], where: Callable[[], Cells]
+    group: Sequence[_Step],
+    left: FloatArray,
+    taken: FloatArray,
+    family: int,
+    declared: Mapping[str, float],
+    where: Callable[[], Cells],
+    forced: Callable[[], FloatArray],
 ) -> FaultTest:
     """Return the test of a fault by its size and the autocorrelation-robust deviation of it.
 
     Regressing the parts orthogonal to the other columns is the regression on all columns (Frisch and Waugh). The
     p-value is adjusted for all tests of the family together.
     """
-    from scipy.stats import norm
+    from scipy.stats import t
 
     step, name = group[0], group[0].signature.name
     alone = step.alone[:, np.newaxis]
-    after = left - step.size * step.alone
+    after = _give_back(left - step.size * step.alone, taken + _share_taken(alone / column_norms(alone)))
     alike = tuple(other.signature.name for other in group[1:])
 
-    def judge(std: float) -> FaultTest:
+    def judge(std: float, degrees: float = math.inf) -> FaultTest:
         ratio = step.size / std if std > 0 else 0.0
-        tail = norm.sf(ratio) if name in _ONE_SIDED else 2 * norm.sf(abs(ratio))
+        tail = t.sf(ratio, degrees) if name in _ONE_SIDED else 2 * t.sf(abs(ratio), degrees)
         p_value = min(float(tail) * step.shapes * family, 1.0)
         return FaultTest(name, alike, declared[name], step.size, std, ratio, p_value, step.signature.shape)
 
@@ -323,4 +355,12 @@ def _test_group(
     test = judge(float(covariance.std[0]))
     if test.p_value > _WIDENED:
         return test
-    return judge(float(widened(covariance, alone, alone, after, where())[0].std[0]))
+    test = judge(float(widened(covariance, alone, alone, after, where())[0].std[0]))
+    if test.p_value > _WIDENED or not forced().size:
+        return test
+    shown = forced() @ step.alone / float(step.alone @ step.alone)  # (forces,) sizes
+    # A spectrum tells the size of a force roughly; forces that leave less than what is left are too small.
+    larger = max(1.0, float(np.linalg.norm(after)) / math.sqrt(float(np.mean(np.sum(forced() ** 2, axis=1)))))
+    spread = larger * float(np.sqrt(np.mean(shown**2)))
+    # A fault of another kind may look like a force: so its size stands, and its place among those that are significant.
+    return replace(test, p_value=judge(spread, shown.size).p_value) if spread > _MORE * test.std else test

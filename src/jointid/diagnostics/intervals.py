@@ -7,23 +7,33 @@ the residual. Both start from an estimate and its record.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Collection, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 
 from jointid.common.arrays import FloatArray
-from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, common_facts
+from jointid.common.document import Document, Documented, Facts, Heading, Listing, common_facts
 from jointid.common.errors import MethodError
-from jointid.common.progress import Progress, silent
+from jointid.common.messages import Progress, follow, silent
 from jointid.common.transmission import Transmission
+from jointid.estimation.problems.base import surrounding
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.problems.nuisance_parameters import surrounding
 from jointid.estimation.result.estimate import Estimate, fingerprint
+from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
-from jointid.simulation.loop_input import ClosedLoop
-from jointid.uncertainty.bootstrap import Bootstrap, Bootstrapping, bootstrap_estimate
 from jointid.uncertainty.identifiability import Combination
 from jointid.uncertainty.position_dependent_error import uncertainty
-from jointid.uncertainty.profile import Profile, Profiling, profile, profile_compliance
+from jointid.uncertainty.profile import (
+    ProfileInterval,
+    Profiling,
+    is_parabola,
+    profile,
+    profile_compliance,
+    refit_weighted,
+)
+from jointid.uncertainty.resampling import Bootstrap, Bootstrapping, bootstrap_estimate
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,19 +45,19 @@ class Intervals(Documented):
         over_time: the bootstrap over blocks of time; None where it was not asked for, as the next.
         over_place: the bootstrap over stretches of position, direction and speed.
         transmission: on whose `side` all numbers are.
+        parabolic: quantities that were left out, since the criterion is a parabola out to their intervals' ends.
     """
 
-    profiles: tuple[Profile, ...]
+    profiles: tuple[ProfileInterval, ...]
     over_time: Bootstrap | None
     over_place: Bootstrap | None
     transmission: Transmission | None = None
+    parabolic: tuple[str, ...] = ()
 
     def document(self, *, details: bool = False) -> Document:
         """Return profiles and bootstraps one after the other; there are no further details."""
         del details
-        facts = common_facts(None, self.transmission)
-        blocks: list[Block] = [Facts(facts)] if facts else []
-        blocks += [Listing(tuple(map(str, self.profiles)))] if self.profiles else []
+        blocks = Facts(common_facts(None, self.transmission)), Listing(tuple(map(str, self.profiles)))
         drawn = [one.document() for one in (self.over_time, self.over_place) if one is not None]
         parts = (block for each in drawn for block in (Heading(each.title), *each.blocks))
         return Document("Intervals, by other ways than the covariance", (*blocks, *parts))
@@ -60,6 +70,7 @@ def intervals(
     *,
     bootstrap: bool = False,
     refit: bool = False,
+    curved_only: bool = False,
     profiling: Profiling | None = None,
     bootstrapping: Bootstrapping | None = None,
     progress: Progress = silent,
@@ -73,6 +84,8 @@ def intervals(
             "motor_viscous + load_viscous".
         bootstrap: True to bootstrap as well.
         refit: True for a whole least-squares fit of every draw; one linear step otherwise.
+        curved_only: True to leave out quantities along which the criterion is a parabola within a tenth: the profile of
+            such a one ends where its interval does.
         profiling: see `Profiling`.
         bootstrapping: see `Bootstrapping`.
         progress: called with each quantity.
@@ -96,24 +109,36 @@ def intervals(
     names = [p.name for p in problem.free]
     where = problem.cells(problem.simulate(x))
     spread = uncertainty(J, J, residual, where, names, problem.torque_unit).covariance
+    if "compliance" in quantities and "stiffness" not in names:
+        raise MethodError("A compliance is that of a flexible joint whose stiffness is free; this joint has none.")
+    wanted = {name: _parse_combination(problem, name) for name in quantities if name != "compliance"}
+    parabolic = tuple(
+        name for name, one in wanted.items() if curved_only and is_parabola(problem, x, one, spread, profiling)
+    )
+    # What the stiffness shows, its inverse shows too.
+    parabolic += ("compliance",) if "compliance" in quantities and "stiffness" in parabolic else ()
+    followed = [name for name in quantities if name not in parabolic]
+
+    def profile_of(quantity: str) -> ProfileInterval:
+        if quantity == "compliance":
+            return profile_compliance(problem, x, spread, problem.joint.unit, profiling)
+        return profile(problem, x, wanted[quantity], spread, profiling)
+
     profiles = []
-    for quantity in quantities:
-        progress(f"profiling {quantity}")
-        if quantity != "compliance":
-            profiles.append(profile(problem, x, _parse_combination(problem, quantity), spread, profiling))
-        elif "stiffness" in names:
-            profiles.append(profile_compliance(problem, x, spread, problem.joint.unit, profiling))
-        else:
-            raise MethodError("A compliance is that of a flexible joint whose stiffness is free; this joint has none.")
+    # Side by side: a simulation does not hold the interpreter's lock.
+    with ThreadPoolExecutor(max(min(len(followed), os.cpu_count() or 1), 1)) as pool:
+        found = pool.map(profile_of, followed)
+        for _ in follow(followed, progress, "profiling", len(followed), "quantities"):
+            profiles.append(next(found))
     over_time = over_place = None
     if bootstrap:
         progress("bootstrapping over time and over position")
-        fitted = problem if refit else None
+        fitted = partial(refit_weighted, problem, x) if refit else None
         over_time, over_place = (
-            bootstrap_estimate(problem.free, x, residual, J, labels, bootstrapping, fitted)
+            bootstrap_estimate(problem.free, x, residual, J, labels, bootstrapping, fitted, progress)
             for labels in (None, where.stretch)
         )
-    return Intervals(tuple(profiles), over_time, over_place, estimate.settings.joint.transmission)
+    return Intervals(tuple(profiles), over_time, over_place, estimate.settings.joint.transmission, parabolic)
 
 
 def rebuild_problem(estimate: Estimate, record: Record, another: str) -> tuple[ClosedLoopProblem, FloatArray]:

@@ -11,26 +11,29 @@ import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import chain, combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jointid.common.document import Block, Document, Documented, Facts, Listing, Table, common_facts
+from jointid.common.document import Document, Documented, Facts, Listing, Table, common_facts, data_frame
 from jointid.common.errors import JointidError
-from jointid.common.progress import Progress, silent
-from jointid.common.text import number
+from jointid.common.messages import Progress, follow, silent
+from jointid.common.parameters import Parameter
+from jointid.common.text import counted, number
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.registry import Method, methods
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.params import EstimatedParameter
+from jointid.estimation.result.parts import EstimatedParameter
 from jointid.models.friction import friction_named
-from jointid.models.joints import Joint
-from jointid.models.parameters import Parameter
+from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.checks import check_record
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.loop_input import ClosedLoop
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,6 +74,28 @@ class MethodComparison(Documented):
         """Estimates of the methods that could run, by name."""
         return {method.name: method.estimate for method in self.methods if method.estimate is not None}
 
+    @property
+    def sentence(self) -> str:
+        """How many methods could run, and whether they differ."""
+        ran = f"{len(self.estimates)} of {len(self.methods)} methods ran"
+        if len(self.estimates) < 2:
+            return f"{ran}."
+        differ = counted(len(self.disagreements), "disagreement") if self.disagreements else "no disagreement"
+        return f"{ran}, with {differ} beyond their intervals."
+
+    def to_dataframe(self) -> DataFrame:
+        """Return the parameters by every method as a pandas data frame: value and standard error, a row each.
+
+        Raises:
+            ExtraError: pandas is not installed.
+        """
+        rows: dict[str, dict[str, object]] = {}
+        for name, estimate in self.estimates.items():
+            for p in estimate.params:
+                if p.of_joint:
+                    rows.setdefault(p.name, {"unit": p.unit}).update({name: p.value, f"{name} stderr": p.stderr})
+        return data_frame(rows, "parameter")
+
     def document(self, *, details: bool = False) -> Document:
         """Return the table, what each method read, and where they differ; there are no further details."""
         del details
@@ -83,9 +108,7 @@ class MethodComparison(Documented):
             lines += [f"{name}, {test.name}: {test.sentence}" for test in estimate.checks.tests]
         agreed = ["no two methods differ by more than their intervals allow"] if len(found) > 1 else []
         listing = Listing((*lines, *(self.disagreements or agreed)))
-        blocks: list[Block] = [Facts(facts)] if facts else []
-        blocks += [self._table()] if found else []
-        return Document(title, (*blocks, listing))
+        return Document(title, (Facts(facts), *([self._table()] if found else []), listing))
 
     def _table(self) -> Table:
         found, rows = self.estimates, []
@@ -125,7 +148,8 @@ def compare_methods(
     """
     check_record(record)
     tried = []
-    for name, variant, method in _list_methods(model, didim):
+    listed = list(_list_methods(model, didim))
+    for name, variant, method in follow(listed, progress, "comparing methods", len(listed), "methods"):
         progress(f"trying {name}")
         joint = variant.joint if isinstance(variant, ClosedLoop) else variant
         has = {p.name for p in joint.parameters}

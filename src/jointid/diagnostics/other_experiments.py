@@ -40,10 +40,10 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.records.checks import find_encoder_step
 from jointid.records.record import Channel, Injection, Record, Tap
-from jointid.records.signals.encoder import find_encoder_step
-from jointid.records.signals.excitation import pulses
 from jointid.simulation.closed_loop import Outcome
+from jointid.simulation.excitation import pulses
 from jointid.simulation.loop_input import LoopInput, as_logged, prepare
 from jointid.uncertainty.covariance import smoothed_spectrum, sum_over_frequencies
 
@@ -111,10 +111,7 @@ def compute_encoder_information(
 def _inform(columns: FloatArray, left: FloatArray, step: float) -> FloatArray:
     """Return the information, (free, free), of a position: its sensitivities by the inverse of its errors' spectrum.
 
-    Args:
-        columns: (samples, free) its sensitivities. Their mean weighs nothing.
-        left: (samples,) an example of its errors beside rounding.
-        step: of the encoder.
+    `left`, (samples,), is an example of its errors beside rounding. The mean of the columns weighs nothing.
     """
     spectrum, both = smoothed_spectrum(left, left.size)
     weights = both / ((spectrum + step**2 / 12.0) * left.size)

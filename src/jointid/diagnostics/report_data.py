@@ -17,19 +17,21 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError, RecordError
-from jointid.common.progress import Progress, silent
-from jointid.diagnostics.check_loop import LoopCheck, add_loop_check
+from jointid.common.messages import Message, Progress, Work, silent
+from jointid.common.parameters import POSITION_UNIT
+from jointid.diagnostics.check_loop import add_loop_check
 from jointid.diagnostics.experiment_design import StiffnessTestDesign, design_stiffness_test
 from jointid.diagnostics.intervals import intervals
+from jointid.diagnostics.loop_findings import LoopCheck
 from jointid.diagnostics.validation import Validation, validate
+from jointid.estimation.result.answer import loop_verdict
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.joints import Motion, frequencies
+from jointid.models.joints import FlexibleJoint, Motion
 from jointid.models.linear import OUTPUTS, ComplexArray, frequency_response
-from jointid.models.parameters import POSITION_UNIT
-from jointid.records.record import Record
+from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import differentiate, lowpass
-from jointid.uncertainty.profile import Profile
-from jointid.uncertainty.verdict import Subject
+from jointid.uncertainty.profile import ProfileInterval
+from jointid.uncertainty.verdict import CAUSES, Subject
 
 MotionSource: TypeAlias = Literal["simulated", "measured", "commanded"]
 _Part = TypeVar("_Part")
@@ -86,7 +88,7 @@ class FrequencyResponse:
         frequency: (lines,) Hz.
         curves: of the motor, and for a flexible joint of the load.
         unit: of the magnitude.
-        modes: Hz by name, of a flexible joint; see `models.joints.frequencies`.
+        modes: Hz by name, of a flexible joint; see `FlexibleJoint.frequencies`.
     """
 
     frequency: FloatArray
@@ -95,25 +97,13 @@ class FrequencyResponse:
     modes: Mapping[str, float]
 
 
-@dataclass(frozen=True, slots=True)
-class ChannelSummary:
-    """One channel of a record: its name, unit, seconds between samples, number of samples, timing and source."""
-
-    name: str
-    unit: str
-    sample_time: float
-    samples: int
-    timing: str
-    source: str
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class ReportData:
     """An estimate and the results of its diagnostics.
 
     Attributes:
         estimate: with the verdict of its loop check.
-        channels: of the record.
+        channels: of the record, by name.
         motion: of the motor, at the samples of the estimate's `measured`; None where the record has no position.
         motion_source: of that motion.
         validation: the direct test; None where there is none, as the next ones.
@@ -121,23 +111,32 @@ class ReportData:
         spectra: of measured, predicted and error.
         response: of the joint.
         profiles: of single quantities.
+        parabolic: quantities that are not profiled, since the criterion is a parabola out to their intervals' ends.
         stiffness_test: test that would identify the stiffness, where it is not identifiable.
         checks: of the same estimate on other records.
         absent: reason why a part is missing, by its name, in a sentence.
     """
 
     estimate: Estimate
-    channels: tuple[ChannelSummary, ...]
+    channels: Mapping[str, Channel]
     motion: Motion | None
     motion_source: MotionSource
     validation: Validation | None
     loop: LoopCheck | None
     spectra: Spectra | None
     response: FrequencyResponse | None
-    profiles: tuple[Profile, ...]
+    profiles: tuple[ProfileInterval, ...]
+    parabolic: tuple[str, ...]
     stiffness_test: StiffnessTestDesign | None
     checks: tuple[Validation, ...]
     absent: dict[str, str]
+
+    @property
+    def cause(self) -> Message | None:
+        """Cause of a misfit, which stands in the place of what the tests of small deviations find."""
+        loop = loop_verdict(self.estimate)
+        reasons = () if loop is None else loop.reasons
+        return next((one for one in reasons if one.code in CAUSES), None)
 
 
 def collect_report_data(
@@ -146,7 +145,7 @@ def collect_report_data(
     checks: Sequence[Validation] = (),
     *,
     profiles: Sequence[str] | None = None,
-    loop: bool = True,
+    loop: LoopCheck | bool = True,
     progress: Progress = silent,
 ) -> ReportData:
     """Collect the results that a report on an estimate presents.
@@ -156,12 +155,13 @@ def collect_report_data(
         record: that it was identified from.
         checks: validations of it on other records.
         profiles: quantities to profile, as `intervals` takes them; every free parameter of the joint, and the
-            compliance of a flexible one, when None.
+            compliance of a flexible one, where the criterion is no parabola, when None.
         loop: True to check loop and log; a search that does not end at a least-squares minimum, as the paper's, would
-            itself appear as a fault.
+            itself appear as a fault. The check, where the estimate has its verdict already.
         progress: called with each step.
     """
     absent: dict[str, str] = {}
+    work = Work(progress, "collecting the report", 3 + (loop is True) + bool(estimate.checks.bounds), "parts")
 
     def attempt(name: str, step: str, compute: Callable[[], _Part]) -> _Part | None:
         progress(step)
@@ -170,12 +170,15 @@ def collect_report_data(
         except JointidError as error:
             absent[name] = str(error)
             return None
+        finally:
+            work.add()
 
-    check = None
-    if loop:
+    check = loop if isinstance(loop, LoopCheck) else None
+    if loop is True:
         progress("checking loop and log")
         others = [v for v in estimate.checks.verdicts if v.subject is not Subject.LOOP]  # it is said once
-        estimate, check = add_loop_check(estimate.amended(checks={"verdicts": tuple(others)}), record)
+        estimate, check = add_loop_check(estimate.amended(checks={"verdicts": tuple(others)}), record, progress)
+        work.add()
     validation = attempt("validation", "simulating the direct test", lambda: validate(estimate, record))
     motion, motion_source = _find_motion(estimate, record, validation)
     inside = slice(estimate.fit.borders[0], estimate.fit.measured.size - estimate.fit.borders[1])
@@ -185,12 +188,14 @@ def collect_report_data(
     except RecordError:
         spectra = None
     response = attempt("response", "computing the frequency response", lambda: compute_response(estimate))
+    curved_only = profiles is None
     if profiles is None:
         free = tuple(p.name for p in estimate.params if p.of_joint and p.free)
         profiles = (*free, "compliance") if "stiffness" in free else free
     followed = attempt(
-        "profiles", "profiling the criterion", lambda: intervals(estimate, record, profiles, progress=progress)
-    )
+        "profiles", "profiling the criterion",
+        lambda: intervals(estimate, record, profiles, curved_only=curved_only, progress=progress),
+    )  # fmt: skip
     stiffness_test = None
     if estimate.checks.bounds:
         stiffness_test = attempt(
@@ -200,9 +205,7 @@ def collect_report_data(
         )
     return ReportData(
         estimate=estimate,
-        channels=tuple(
-            ChannelSummary(name, c.unit, c.sample_time, len(c), c.timing.value, c.source) for name, c in record.items()
-        ),
+        channels=dict(record.items()),
         motion=motion,
         motion_source=motion_source,
         validation=validation,
@@ -210,6 +213,7 @@ def collect_report_data(
         spectra=spectra,
         response=response,
         profiles=() if followed is None else followed.profiles,
+        parabolic=() if followed is None else followed.parabolic,
         stiffness_test=stiffness_test,
         checks=tuple(checks),
         absent=absent,
@@ -276,7 +280,7 @@ def compute_response(estimate: Estimate) -> FrequencyResponse:
     if missing:
         raise MethodError(f"A frequency response needs every parameter, and {', '.join(missing)} is not identifiable.")
     flexible = joint.model == "flexible"
-    modes = frequencies(values) if flexible and values["stiffness"] > 0 else {}
+    modes = FlexibleJoint.frequencies(values) if flexible and values["stiffness"] > 0 else {}
     highest = max(0.5 / estimate.data.sample_time, _ABOVE * max(modes.values(), default=0.0))
     grid = np.geomspace(_LOWEST, highest, _LINES)
     frequency = np.unique(np.concatenate([grid, [f for f in modes.values() if f > _LOWEST]]))

@@ -2,23 +2,32 @@
 
 The identified joint is simulated (DIDIM) or its inverse model evaluated (IDIM), and the torque compared with the
 measured one, ``||Y - Ys|| / ||Y||``. Only the motor's state at the first sample is estimated anew.
+
+What noise allows is what the same model leaves of another record when its parameters are free there. The joint predicts
+the record where it adds less than that to the error, as the root of a difference of squares.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from enum import StrEnum
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented, Facts, common_facts
-from jointid.common.errors import MethodError
+from jointid.common.errors import JointidError, MethodError, extra
+from jointid.common.messages import Message
+from jointid.common.parameters import POSITION_UNIT
+from jointid.common.text import number
 from jointid.common.transmission import Transmission
+from jointid.estimation.methods.search import fit_initial_state
+from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of, with_torque
 from jointid.estimation.problems.inverse_model import idim_channels, motion_of
-from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
 from jointid.estimation.result.estimate import (
     Estimate,
     IdentifiedJoint,
@@ -26,16 +35,33 @@ from jointid.estimation.result.estimate import (
     law_fingerprint,
     relative_error,
 )
-from jointid.estimation.search.starts import fit_initial_state
 from jointid.models.disturbances import effect_parameters
-from jointid.models.joints import Motion
-from jointid.models.parameters import POSITION_UNIT
+from jointid.models.joints import ClosedLoop, Motion
 from jointid.records.checks import check_record
 from jointid.records.record import Record, Resampled
 from jointid.simulation.closed_loop import Initial, Simulation, require_finished
-from jointid.simulation.loop_input import ClosedLoop, prepare
+from jointid.simulation.loop_input import prepare
+from jointid.solvers.bounded_least_squares import LevenbergMarquardt
+from jointid.solvers.solve import solve
+from jointid.uncertainty.verdict import POOR_FIT
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
 
 _LAGS = 40  # of the residual's autocorrelation
+_NEGLIGIBLE = 0.01  # of the torque: a joint that adds less to the error predicts a record that has no noise
+_TOLERANCE, _EVALUATIONS = 1e-5, 40  # of what noise allows: far below what is told of it
+
+
+class Prediction(StrEnum):
+    """Answers to whether a joint predicts a record, as codes."""
+
+    PREDICTED = "predicted"
+    ANOTHER_JOINT = "another_joint"
+    NOT_AS_DECLARED = "not_as_declared"
+    OWN_RECORD = "own_record"
+    NOT_COMPARED = "not_compared"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,14 +79,15 @@ class Validation(Documented):
         borders: samples left out at each end of the relative error.
         relative_error: of the raw torque; a ratio.
         filtered_error: of the filtered and decimated torque, with the estimate's own filtering; a ratio.
-        tracking_error: ``||e - es|| / ||e||`` of the tracking error reference - position, where the record has a
-            motor position to compare with; a ratio.
-        initial: estimated motor state, for a simulation.
-        simulations: number run.
+        attainable_error: the same of a joint identified from this record; None in a direct test, and where none is.
         autocorrelation: (lags + 1,) of the filtered torque error, 1 at lag 0; a white one stays within `white_band`.
         rows: of the filtered torque error.
         motor: motion the error is plotted against: simulated for DIDIM, measured for IDIM.
         transmission: on whose `side` torque and motion are.
+        tracking_error: ``||e - es|| / ||e||`` of the tracking error reference - position, where the record has a
+            motor position to compare with; a ratio.
+        initial: estimated motor state, for a simulation.
+        simulations: number run for the prediction.
         warnings: limits of the result, one sentence each.
         resampled: resampling of the record to a uniform clock; None where it was logged so.
     """
@@ -78,15 +105,16 @@ class Validation(Documented):
     borders: tuple[int, int]
     relative_error: float
     filtered_error: float
-    tracking_error: float | None
-    initial: Initial | None
-    simulations: int
     autocorrelation: FloatArray
     rows: int
     motor: Motion
     transmission: Transmission | None = None
+    tracking_error: float | None = None
+    initial: Initial | None = None
+    simulations: int = 0
     warnings: tuple[str, ...] = ()
     resampled: Resampled | None = None
+    attainable_error: float | None = None
 
     @property
     def white_band(self) -> float:
@@ -98,17 +126,62 @@ class Validation(Documented):
         """Share of the lags beyond 0 whose autocorrelation is outside the band; about 0.05 for a white residual."""
         return float(np.mean(np.abs(self.autocorrelation[1:]) > self.white_band))
 
+    @property
+    def answer(self) -> Message:
+        """Whether the joint predicts the record within what noise allows, and what to do if not."""
+        left, least = self.filtered_error, self.attainable_error
+        share = f"leaves {_percent(left)} of its filtered torque"
+        values = {"filtered_error": left, "attainable_error": least}
+        if self.test == "direct":
+            words = f"The joint was identified from {self.record} and {share}; that it predicts another record is shown"
+            return Message(Prediction.OWN_RECORD, f"{words} by that record only: validate it on one", values)
+        allowed = "" if least is None else f", and one identified from it {_percent(least)}"
+        if left > POOR_FIT and (least is None or least > POOR_FIT):
+            wrong = "controller, channels or scales are" if self.method == "didim" else "channels or scales are"
+            words = f"The joint does not predict {self.record}: it {share}{allowed}; {wrong} not as declared there"
+            words += ": identify it from this record, too, and see what is said of the fit"
+            return Message(Prediction.NOT_AS_DECLARED, words, values)
+        if least is None:
+            words = f"The joint {share} on {self.record}; how little a joint can leave there could not be found"
+            return Message(Prediction.NOT_COMPARED, words, values)
+        if math.sqrt(max(left**2 - least**2, 0.0)) <= max(least, _NEGLIGIBLE):
+            return Message(Prediction.PREDICTED, f"The joint predicts {self.record}: it {share}{allowed}", values)
+        words = f"The joint does not predict {self.record} within its noise: it {share}{allowed}; the axis or its "
+        words += "controller is another one there: identify it from this record, too, and compare both estimates"
+        return Message(Prediction.ANOTHER_JOINT, words, values)
+
+    @property
+    def sentence(self) -> str:
+        """The answer as a sentence."""
+        return f"{self.answer}."
+
+    def plot(self) -> Figure:
+        """Return measured, predicted and error torque over time, of matplotlib; see `jointid.figures.torque`."""
+        import jointid
+
+        return jointid.figures.torque(self)
+
+    def to_dataframe(self) -> DataFrame:
+        """Return torque measured, predicted and their difference over time as a pandas data frame, a row each sample.
+
+        Raises:
+            ExtraError: pandas is not installed.
+        """
+        pandas = extra("pandas", "dataframe", "A data frame")
+        time = pandas.Index(self.sample_time * np.arange(self.measured.size), name="time")
+        columns = {"measured": self.measured, "predicted": self.predicted, "error": self.measured - self.predicted}
+        frame: DataFrame = pandas.DataFrame(columns, index=time)
+        return frame
+
     def document(self, *, details: bool = False) -> Document:
-        """Return errors and whiteness as a document; there are no further details."""
+        """Return the answer, errors and whiteness as a document; there are no further details."""
         del details
         left_out = f"{self.borders[0]} + {self.borders[1]} samples at the ends left out"
         how = "simulated from the reference" if self.method == "didim" else "computed from the measured position"
-        title = (
-            f"{self.test.capitalize()} test on {self.record}, of the joint identified from {self.identified_from}; "
-            f"torque {how}"
-        )
+        what = f"{self.test} test on {self.record}, of the joint identified from {self.identified_from}; torque {how}"
         raw, filtered = 100 * self.relative_error, 100 * self.filtered_error
         facts = [
+            ("test", what),
             *common_facts(self.resampled, self.transmission),
             ("torque error", f"{raw:.4f} % raw ({left_out}), {filtered:.4f} % filtered"),
         ]
@@ -119,7 +192,13 @@ class Validation(Documented):
             f"{100 * self.outside_band:.0f} % of {self.autocorrelation.size - 1} autocorrelations of the filtered "
             f"error beyond +-{self.white_band:.3f} (5 % if it were white)"
         )
-        return Document(title, (Facts((*facts, ("whiteness", said), *(("warning", w) for w in self.warnings))),))
+        return Document(
+            self.sentence, (Facts((*facts, ("whiteness", said), *(("warning", w) for w in self.warnings))),)
+        )
+
+
+def _percent(share: float) -> str:
+    return f"{number(100 * share, 3)} %"
 
 
 def validate(estimate: Estimate | IdentifiedJoint, record: Record) -> Validation:
@@ -152,12 +231,11 @@ def _validate_inverse_model(identified: IdentifiedJoint, record: Record) -> Vali
     joint, filtering, sample_time = identified.joint, identified.filtering, record.torque.sample_time
     model = motion_of(record, identified.delay, filtering, joint, identified.effects)
     values = np.array([identified.values[p.name] for p in (*joint.parameters, *effect_parameters(identified.effects))])
-    error, _ = model.decimated(filtering, sample_time, values)
+    error, columns = model.decimated(filtering, sample_time, values)
     whole, _ = model.decimated(filtering, sample_time, np.zeros_like(values))
-    return _describe(
-        identified, record, idim_channels(joint.model), model.torque[0], model.columns[0] @ values, model.motor, error,
-        whole, len(model.torque),
-    )  # fmt: skip
+    torques = _Torques(model.torque[0], model.columns[0] @ values, error, whole, equations=len(model.torque))
+    least = whole - columns @ np.linalg.lstsq(columns, whole, rcond=None)[0]
+    return _describe(identified, record, idim_channels(joint.model), torques, model.motor, lambda: least)
 
 
 def _validate_simulation(identified: IdentifiedJoint, loop: ClosedLoop, record: Record) -> Validation:
@@ -170,13 +248,20 @@ def _validate_simulation(identified: IdentifiedJoint, loop: ClosedLoop, record: 
     problem = ClosedLoopProblem((*fixed, *around), measured, identified.filtering, loop, experiment)
     x, runs = fit_initial_state(problem)
     run = require_finished(problem.simulate(x))
-    error = problem.filtered(np.column_stack([measured - run.torque, measured]))
+    error, whole = problem.filtered(np.column_stack([measured - run.torque, measured])).T
     motor = Motion(run.motor_position, run.motor_velocity, run.motor.acceleration)
     other_law = (
         "the controller is not the one the joint was identified under; that is right only if its gains were changed"
     )
     return replace(
-        _describe(identified, record, loop.channels, measured, run.torque, motor, error[:, 0], error[:, 1]),
+        _describe(
+            identified,
+            record,
+            loop.channels,
+            _Torques(measured, run.torque, error, whole),
+            motor,
+            lambda: _fit_anew(problem, problem.values(x)),
+        ),
         tracking_error=_compare_tracking(record, run, identified.filtering.borders),
         initial=initial_of(problem.values(x)),
         simulations=runs + 1,
@@ -184,26 +269,44 @@ def _validate_simulation(identified: IdentifiedJoint, loop: ClosedLoop, record: 
     )
 
 
+def _fit_anew(problem: ClosedLoopProblem, values: Mapping[str, float]) -> FloatArray | None:
+    """Return the filtered error, (rows,), with the joint's parameters free, too; None where no loop can be solved."""
+    joint, around = problem.joint.parameters, problem.parameters[len(problem.joint.parameters) :]
+    free = replace(problem, parameters=(*joint, *around)).keeping({"initial_velocity": values["initial_velocity"]})
+    try:
+        with np.errstate(all="ignore"):  # a loop that runs away
+            return solve(free, LevenbergMarquardt(_TOLERANCE, _EVALUATIONS), free.vector(values)).residual
+    except (JointidError, np.linalg.LinAlgError):
+        return None
+
+
+class _Torques(NamedTuple):
+    """What is compared: raw torques, (samples,); their difference `error` and the measured one, `whole`, as filtered.
+
+    These two are (rows,) of so many equations one after the other.
+    """
+
+    measured: FloatArray
+    predicted: FloatArray
+    error: FloatArray
+    whole: FloatArray
+    equations: int = 1
+
+
 def _describe(
     identified: IdentifiedJoint,
     record: Record,
     channels: Sequence[str],
-    measured: FloatArray,
-    predicted: FloatArray,
+    torques: _Torques,
     motor: Motion,
-    error: FloatArray,
-    whole: FloatArray,
-    equations: int = 1,
+    fit_anew: Callable[[], FloatArray | None],
 ) -> Validation:
-    """Return the comparison of two raw torques.
-
-    `error` and `whole` are their difference and the measured one, filtered, (rows,) of so many equations one after the
-    other.
-    """
     assert record.torque is not None
-    borders, rows = identified.filtering.borders, error.size // equations
+    borders, rows = identified.filtering.borders, torques.error.size // torques.equations
+    own = fingerprint(record.torque.values) == identified.fingerprint
+    size, anew = float(np.linalg.norm(torques.whole)), None if own else fit_anew()
     return Validation(
-        test="direct" if fingerprint(record.torque.values) == identified.fingerprint else "cross",
+        test="direct" if own else "cross",
         method=identified.method,
         record=record.name,
         identified_from=identified.record,
@@ -212,15 +315,13 @@ def _describe(
         sample_time=record.torque.sample_time,
         torque_unit=record.torque.unit,
         position_unit=POSITION_UNIT[identified.joint.kind],
-        measured=measured,
-        predicted=predicted,
+        measured=torques.measured,
+        predicted=torques.predicted,
         borders=borders,
-        relative_error=relative_error(measured, predicted, borders),
-        filtered_error=float(np.linalg.norm(error) / np.linalg.norm(whole)),
-        tracking_error=None,
-        initial=None,
-        simulations=0,
-        autocorrelation=_autocorrelate(error[:rows]),
+        relative_error=relative_error(torques.measured, torques.predicted, borders),
+        filtered_error=float(np.linalg.norm(torques.error)) / size,
+        attainable_error=None if anew is None else float(np.linalg.norm(anew)) / size,
+        autocorrelation=_autocorrelate(torques.error[:rows]),
         rows=rows,
         motor=motor,
         transmission=identified.joint.transmission,

@@ -1,11 +1,12 @@
-"""The verb `identify`: one record, several, or a log too long for memory in; an estimate out."""
+"""From a record, several, or a log too long for memory, to an estimate."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
 from jointid.common.errors import MethodError
-from jointid.common.progress import Progress, silent
+from jointid.common.messages import Progress, silent
+from jointid.common.parameters import Parameter
 from jointid.estimation.identify_log import identify_log
 from jointid.estimation.identify_record import identify_record
 from jointid.estimation.identify_several import identify_several
@@ -13,14 +14,11 @@ from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.log_windows import Windowing
 from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.joints import Joint
-from jointid.models.parameters import Parameter
+from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.chunks import InMemory, LongRecord
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.drive_side import DriveSide
-from jointid.simulation.loop_input import ClosedLoop
-from jointid.simulation.open_loop import OpenLoop
+from jointid.simulation.prescribed import DriveSide, OpenLoop
 
 
 def identify(
@@ -34,60 +32,7 @@ def identify(
     windows: Windowing | None = None,
     progress: Progress = silent,
 ) -> Estimate:
-    """Identify a joint from what its drive logged.
-
-    Args:
-        record: a record; or several of one joint, each with the torque and what its controller reads, in one fit; or a
-            `Log` that is read in chunks, identified in windows in bounded memory.
-        model: the loop (joint and controller), or the joint alone when the controller is not known; `DriveSide` to
-            prescribe the motor's motion and simulate the load; `OpenLoop` to prescribe the torque. For several records
-            a loop, or one for each record: of one joint under different gains.
-        method: `DIDIM` (rigid), `FlexibleDIDIM`, `IDIM`, `DriveSideFit` or `OpenLoopFit` with its settings; by default
-            DIDIM when the controller is known, even where the record has a motor position, which is then not read; that
-            of a `DriveSide` or an `OpenLoop`; otherwise IDIM. Several records and a log are identified by DIDIM.
-        filtering: see `Filtering`; its defaults follow the sample time.
-        parameters: changes to the joint's parameters by name: fixed values, starts, bounds; for several records, of the
-            joint without anything added.
-        several: what the records share, and what was added to the load; see `SeveralRecords`.
-        windows: of a log; see `Windowing`. With it a record in memory is identified in windows, too.
-        progress: is told each step in a sentence.
-
-    An interrupt of the last passes over a log ends them, and the estimate is of what was read: `Fit.interrupted`.
-
-    Raises:
-        RecordError: the record lacks a channel the method needs; the sentence says which, and which method does not;
-            or it shows nothing (a constant torque or reference), or cannot be in the units it is said to be in; or a
-            chunk of a log cannot be read.
-        MethodError: the method does not fit the model, the record does not determine the parameters, or it gives an
-            inertia that is not positive; records are one only, or one twice, or the lists about them are not as long.
-
-    A parameter that comes out beyond its bounds is kept at the bound, with a warning, and the others identified anew.
-
-    Example:
-        >>> import jointid as ji
-        >>> loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(kp=100.0, kv=2000.0))
-        >>> reference = ji.trapezoids(speeds=(0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
-        >>> truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
-        >>> record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
-        >>> round(ji.identify(record, loop).params["inertia"].value, 6)
-        30.0
-
-        Two records, the second with 10 kg on the load and a friction of its own:
-
-        >>> heavier = ji.simulated_record(loop, reference, truth | {"inertia": 40.0, "coulomb": 18.0}, sample_time=1e-3)
-        >>> shared = ji.SeveralRecords(added_inertia=(0.0, 10.0), own=((), ("coulomb",)))
-        >>> both = ji.identify([record, heavier], loop, several=shared)
-        >>> round(both.params["inertia"].value, 4), round(both.params["coulomb@2"].value, 4)
-        (30.0, 18.0)
-
-        A minute, in windows of six seconds:
-
-        >>> reference = ji.trapezoids((0.1, 0.2), 2.0, 0.1, 1e-3, duration=60.0)
-        >>> minute = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
-        >>> estimate = ji.identify(minute, loop, windows=ji.Windowing(length=6.0))
-        >>> round(estimate.params["inertia"].value, 3), estimate.data.windows.count
-        (30.0, 10)
-    """
+    """Return the estimate of a joint, without the check of its loop; see `jointid.identify`."""
     if isinstance(record, Sequence):
         if windows is not None:
             raise MethodError("Several records are identified whole; give one record or log, or leave out windows.")

@@ -19,7 +19,8 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
-from jointid.common.progress import Progress
+from jointid.common.messages import Progress
+from jointid.common.parameters import Bounds, Parameter, adjusted
 from jointid.estimation.identify_record import identify_record
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.flexible import FlexibleDIDIM
@@ -39,6 +40,7 @@ from jointid.estimation.problems.log_windows import (
     repeats,
     window_problem,
 )
+from jointid.estimation.result.agreement import drift
 from jointid.estimation.result.build_estimate import (
     build_estimate,
     find_at_bound,
@@ -48,19 +50,17 @@ from jointid.estimation.result.build_estimate import (
     warn_of_bounds,
     warn_of_limit,
 )
-from jointid.estimation.result.drift import drift
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import Checks, Data, Fit, Windows
-from jointid.models.parameters import Parameter, adjusted
+from jointid.models.joints import ClosedLoop
 from jointid.records.chunks import LongRecord
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.loop_input import ClosedLoop
-from jointid.solvers.solve import Bounds, Solution, Status, Step, Watch, solve
+from jointid.solvers.solve import Solution, Status, Step, Watch, solve
 from jointid.uncertainty.covariance import Covariance, larger
 from jointid.uncertainty.identifiability import identifiability
-from jointid.uncertainty.jackknife import Sums, left_out, step_of
 from jointid.uncertainty.position_dependent_error import Repeatable
+from jointid.uncertainty.resampling import Sums, left_out, step_of
 
 _STARTS = 5  # windows that are tried to start from
 _CLOCKS = 1000  # a period of the controller is taken to be a fraction of samples with no larger denominator
@@ -271,7 +271,7 @@ def _answer(problem: LogProblem, first: Record, end: LogSolution, warnings: list
     covariance, intervals = _covariance(found, repeated)
     own, loop = {p.name for p in window.joint.parameters}, window.loop_at(end.x)
     at_limit = float(np.mean([w.at_limit for w in found.windows]))
-    bounds = warn_of_bounds(find_at_bound(problem.free, end.x))
+    held = find_at_bound(problem.free, end.x, end.residual, end.jacobian)
     return build_estimate(
         window,
         end.x,
@@ -280,6 +280,7 @@ def _answer(problem: LogProblem, first: Record, end: LogSolution, warnings: list
         ("didim", "DIDIM in windows"),
         shown=[p for p in window.parameters if p.name in own or p.free],
         lost=find_lost(problem.free, end.x, covariance.std),
+        held=held,
         fit=Fit(
             measured=np.zeros(0),
             predicted=np.zeros(0),
@@ -298,7 +299,7 @@ def _answer(problem: LogProblem, first: Record, end: LogSolution, warnings: list
             known=identifiability(problem.free, window.units, end.x, end.jacobian, covariance),
             repeatable=repeated,
             drift=drift(found.windows, end.x, problem.free, window.units),
-            warnings=(*warnings, *bounds, *warn_of_limit(at_limit), *poor_fit(sums.relative_error)),
+            warnings=(*warnings, *warn_of_bounds(held), *warn_of_limit(at_limit), *poor_fit(sums.relative_error)),
         ),
         data=Data(
             torque_unit=unit,

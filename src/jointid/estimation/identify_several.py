@@ -12,7 +12,8 @@ record's level alone.
 
 Rows of different records do not err together in time; a place errs alike in all of them, where anything repeats with
 the motion (`position_dependent_error`). Where the records, each by itself, disagree by more than their intervals allow,
-the answer says so and widens what they share (`result.agreement`).
+the answer says so and widens what they share (`result.agreement`). What moves a record's own solution, beside noise
+(`methods.least_error`), moves the common one as far as the record weighs in it, and widens that.
 """
 
 from __future__ import annotations
@@ -22,16 +23,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.progress import Progress
-from jointid.estimation.identify_record import identify_record
-from jointid.estimation.methods.cross_axis import record_warnings
+from jointid.common.messages import Progress, silent
+from jointid.common.parameters import Parameter, adjusted
+from jointid.estimation.identify_record import identify_record, record_warnings
 from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.methods.least_error import known_of_least_error
 from jointid.estimation.methods.registry import Method
+from jointid.estimation.methods.search import History
+from jointid.estimation.problems.base import EVEN, INITIAL, INITIAL_STATE, INITIAL_TORQUE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of, torque_problem
-from jointid.estimation.problems.nuisance_parameters import INITIAL, INITIAL_STATE, INITIAL_TORQUE
 from jointid.estimation.problems.several_records import (
     RecordLayout,
     RecordsProblem,
@@ -55,14 +59,13 @@ from jointid.estimation.result.build_estimate import (
     warn_of_lost,
 )
 from jointid.estimation.result.estimate import Estimate, fingerprint, relative_error
-from jointid.estimation.result.params import EstimatedParameter
-from jointid.estimation.result.parts import Checks, Data, RecordFit
-from jointid.models.parameters import Parameter, adjusted
+from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, RecordFit
+from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.loop_input import ClosedLoop
-from jointid.solvers.solve import Bounds, Solution, solve
-from jointid.solvers.trust_region import TrustRegion
+from jointid.solvers.bounded_least_squares import TrustRegion
+from jointid.solvers.regression import projection
+from jointid.solvers.solve import Solution, solve
 from jointid.uncertainty.covariance import Covariance, bandwidth, covariance_of
 from jointid.uncertainty.position_dependent_error import Repeatable, Uncertainty, cells, uncertainty
 
@@ -71,6 +74,7 @@ SOLVER = TrustRegion(1e-10, evaluations=100)
 
 _NOTHING_LEFT = 1e-6  # of the torque: a residual below it is rounding, and no level
 _ROUNDING = 1e-8  # of a value
+_MOVED = "what a random force in the loop, or what the model lacks, moves of each record's own solution"
 
 
 def identify_several(
@@ -176,7 +180,7 @@ class BySelf:
         error: (rows,) its residual, not weighted.
         level: rms of the residual over its degrees of freedom.
         weights: taps of the filter that the rows go through.
-        uncertainty: of the solution.
+        uncertainty: of the solution, see `methods.least_error`.
         repeatable: what of the residual repeats with the motion.
         simulations: that this took.
     """
@@ -215,9 +219,11 @@ def by_itself(problem: ClosedLoopProblem, values: Mapping[str, float]) -> BySelf
     """
     end = solve(problem, SOLVER, problem.vector(values))
     level = float(np.linalg.norm(end.residual)) / math.sqrt(max(end.residual.size - end.x.size, 1))
-    judged, level = _judge(problem, end), max(level, _nothing(problem))
+    level = max(level, _nothing(problem))
     weights = np.array([1.0 / level])
-    return BySelf(problem, end, end.residual, level, weights, judged, judged.repeatable, end.evaluations + 1)
+    judged, used = _judge(problem, end, EVEN)
+    used += end.evaluations
+    return BySelf(problem, end, end.residual, level, weights, judged, judged.repeatable, used)
 
 
 def whitened(one: BySelf) -> BySelf:
@@ -226,8 +232,9 @@ def whitened(one: BySelf) -> BySelf:
         return one
     weights = whitening(one.error, one.level, bandwidth(one.error.size))
     end = solve(several([one.problem]).weighing([weights]), SOLVER, one.end.x)
-    error, judged, used = one.problem.residual(end.x), _judge(one.problem, end), end.evaluations + 2
-    return replace(one, end=end, error=error, weights=weights, uncertainty=judged, simulations=one.simulations + used)
+    error, (judged, used) = one.problem.residual(end.x), _judge(one.problem, end, weights / weights[0])
+    used += one.simulations + end.evaluations + 1
+    return replace(one, end=end, error=error, weights=weights, uncertainty=judged, simulations=used)
 
 
 def _nothing(problem: ClosedLoopProblem) -> float:
@@ -235,9 +242,11 @@ def _nothing(problem: ClosedLoopProblem) -> float:
     return _NOTHING_LEFT * float(np.sqrt(np.mean(problem.filtered(problem.measured) ** 2)))
 
 
-def _judge(problem: ClosedLoopProblem, end: Solution) -> Uncertainty:
-    where, names = problem.cells(problem.simulate(end.x)), [p.name for p in problem.free]
-    return uncertainty(end.jacobian, end.jacobian, end.residual, where, names, problem.torque_unit)
+def _judge(problem: ClosedLoopProblem, end: Solution, taps: FloatArray) -> tuple[Uncertainty, int]:
+    """Return what is known of a record's own solution, and the simulations that this took."""
+    history, run = History(silent), problem.simulate(end.x)
+    known = known_of_least_error(problem, end.x, run, end.residual, -end.jacobian, history, taps)
+    return known, history.tally.evaluations + 1
 
 
 def starts(estimates: Sequence[Estimate]) -> list[dict[str, float]]:
@@ -304,7 +313,7 @@ class _Solved:
 def _answer(solved: _Solved) -> Estimate:
     """Return the estimate; its effort and its weighting are for the caller to add."""
     problem, end, layout = solved.problem, solved.end, solved.problem.layout
-    judged, compared = _judge_together(problem, end), _compare(solved)
+    judged, compared = _judge_together(solved), _compare(solved)
     names = [p.name for p in problem.free]
     # The variance between runs of what they do not agree in is added to that of their common value.
     more = {p.name: p.widening for p in compared.parameters}
@@ -330,6 +339,7 @@ def _answer(solved: _Solved) -> Estimate:
             records=shares,
         ),
         lost=lost,
+        held=find_at_bound(problem.free, end.x, end.residual, end.jacobian),
         loop=layout.loops[0],
     )
     rows = dict(zip([p.name for p in problem.parameters], found.params, strict=True))
@@ -338,15 +348,41 @@ def _answer(solved: _Solved) -> Estimate:
     return found.amended(params={"rows": shared, "own": own})
 
 
-def _judge_together(problem: RecordsProblem, end: Solution) -> Uncertainty:
+def _judge_together(solved: _Solved) -> Uncertainty:
     """Return what is known of the errors, before the records are compared."""
+    problem, end = solved.problem, solved.end
     each, criterion = problem.criterion.problems, problem.criterion
     runs = [p.simulate(criterion.of_member(end.x, k)) for k, p in enumerate(each)]
     positions = [run.motor_position[p.kept] for p, run in zip(each, runs, strict=True)]
     velocities = [run.motor_velocity[p.kept] for p, run in zip(each, runs, strict=True)]
     where = cells(np.concatenate(positions), np.concatenate(velocities))
     names, rows = [p.name for p in problem.free], [at.size for at in positions]
-    return uncertainty(end.jacobian, end.jacobian, end.residual, where, names, each[0].torque_unit, rows)
+    known = uncertainty(end.jacobian, end.jacobian, end.residual, where, names, each[0].torque_unit, rows)
+    moved = _moved_together(solved, np.cumsum(rows)[:-1])
+    return known.widened_by(moved, _MOVED) if np.any(moved) else known
+
+
+def _moved_together(solved: _Solved, ends: NDArray[np.intp]) -> FloatArray:
+    """Return how far what moves the records by themselves may move the common solution, (free,).
+
+    Each moves it as far as it weighs in it. Records may err alike or against each other, so the sizes add up.
+
+    Args:
+        solved: what was solved.
+        ends: the first rows of the second record and of those that follow.
+    """
+    criterion, J = solved.problem.criterion, solved.end.jacobian
+    gain = solved.problem.values(solved.end.x).get("drive_gain", 1.0)
+    own = {p.name for p in solved.problem.layout.joint.parameters}
+    answers, total = np.split(projection(J, J), ends, axis=1), np.zeros(J.shape[1])
+    for k, (one, rows, answer) in enumerate(zip(solved.alone, np.split(J, ends), answers, strict=True)):
+        steps = np.zeros_like(total)
+        for shift in one.uncertainty.shifts:
+            by = dict(zip((p.name for p in one.problem.free), shift, strict=True))
+            its = [(gain if p.name in own else 1.0) * by.get(p.name, 0.0) for p in criterion.problems[k].free]
+            steps = np.hypot(steps, answer @ (rows[:, criterion.places[k]] @ np.array(its)))
+        total += steps
+    return total
 
 
 def _compare(solved: _Solved) -> Agreement:
@@ -360,9 +396,9 @@ def _compare(solved: _Solved) -> Agreement:
     each = []
     for k, one in enumerate(solved.alone):
         known, free = one.uncertainty.covariance, one.problem.free
-        shared = {p.name for p in solved.problem.of_record(k)}
-        inside = ~Bounds.of(free).reached(one.end.x) & (known.std > 0)
-        kept = [i for i, p in enumerate(free) if p.name in units and inside[i] and p.name in shared]
+        held = find_at_bound(free, one.end.x, one.end.residual, one.end.jacobian)
+        compared = units.keys() & {p.name for p in solved.problem.of_record(k)} - {*held}
+        kept = [i for i, p in enumerate(free) if p.name in compared and known.std[i] > 0]
         rows = solved.by_itself(k)
         values = {rows[i].name: rows[i].value or 0.0 for i in kept}
         # Where a torque is reproduced to rounding, records differ by rounding, which no deviation knows.
@@ -411,7 +447,7 @@ def _warn(
         *([] if end.converged else [NOT_CONVERGED]),
         *([str(compared)] if compared.differs else []),
         *warn_of_lost(lost, "these records"),
-        *warn_of_bounds(find_at_bound(free, end.x), "records"),
+        *warn_of_bounds(find_at_bound(free, end.x, end.residual, end.jacobian), "records"),
         *warn_of_inseparable([p.name for p in free], covariance.correlation, told, "these records"),
         *map(str, judged.warnings),
         *([str(judged.repeatable)] if judged.repeatable.significant else []),

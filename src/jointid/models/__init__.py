@@ -1,1 +1,1 @@
-"""Equations: parameters, friction, joints, controllers. No data, no solver, no state."""
+"""Equations: friction, gravity, joints, disturbances, controllers. No data, no solver, no state."""

@@ -15,10 +15,10 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.common.parameters import Parameter, Quantity
 from jointid.common.settings import check_settings, documented, setting
 from jointid.common.transmission import Side
 from jointid.models.joints import Joint, Motion
-from jointid.models.parameters import Parameter, Quantity
 
 
 class Effect(Protocol):
@@ -111,10 +111,36 @@ class Drift:
         return {"force": both[:, :1], "viscous": both[:, 1:], "both": both}[self.of]
 
 
+@documented
+@dataclass(frozen=True, slots=True)
+class EncoderOffset:
+    """``K dq0`` on one side of the spring, ``-K dq0`` on the other: its force by the difference of two encoders' zeros.
+
+    An encoder counts from where it was switched on, or from its own mark. Where the spring is at rest without a load,
+    the encoder of the other side reads dq0 more than that of `side`.
+    """
+
+    side: Side = setting("load", "whose encoder counts from elsewhere")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The force, in the unit of the torque."""
+        return (Parameter("encoder_offset", "K dq0", Quantity.FORCE),)
+
+    def columns(self, motion: Motion, time: FloatArray) -> FloatArray:
+        """Return ones, (samples, 1)."""
+        return np.ones((time.size, 1))
+
+
 def require_effects(effects: Sequence[Effect], joint: Joint) -> None:
     """Raise a `MethodError` if effects do not fit a joint, or cannot be told apart by name."""
     if joint.model == "rigid" and any(effect.side == "load" for effect in effects):
         raise MethodError('A rigid joint has no load side of its own; use side = "motor".')
+    if joint.model == "rigid" and any(isinstance(effect, EncoderOffset) for effect in effects):
+        raise MethodError("A rigid joint has one encoder, whose zero moves nothing; leave EncoderOffset out.")
     names = [p.name for p in effect_parameters(effects)]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
@@ -139,5 +165,7 @@ def effect_columns(
         columns = effect.columns(side, time)
         block = np.zeros((equations, *columns.shape))
         block[int(on_load)] = columns
+        if isinstance(effect, EncoderOffset):  # a spring pushes both masses
+            block[1 - int(on_load)] = -columns
         blocks.append(block)
     return np.concatenate(blocks, axis=2)

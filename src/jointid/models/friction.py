@@ -19,7 +19,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.models.parameters import Parameter, Quantity
+from jointid.common.parameters import Parameter, Quantity
 
 Directions: TypeAlias = tuple[float, float, float, float]
 """Viscous coefficient forwards and backwards, Coulomb force forwards and backwards (both positive)."""

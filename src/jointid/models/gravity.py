@@ -21,9 +21,10 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.common.parameters import Parameter, Quantity
 from jointid.common.settings import check_settings, declare, documented, setting
+from jointid.common.units import Kind
 from jointid.models.friction import Friction
-from jointid.models.parameters import Kind, Parameter, Quantity
 
 Load: TypeAlias = Literal["constant", "link"]
 
@@ -31,7 +32,7 @@ _TERMS: Mapping[str, tuple[str, Quantity]] = {
     "constant": ("0", Quantity.FORCE),
     "cos": ("X", Quantity.FORCE),
     "sin": ("Y", Quantity.FORCE),
-    "rate": ("K", Quantity.STIFFNESS),
+    "rate": ("K", Quantity.FORCE_RATE),
 }
 _LOADS: Mapping[Load, Mapping[str, str]] = {"constant": {"constant": "gM"}, "link": {"cos": "gMX", "sin": "gMY"}}
 _STEPS = 8  # to where a load hangs: Newton squares the error in each

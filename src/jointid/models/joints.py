@@ -1,4 +1,4 @@
-"""Joints: one inertia, or a motor and a load inertia joined by a spring and a damper.
+"""Joints: one inertia, or a motor and a load inertia joined by a spring and a damper; and a joint in its loop.
 
 Rigid, (1) of the paper with the constant real records have::
 
@@ -23,10 +23,12 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT, Parameter, Quantity, unit_of
 from jointid.common.transmission import Transmission
+from jointid.common.units import Kind
+from jointid.models.controllers import Controller
 from jointid.models.friction import Friction, SymmetricFriction
 from jointid.models.gravity import Gravity
-from jointid.models.parameters import POSITION_UNIT, TORQUE_UNIT, Kind, Parameter, Quantity, unit_of
 
 MODE_DAMPING = 0.02
 """Damping ratio that is assumed of a mode whose stiffness is not identified."""
@@ -218,26 +220,53 @@ class FlexibleJoint(_JointBase):
             deflection = drag / stiffness
         return np.array([position, velocity, position - deflection, velocity])
 
+    @staticmethod
+    def frequencies(values: Mapping[str, float]) -> dict[str, float]:
+        """Return the three frequencies of a flexible joint in Hz, each named by its boundary condition.
+
+        ``free_free`` is a pole from torque to motor position; ``motor_locked`` the anti-resonance the motor sees;
+        ``load_locked`` the motor against the held load.
+        """
+        motor, load, stiffness = values["motor_inertia"], values["load_inertia"], values["stiffness"]
+        return {
+            "free_free": math.sqrt(stiffness * (1 / motor + 1 / load)) / (2 * math.pi),
+            "motor_locked": math.sqrt(stiffness / load) / (2 * math.pi),
+            "load_locked": math.sqrt(stiffness / motor) / (2 * math.pi),
+        }
+
+    @staticmethod
+    def rigid_sums(values: Mapping[str, float]) -> dict[str, float]:
+        """Return the rigid parameters of a flexible joint with symmetric friction: the sums of both sides.
+
+        The damping F12 acts between the masses and is no part of the friction sums.
+        """
+        return {
+            "inertia": values["motor_inertia"] + values["load_inertia"],
+            "viscous": values["motor_viscous"] + values["load_viscous"],
+            "coulomb": values["motor_coulomb"] + values["load_coulomb"],
+            **{name: value for name, value in values.items() if acts_on_whole(name)},
+        }
+
 
 Joint: TypeAlias = RigidJoint | FlexibleJoint
+
+
+@dataclass(frozen=True, slots=True)
+class ClosedLoop:
+    """A joint under its controller: from reference alone to torque."""
+
+    joint: Joint
+    controller: Controller
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels a record must have to be compared with this loop."""
+        return ("torque", *self.controller.channels)
 
 
 def acts_on_whole(name: str) -> bool:
     """True if a parameter is common to rigid and flexible joints, and not a sum of two sides."""
     return name == "offset" or name.startswith(("gravity_", "counterbalance_"))
-
-
-def rigid_sums(values: Mapping[str, float]) -> dict[str, float]:
-    """Return the rigid parameters of a flexible joint with symmetric friction: the sums of both sides.
-
-    The damping F12 acts between the masses and is no part of the friction sums.
-    """
-    return {
-        "inertia": values["motor_inertia"] + values["load_inertia"],
-        "viscous": values["motor_viscous"] + values["load_viscous"],
-        "coulomb": values["motor_coulomb"] + values["load_coulomb"],
-        **{name: value for name, value in values.items() if acts_on_whole(name)},
-    }
 
 
 def split_by_mode(inertia: float, share: float, hertz: float) -> dict[str, float]:
@@ -251,17 +280,3 @@ def split_by_mode(inertia: float, share: float, hertz: float) -> dict[str, float
     reduced, rate = share * (1 - share) * inertia, 2 * math.pi * hertz
     inertias = {"motor_inertia": (1 - share) * inertia, "load_inertia": share * inertia}
     return inertias | {"stiffness": reduced * rate**2, "damping": 2 * MODE_DAMPING * reduced * rate}
-
-
-def frequencies(values: Mapping[str, float]) -> dict[str, float]:
-    """Return the three frequencies of a flexible joint in Hz, each named by its boundary condition.
-
-    ``free_free`` is a pole from torque to motor position; ``motor_locked`` the anti-resonance the motor sees;
-    ``load_locked`` the motor against the held load.
-    """
-    motor, load, stiffness = values["motor_inertia"], values["load_inertia"], values["stiffness"]
-    return {
-        "free_free": math.sqrt(stiffness * (1 / motor + 1 / load)) / (2 * math.pi),
-        "motor_locked": math.sqrt(stiffness / load) / (2 * math.pi),
-        "load_locked": math.sqrt(stiffness / motor) / (2 * math.pi),
-    }

@@ -137,6 +137,34 @@ def discretise(A: FloatArray, B: FloatArray, period: float, delay: float) -> Sam
     return SampledDrive(then @ first, into_then, (then @ into_first[..., np.newaxis])[..., 0], whole, late > 0.0)
 
 
+def sampled_position(drive: SampledDrive, turned: ComplexArray) -> ComplexArray:
+    """Return what the positions of drives answer to the torque of whole periods before, (drives, points).
+
+    With p = z - 1 and M = Phi - I it is ``adj(p I - M) (new + old / z) / det(p I - M)``: both polynomials of p, from
+    Faddeev and Leverrier's recursion, for all points at once, where solving point by point takes ten times as long.
+    In p, not in z, whose powers are all but 1 at the frequencies of a drive: they lose no digit that counts.
+
+    Args:
+        drive: with one axis of drives before the states.
+        turned: (points,) of w T i, the logarithm of z.
+    """
+    order = drive.transition.shape[-1]
+    unit = np.eye(order)
+    M = drive.transition - unit
+    p, later = np.expm1(turned), np.exp(-turned)
+    N = np.broadcast_to(unit, M.shape)
+    above = np.zeros((len(M), turned.size), dtype=np.complex128)
+    below = np.ones_like(above)
+    for k in range(1, order + 1):
+        new, old = (np.einsum("js,js->j", N[:, 0], B)[:, np.newaxis] for B in (drive.new, drive.old))
+        above = above * p + new + old * later
+        MN = M @ N
+        c = -np.trace(MN, axis1=1, axis2=2) / k
+        below = below * p + c[:, np.newaxis]
+        N = MN + c[:, np.newaxis, np.newaxis] * unit
+    return np.asarray(above / below)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearJoints:
     """Several joints of one model, linear.

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from decimal import ROUND_DOWN, Decimal
 
-from jointid import frequencies
+from jointid import FlexibleJoint
 from jointid.paper.published import EXPERIMENT, SYMBOLS, TABLES, Cell
 from jointid.paper.recomputed import (
     DENOMINATORS,
@@ -62,7 +62,7 @@ def _list_cells(cells: Mapping[Cell, Decimal]) -> str:
 
 
 def _check_natural_frequency() -> Erratum:
-    each = [frequencies(table.values) for table in _FLEXIBLE]
+    each = [FlexibleJoint.frequencies(table.values) for table in _FLEXIBLE]
     words = {"free_free": "free-free", "motor_locked": "motor locked", "load_locked": "load locked"}
     listed = ", ".join(
         f"{text} {_join_slashed(f'{hertz[name]:.2f}' for hertz in each)} Hz" for name, text in words.items()

@@ -12,7 +12,7 @@ from decimal import ROUND_DOWN, Decimal
 from types import MappingProxyType
 from typing import Literal, TypeAlias
 
-from jointid import Filtering, FlexibleJoint, RigidJoint, frequencies, rigid_sums
+from jointid import Filtering, FlexibleJoint, RigidJoint
 from jointid.common.document import Table
 from jointid.common.text import aligned, number
 from jointid.paper.published import REGRESSOR, SYMBOLS, TABLES, Cell, PublishedTable
@@ -39,7 +39,7 @@ _UNITS = {p.name: joint.unit(p) for joint in (RigidJoint(), FlexibleJoint()) for
 
 def sum_sides(table: PublishedTable) -> dict[str, float]:
     """Return the inertia, viscous and Coulomb friction of both sides together (Tables 2 to 5)."""
-    found = rigid_sums({**table.values, "offset": 0.0})
+    found = FlexibleJoint.rigid_sums({**table.values, "offset": 0.0})
     return {name: found[name] for name in ("inertia", "viscous", "coulomb")}
 
 
@@ -154,7 +154,7 @@ class ComparisonRow:
     """One line of a comparison.
 
     Attributes:
-        name: of a parameter, a sum (as in `rigid_sums`), a frequency (as in `frequencies`) or a residual.
+        name: of a parameter, a sum or a frequency (see `FlexibleJoint`), or a residual.
         label: the same for readers, with its unit.
         printed, recomputed: texts, one per heading; "-" where there is nothing.
     """
@@ -202,36 +202,26 @@ def format_recomputed(value: Decimal) -> str:
 def compare_table(table: PublishedTable) -> TableComparison:
     """Return a table as printed, beside its recomputed values."""
     found = recompute_cells(table)
+    printed, recomputed = table.columns, table.columns
     if table.number == 6:
-        rows = tuple(
-            ComparisonRow(
-                name,
-                _make_label(name),
-                _format_cells(cells),
-                _format_cells([found[method, name][0] for method in table.columns]),
-            )
-            for name, cells in table.rows.items()
-        )
-        return TableComparison(table, table.columns, table.columns, rows)
-    if table.number == 7:
-        ways = range(len(DENOMINATORS))
-        headings = tuple(f"{test}, {words}" for words in DENOMINATORS.values() for test in table.columns)
+        texts = {name: _format_cells(found[method, name][0] for method in printed) for name in table.rows}
+    elif table.number == 7:
+        recomputed = tuple(f"{test}, {words}" for words in DENOMINATORS.values() for test in printed)
         texts = {
-            name: tuple(format_recomputed(found[test, name][way]) for way in ways for test in table.columns)
+            name: tuple(
+                format_recomputed(found[test, name][way]) for way in range(len(DENOMINATORS)) for test in printed
+            )
             for name in table.rows
         }
-        rows = tuple(
-            ComparisonRow(name, f"{SYMBOLS[name]} (%)", _format_cells(cells), texts[name])
-            for name, cells in table.rows.items()
-        )
-        return TableComparison(table, table.columns, headings, rows)
+    else:
+        printed, recomputed = ("value", "2 sigma", "%"), ("value", "%")
+        texts = {name: ("-", format_recomputed(found["relative_percent", name][0])) for name in table.rows}
+    units = dict.fromkeys(table.rows, "%") if table.number == 7 else _UNITS
     rows = tuple(
-        ComparisonRow(
-            name, _make_label(name), _format_cells(cells), ("-", format_recomputed(found["relative_percent", name][0]))
-        )
-        for name, cells in table.rows.items()
+        ComparisonRow(name, f"{SYMBOLS[name]} ({units[name]})", _format_cells(numbers), texts[name])
+        for name, numbers in table.rows.items()
     )
-    return TableComparison(table, ("value", "2 sigma", "%"), ("value", "%"), (*rows, *_list_notes_below(table)))
+    return TableComparison(table, printed, recomputed, (*rows, *_list_notes_below(table)))
 
 
 def _list_notes_below(table: PublishedTable) -> list[ComparisonRow]:
@@ -246,7 +236,7 @@ def _list_notes_below(table: PublishedTable) -> list[ComparisonRow]:
         )
 
     if table.frequency is not None:
-        for name, hertz in frequencies(table.values).items():
+        for name, hertz in FlexibleJoint.frequencies(table.values).items():
             printed = table.frequency if name == "free_free" else None
             add(name, f"{name.replace('_', '-')} frequency (Hz)", printed, f"{hertz:.2f}")
         for name, value in sum_sides(table).items():
@@ -257,10 +247,6 @@ def _list_notes_below(table: PublishedTable) -> list[ComparisonRow]:
     if table.simulated_percent is not None:
         add("simulated", "||Y - Ys|| / ||Y|| (%)", table.simulated_percent)
     return rows
-
-
-def _make_label(name: str) -> str:
-    return f"{SYMBOLS[name]} ({_UNITS[name]})"
 
 
 def _format_cells(cells: Iterable[Decimal]) -> tuple[str, ...]:

@@ -20,11 +20,10 @@ from typing import Literal
 
 import numpy as np
 
-from jointid import Cascade, ClosedLoop, Filtering, FlexibleJoint, Record, pulses, simulated_record, trapezoids
+from jointid import Cascade, ClosedLoop, Filtering, FlexibleJoint, Record, excitation, simulated_record
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.paper.published import TABLES
-from jointid.records.signals.filtering import decimate
 
 SAMPLE_TIME = 1e-3
 DURATION = 24.0
@@ -42,9 +41,16 @@ TABLE_4 = MappingProxyType({**TABLES[4].values, "offset": _OFFSET})
 
 CONTROLLERS = MappingProxyType(
     {
-        "L19": Cascade(kp=160.18, kv=243.45, velocity_filter=(0.5, 0.5), gain=_GAIN, limit=_WIDE_OPEN),
+        "L19": Cascade(
+            position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=_GAIN, limit=_WIDE_OPEN
+        ),
         "L30": Cascade(
-            kp=134.7, kv=27.7e3 / _GAIN, velocity_filter=(0.5, 0.5), gain=_GAIN, limit=_WIDE_OPEN, delay=SAMPLE_TIME
+            position_gain=134.7,
+            velocity_gain=27.7e3 / _GAIN,
+            velocity_filter=(0.5, 0.5),
+            gain=_GAIN,
+            limit=_WIDE_OPEN,
+            delay=SAMPLE_TIME,
         ),
     }
 )
@@ -58,6 +64,7 @@ JOINT_FILE = """\
 [joint]
 kind = "prismatic"
 model = "flexible"               # or "rigid", with a cutoff of 5 Hz
+torque_constant = "35.15065188 N/V"   # of the twin's drive: the torque is logged in N, the controller speaks V
 
 [record]
 file = "record.csv"
@@ -71,12 +78,11 @@ load_position = { column = "load_position", unit = "m", optional = true }
 injected = { column = "injected", unit = "N", at = "after_limit", in_torque = true, optional = true }    # the pulses
 
 [controller]
-law = "cascade"                  # kv (kp (reference - position) - velocity)
-kp = 160.18                      # 1/s
-kv = 243.45                      # V per m/s
+law = "cascade"                  # velocity_gain (position_gain (reference - position) - velocity)
+position_gain = "160.18 1/s"
+velocity_gain = "243.45 V s/m"
 velocity_filter = [0.5, 0.5]     # the velocity is the mean of two differences
-gain = 35.15065188               # N per V
-limit = 1000.0                   # V, never reached
+limit = "1000 V"                 # never reached
 
 [filtering]
 cutoff = 60.0                    # Hz, twice the resonance
@@ -136,8 +142,8 @@ def twin(
     truth = dict(TABLE_4 if added_mass else TABLE_2)
     truth |= {"stiffness": stiffer * truth["stiffness"], "damping": math.sqrt(stiffer) * truth["damping"]}
     closed = ClosedLoop(FlexibleJoint(), CONTROLLERS[loop])
-    reference = trapezoids((0.042, 0.083, 0.125), 0.83, 0.2, SAMPLE_TIME, duration=DURATION)
-    known = pulses(reference.size, SAMPLE_TIME, height=150.0, width=0.02, every=0.4, seed=pulses_seed)
+    reference = excitation.trapezoids((0.042, 0.083, 0.125), 0.83, 0.2, SAMPLE_TIME, duration=DURATION)
+    known = excitation.pulses(reference.size, SAMPLE_TIME, height=150.0, width=0.02, every=0.4, seed=pulses_seed)
     white = np.random.default_rng(seed).standard_normal(reference.size)
 
     def run(disturbance: FloatArray | None = None, torque_noise: FloatArray | None = None) -> Record:
@@ -175,4 +181,4 @@ def _get_torque(record: Record) -> FloatArray:
 
 def _filter_torque(torque: FloatArray) -> FloatArray:
     """Return a torque filtered as in the flexible identification: below 60 Hz, one sample in six."""
-    return decimate(torque, Filtering(cutoff=60.0).resolved(SAMPLE_TIME), SAMPLE_TIME)
+    return Filtering(cutoff=60.0).resolved(SAMPLE_TIME).decimate(torque, SAMPLE_TIME)

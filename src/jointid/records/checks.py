@@ -4,78 +4,65 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.units import unit, units_of
 from jointid.records.columns import finite_faults
 from jointid.records.record import Channel, InjectionPoint, Record, Tap
 from jointid.records.resampling import update_interval
-from jointid.records.signals.encoder import find_quantum
 from jointid.records.signals.filtering import lowpass
 
-LIMIT_SHARE = 0.01
-"""Share of the samples that may stand at the torque limit: a few peaks cost little information."""
-
-BEYOND_SHARE = 1e-3
-"""Share of the samples that may lie beyond the limit: peaks of a signal declared to be injected after it.
-
-The public EMPS record with pulses has 14 of 24,841: its pulses pass the limit, though its report adds them after it.
-"""
-
-AT_LIMIT = 1e-3
-"""Distance from the limit that counts as at it, as a share of the limit: the resolution of a ten-bit log."""
-
-FASTEST = {"m": 50.0, "rad": 1e5}
-"""Speed in SI that no servo-driven joint keeps up: ten times that of a fast linear motor, and 950,000 rpm."""
-
-LONGEST = {"m": 1e3}
-"""Travel in SI that no joint has; a revolute joint may turn for ever."""
-
-SHARE_OF_FAST_SAMPLES = 0.01
-"""Speed is judged by what this share of the samples exceeds: a step in the reference is no high speed."""
-
-FOLLOWS = 0.95
-"""Correlation from which one signal is taken to follow another, so that their ratio means something."""
-
-RATIO_BAND = (0.5, 2.0)
-"""Ratios of motor position to reference that a controller can explain; outside, one is scaled wrongly."""
-
-RATIO_TOLERANCE = 0.1
-"""Relative distance of a ratio from a unit's factor within which that unit is named."""
-
-ROUNDING = 0.01
-"""Share of a torque's rms that its rounding may be: the EMPS axis leaves 4 % for other reasons."""
-
-LATE = 0.9
-"""Share of the encoders' difference that a lag may be: of motorbench it is 0.3 %, of the paper's twin 41 %."""
-
-FEWEST_STEPS = 30.0
-"""Steps of an encoder that a moving axis passes in one sample, rms: with 16 of them, rounding leaves 4 to 9 %."""
-
+_LIMIT_SHARE = 0.01  # of the samples may stand at the torque limit: a few peaks cost little information
+# Share of the samples that may lie beyond the limit: peaks of a signal declared to be injected after it. The public
+# EMPS record with pulses has 14 of 24,841: its pulses pass the limit, though its report adds them after it.
+_BEYOND_SHARE = 1e-3
+_AT_LIMIT = 1e-3  # as a share of the limit, the distance that counts as at it: the resolution of a ten-bit log
+# Speed that no servo-driven joint keeps up: ten times that of a fast linear motor, and 950,000 rpm; it is judged by
+# what a share of the samples exceeds, since a step in the reference is no high speed.
+_FASTEST, _SHARE_OF_FAST_SAMPLES = {"m": 50.0, "rad": 1e5}, 0.01
+_LONGEST = {"m": 1e3}  # travel that no joint has; a revolute joint may turn for ever
+_FOLLOWS = 0.95  # correlation from which one signal is taken to follow another, so that their ratio means something
+_RATIO_BAND = (
+    0.5,
+    2.0,
+)  # of motor position to reference, that a controller can explain; outside, one is scaled wrongly
+_RATIO_TOLERANCE = 0.1  # relative distance of a ratio from a unit's factor within which that unit is named
+_GEAR_TOLERANCE = 0.02  # likewise of a gear's ratio
+_ROUNDING = 0.01  # of a torque's rms, that its rounding may be: the EMPS axis leaves 4 % for other reasons
+_LATE = 0.9  # of the encoders' difference, that a lag may be: of motorbench it is 0.3 %, of the paper's twin 41 %
+_FEWEST_STEPS = 30.0  # of an encoder in a sample, rms, while the axis moves: with 16, rounding leaves 4 to 9 %
+_WHOLE = 1e-2  # of a step: how near to a whole number of steps counts as one
+_GRAIN = 1e-12  # of the travel: what is nearer than this is one value that was computed twice
+_MULTIPLE = 0.05  # of a step: how far a position may be from a multiple of it
+_MOSTLY = 0.95  # of the positions that are such multiples
+_PARTS = 5  # steps that the smallest gap may be: an axis that never rests may skip some
 _SLOW = 0.04  # of the sampling frequency: where a joint moves, and noise does not
 _FEWEST_SAMPLES = 100
+# What a channel's largest number, in SI, and its sample time lie between: beyond any sensor, and far from where a sum
+# of their squares ends.
+_NUMBERS, _TIMES = (1e-30, 1e30), (1e-9, 1e6)
 
 
-def check_record(
-    record: Record, *, limit: float | None = None, limit_share: float = LIMIT_SHARE, side: str | None = None
-) -> None:
+def check_record(record: Record, *, limit: float | None = None, side: str | None = None, ratio: float = 1.0) -> None:
     """Check that a record is what it is declared to be, and that a joint can be identified from it.
 
     Args:
-        record: the record.
+        record: what was logged.
         limit: the controller's torque limit, in the unit of the record's torque; None does not check it.
-        limit_share: share of the samples that may stand at the limit.
         side: of a transmission, on which the record's torque and the limit are told; None without one.
+        ratio: of the transmission, motor per load; 1 without one.
 
     Raises:
         RecordError: with one sentence for each fault found.
     """
     faults = [f for name, c in record.items() for f in finite_faults(name, c.values, c.time)]
     if not faults:  # of numbers that are none, nothing more can be said
-        faults += [*scale_faults(record), *still_faults(record)]
-        faults += [] if limit is None else limit_faults(record, limit, limit_share, side)
+        faults += [*scale_faults(record, ratio), *still_faults(record)]
+        faults += [] if limit is None else limit_faults(record, limit, side)
     if faults:
         raise RecordError(faults)
 
@@ -96,7 +83,7 @@ def still_faults(record: Record) -> list[str]:
     return faults
 
 
-def limit_faults(record: Record, limit: float, limit_share: float = LIMIT_SHARE, side: str | None = None) -> list[str]:
+def limit_faults(record: Record, limit: float, side: str | None = None) -> list[str]:
     """Return the faults of a torque that stands at the controller's limit, or goes beyond it.
 
     What is known to be added after the limit is taken off the torque first.
@@ -104,7 +91,6 @@ def limit_faults(record: Record, limit: float, limit_share: float = LIMIT_SHARE,
     Args:
         record: the record; without a torque there is no fault.
         limit: largest torque the controller can ask for, positive, in the unit of the record's torque.
-        limit_share: share of the samples that may stand at the limit.
         side: see `check_record`.
     """
     if not limit > 0:
@@ -117,32 +103,34 @@ def limit_faults(record: Record, limit: float, limit_share: float = LIMIT_SHARE,
         output = output - np.interp(record.torque.time, injected.channel.time, injected.channel.values)
     size, here = np.abs(output), "" if side is None else f" on the {side} side"
     # Measured currents carry noise, and filters overshoot: only the command itself never passes the limit.
-    beyond = float(np.mean(size > limit * (1 + AT_LIMIT)))
-    if record.tap is Tap.COMMAND and beyond > BEYOND_SHARE:
+    beyond = float(np.mean(size > limit * (1 + _AT_LIMIT)))
+    if record.tap is Tap.COMMAND and beyond > _BEYOND_SHARE:
         return [
             f"The torque reaches {size.max():g} {unit_name}{here}, beyond the controller's limit of {limit:g} "
             f"{unit_name}{here and ' there'}; check the limit, and the torque's unit and gain."
         ]
-    share = float(np.mean(size >= limit * (1 - AT_LIMIT)))
-    if share <= limit_share:
+    share = float(np.mean(size >= limit * (1 - _AT_LIMIT)))
+    if share <= _LIMIT_SHARE:
         return []
     return [
         f"The torque stands at its limit of {limit:g} {unit_name}{here} in {share:.1%} of the samples (at most "
-        f"{limit_share:.1%} expected), where it says little of the joint; record a slower motion."
+        f"{_LIMIT_SHARE:.1%} expected), where it says little of the joint; record a slower motion."
     ]
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a wrong column can hold any number, the largest too
-def scale_faults(record: Record) -> list[str]:
-    """Return the faults of signals that cannot have the unit, or the sign, that they are declared to have."""
-    faults = []
+def scale_faults(record: Record, ratio: float = 1.0) -> list[str]:
+    """Return the faults of signals that cannot have the unit, the sign or the side that they are declared to have."""
     reference, motor, velocity = record.reference, record.motor_position, record.reference_velocity
+    faults = [fault for name, channel in record.items() for fault in _magnitude_faults(name, channel)]
+    if faults:
+        return faults  # products of such numbers are endless, or nothing
     if reference is not None:
         faults += _size_faults("reference", reference)
     if motor is not None:
         faults += _size_faults("motor_position", motor)
     if reference is not None and motor is not None:
-        faults += _ratio_faults("motor_position", motor, "reference", reference)
+        faults += _ratio_faults("motor_position", motor, "reference", reference, ratio)
     if reference is not None and velocity is not None and len(reference) > 1:
         slope = np.gradient(reference.values, reference.sample_time)
         derivative = Channel(slope, velocity.unit, reference.sample_time)
@@ -150,46 +138,70 @@ def scale_faults(record: Record) -> list[str]:
     return faults
 
 
+def _magnitude_faults(name: str, channel: Channel) -> list[str]:
+    """Return the fault of numbers or times of a size that nothing measured has."""
+    largest = float(np.max(np.abs(channel.values), initial=0.0))
+    time = channel.sample_time
+    if largest and not _NUMBERS[0] <= largest <= _NUMBERS[1]:
+        return [
+            f"{name} is {largest:.3g} {channel.unit} at most (expected {_NUMBERS[0]:g} to {_NUMBERS[1]:g}); check its "
+            "unit and its gain, or log it again."
+        ]
+    if not _TIMES[0] <= time <= _TIMES[1]:
+        return [
+            f"{name} has a sample every {time:.3g} s (expected {_TIMES[0]:g} to {_TIMES[1]:g} s); check the time "
+            "column and its unit."
+        ]
+    return []
+
+
 def _size_faults(name: str, position: Channel) -> list[str]:
     """Return the fault of a position that moves faster or farther than a joint can."""
     if len(position) < 2:
         return []
     steps = np.abs(np.diff(position.values))
-    speed = float(np.quantile(steps, 1 - SHARE_OF_FAST_SAMPLES)) / position.sample_time
+    speed = float(np.quantile(steps, 1 - _SHARE_OF_FAST_SAMPLES)) / position.sample_time
     travel = float(np.ptp(position.values))
-    if speed > FASTEST.get(position.unit, math.inf):
-        fact = f"{name} moves at {speed:.3g} {position.unit}/s (at most {FASTEST[position.unit]:g} expected)"
-    elif travel > LONGEST.get(position.unit, math.inf):
-        fact = f"{name} travels {travel:.3g} {position.unit} (at most {LONGEST[position.unit]:g} expected)"
+    if speed > _FASTEST.get(position.unit, math.inf):
+        fact = f"{name} moves at {speed:.3g} {position.unit}/s (at most {_FASTEST[position.unit]:g} expected)"
+    elif travel > _LONGEST.get(position.unit, math.inf):
+        fact = f"{name} travels {travel:.3g} {position.unit} (at most {_LONGEST[position.unit]:g} expected)"
     else:
         return []
     return [f"{fact}: it is not in {position.unit}; give its unit, or its gain, and check the sample time."]
 
 
-def _ratio_faults(name: str, channel: Channel, other_name: str, other: Channel) -> list[str]:
+def _ratio_faults(name: str, channel: Channel, other_name: str, other: Channel, gear: float = 1.0) -> list[str]:
     """Return the faults of two signals that should agree, follow each other, and differ in sign or scale."""
     x, y = np.interp(channel.time, other.time, other.values), channel.values
     if np.ptp(x) == 0 or np.ptp(y) == 0:
         return []
     x, y = x - x.mean(), y - y.mean()
     x_size, y_size, product = float(np.linalg.norm(x)), float(np.linalg.norm(y)), float(x @ y)
-    if not abs(product) >= FOLLOWS * x_size * y_size > 0:
+    if not abs(product) >= _FOLLOWS * x_size * y_size > 0:
         return []
     ratio = math.copysign(y_size / x_size, product)
     faults = []
     if ratio < 0:
         faults.append(f"{name} runs against {other_name}; give one of them sign = -1.")
-    if not RATIO_BAND[0] <= abs(ratio) <= RATIO_BAND[1]:
-        hint = _unit_hint(abs(ratio), name, other_name, channel.unit)
+    if not _RATIO_BAND[0] <= abs(ratio) <= _RATIO_BAND[1]:
+        hint = _gear_hint(abs(ratio), gear) or _unit_hint(abs(ratio), name, other_name, channel.unit)
         faults.append(f"{name} is {abs(ratio):.4g} times {other_name}, and should equal it{hint}.")
     return faults
+
+
+def _gear_hint(ratio: float, gear: float) -> str:
+    """Return that one of two signals is of the other side of a gear, where its ratio is theirs; else nothing."""
+    if gear == 1.0 or not any(abs(ratio / one - 1) < _GEAR_TOLERANCE for one in (gear, 1 / gear)):
+        return ""
+    return f", as if one of them were of the other side of the {gear:g}:1 gear; give its channel side"
 
 
 def _unit_hint(ratio: float, name: str, other_name: str, declared: str) -> str:
     """Return what a ratio of two signals says of their units, and what to do."""
     for entry in map(unit, units_of(unit(declared).dimension)):
         for suspect, factor in ((name, 1 / entry.factor), (other_name, entry.factor)):
-            if factor != 1 and abs(ratio / factor - 1) < RATIO_TOLERANCE:
+            if factor != 1 and abs(ratio / factor - 1) < _RATIO_TOLERANCE:
                 return f", as if {suspect} were in {entry.name} and read as {entry.si}; check both units"
     return "; check both units, and give the gain of the one that is off"
 
@@ -200,10 +212,6 @@ def find_record_warnings(record: Record, channels: Collection[str]) -> tuple[str
     A value that is rounded to steps of q has an error of q / sqrt(12) rms, and a torque that is refreshed every n
     samples is late by half of n more than its timing says. A late encoder differs from the other by its lag times the
     velocity, as a spring with viscous friction behind it does: where that is nearly all, no stiffness is seen.
-
-    Args:
-        record: what was logged.
-        channels: names of those that were read.
     """
     notes: list[str] = []
     for name, channel in record.items():
@@ -215,11 +223,27 @@ def find_record_warnings(record: Record, channels: Collection[str]) -> tuple[str
     return tuple(notes)
 
 
-def _lag_warnings(record: Record) -> Iterator[str]:
-    """Yield a warning where a lag of one encoder explains nearly all of their difference."""
+@dataclass(frozen=True, slots=True)
+class EncoderLag:
+    """A lag of one encoder that explains nearly all of the difference of both.
+
+    Attributes:
+        late, early: the channels.
+        lag: between them, seconds.
+        share: of the difference's energy that it explains.
+    """
+
+    late: str
+    early: str
+    lag: float
+    share: float
+
+
+def find_encoder_lag(record: Record) -> EncoderLag | None:
+    """Return the lag that hides the spring between a record's encoders; None where there is no such lag."""
     motor, load = record.motor_position, record.load_position
     if motor is None or load is None or len(motor) < _FEWEST_SAMPLES:
-        return
+        return None
     T = motor.sample_time
     seen = np.interp(motor.time, load.time, load.values)
     position, difference = lowpass(np.column_stack([motor.values, motor.values - seen]), _SLOW / T, T).T
@@ -227,15 +251,22 @@ def _lag_warnings(record: Record) -> Iterator[str]:
     velocity, difference = velocity - velocity.mean(), difference - difference.mean()
     size, total = float(velocity @ velocity), float(difference @ difference)
     if size == 0.0 or total == 0.0:
-        return
+        return None
     lag = float(velocity @ difference) / size
     share = lag**2 * size / total
-    if share > LATE:
-        late, early = ("load_position", "motor_position") if lag > 0 else ("motor_position", "load_position")
+    if not share > _LATE:
+        return None
+    late, early = ("load_position", "motor_position") if lag > 0 else ("motor_position", "load_position")
+    return EncoderLag(late, early, abs(lag), share)
+
+
+def _lag_warnings(record: Record) -> Iterator[str]:
+    found = find_encoder_lag(record)
+    if found is not None:
         yield (
-            f"{share:.0%} of the difference of motor_position and load_position is as if {late} were "
-            f"{1e3 * abs(lag):.2g} ms later than {early}: a spring is hidden behind it, and a stiffness from both "
-            "encoders is not to be trusted"
+            f"{found.share:.0%} of the difference of motor_position and load_position is as if {found.late} were "
+            f"{1e3 * found.lag:.2g} ms later than {found.early}: a spring is hidden behind it, and a stiffness from "
+            "both encoders is not to be trusted"
         )
 
 
@@ -254,7 +285,7 @@ def _rounding_warnings(name: str, channel: Channel) -> Iterator[str]:
         return
     if name == "torque":
         error, size = step / math.sqrt(12), float(np.std(channel.values))
-        if error > ROUNDING * size:
+        if error > _ROUNDING * size:
             yield (
                 f"the torque comes in steps of {step:.3g} {channel.unit}, {step / size:.1%} of its rms about its mean: "
                 f"rounding alone leaves {error / size:.1%} of it"
@@ -263,8 +294,44 @@ def _rounding_warnings(name: str, channel: Channel) -> Iterator[str]:
     moved = np.diff(channel.values) / step
     moving = moved[moved != 0]
     passed = float(np.sqrt(np.mean(moving**2))) if moving.size else 0.0
-    if passed < FEWEST_STEPS:
+    if passed < _FEWEST_STEPS:
         yield (
             f"{name} comes in steps of {step:.3g} {channel.unit}, of which it passes {passed:.2g} in a sample where it "
             "moves (rms): its derivatives, and what a controller makes of it, are coarse"
         )
+
+
+def find_quantum(values: FloatArray) -> float | None:
+    """Return the step that values (samples,) are rounded to; None where they are not, or too finely to be told."""
+    grain = float(np.ptp(values)) * _GRAIN
+    if not (math.isfinite(grain) and grain > 0):
+        return None
+    distinct = np.unique(np.round((values - values.min()) / grain))
+    gaps = np.diff(distinct)
+    step = float(gaps.min())
+    # Euclid's algorithm; a grain more or less in the step must not become a hundredth of it in the widest gap.
+    while gaps.max() <= _WHOLE * step**2:
+        rest = np.abs(gaps - np.round(gaps / step) * step)
+        if rest.max() <= _WHOLE * step:
+            return step * grain
+        step = float(rest[rest > _WHOLE * step].min())
+    return None
+
+
+def find_encoder_step(channel: Channel | None) -> float | None:
+    """Return the step of the encoder that a position was read from, in its unit; None where none is to be seen.
+
+    The smallest gap between two positions is a small whole number of steps, of which all other positions are multiples.
+    """
+    if channel is None:
+        return None
+    values = np.sort(channel.values) - channel.values.min()
+    gaps = np.diff(values)
+    gaps = gaps[gaps > _GRAIN * values[-1]]
+    if not gaps.size:
+        return None
+    for parts in range(1, _PARTS + 1):
+        step = float(gaps.min()) / parts
+        if np.mean(np.abs(values / step - np.round(values / step)) < _MULTIPLE) >= _MOSTLY:
+            return step
+    return None

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 from jointid.common.errors import RecordError
 from jointid.records.clock import is_same_rate
 from jointid.records.columns import Column
-from jointid.records.drives.drive import Drive
+from jointid.records.drives import Drive
 from jointid.records.formats import Table, read_blocks
 from jointid.records.formats.table import join_tables
 from jointid.records.reading import RecordReader

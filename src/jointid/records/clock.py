@@ -11,17 +11,9 @@ import numpy as np
 from jointid.common import units
 from jointid.common.arrays import FloatArray
 from jointid.common.text import counted
-from jointid.records.columns import Column, finite_faults, format_instant, period_faults, unit_fault, unit_in_name
+from jointid.records.columns import Column, finite_faults, format_instant, unit_fault, unit_in_name
 from jointid.records.formats import Table
 from jointid.records.record import Irregularity
-
-RATE_TOLERANCE = 1e-3
-"""Largest relative difference of two sample times that count as one.
-
-Clocks of drives and computers differ by 0.01 %; a wrong rate is wrong by far more.
-"""
-
-_TIME = re.compile(r"(?:t|time)\s*(?:[\[(].*[\])])?", re.IGNORECASE)
 
 CLOCK_TOLERANCE = 0.05
 """Largest jitter of a time stamp step, as a share of the sample time.
@@ -30,11 +22,13 @@ A twentieth of a sample is well below the half sample by which a held and an ave
 above the jitter of good loggers (0.004 % in EMPS) and of stamps rounded to a microsecond at 10 kHz (1 %).
 """
 
-JUMP = 0.5
-"""A step this far from the sample time, as a share of it, is a jump: samples are missing or doubled."""
-
-GAP = 1.75
-"""From so many sample times on a step leaves out samples: two stamps 30 % early and late are 1.6 apart."""
+# Clocks of drives and computers differ by 0.01 %; a wrong rate is wrong by far more.
+_RATE_TOLERANCE = 1e-3
+_NEAR = 0.05  # of a mean period over stamps with jumps or gaps
+_LATEST = 1e30  # of a time stamp, in any unit; beyond, the square of a step has no end
+_JUMP = 0.5  # of the sample time: a step this far from it is a jump, with samples missing or doubled
+_GAP = 1.75  # sample times from which on a step leaves out samples: two stamps 30 % early and late are 1.6 apart
+_TIME = re.compile(r"(?:t|time)\s*(?:[\[(].*[\])])?", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,13 +42,7 @@ class Clock:
 
 @dataclass(frozen=True, slots=True)
 class Clocks:
-    """The record's clock, and those of columns that have a time column of their own.
-
-    Attributes:
-        common: of all others.
-        own: by time column.
-        columns: name of a column -> that of its time column.
-    """
+    """The record's clock, those of other time columns by name, and by column the name of its own time column."""
 
     common: Clock
     own: Mapping[str, Clock] = field(default_factory=dict)
@@ -74,15 +62,23 @@ def find_clock(
     """Return a table's clock, from the stamps, from the sample time, or from both, and what is wrong with it.
 
     Args:
-        table: whose samples they are.
+        table: of the samples.
         time: name of the time column; None takes the only one that is called t or time.
         time_unit: of it; None takes the one in its name, or else s.
         sample_time: seconds, if it is given; without `time` it is all that counts.
         tolerance: largest jitter, as a share of the sample time; None for stamps that are resampled.
     """
-    wrong = period_faults("sample time", sample_time)
-    if wrong or (sample_time is not None and time is None):
-        return Clock(None if wrong else sample_time), wrong
+    if sample_time is not None and not 0 < sample_time < np.inf:
+        return Clock(), [f"The sample time is a positive number of seconds; got {sample_time:g}."]
+    if sample_time is not None and time is None:
+        return Clock(sample_time), _contradiction_faults(table, time_unit, sample_time)
+    return _stamped_clock(table, time, time_unit, sample_time, tolerance)
+
+
+def _stamped_clock(
+    table: Table, time: str | None, time_unit: str | None, sample_time: float | None, tolerance: float | None
+) -> tuple[Clock, list[str]]:
+    """Return the clock of a time column, and what is wrong with it; see `find_clock`."""
     column, wrong = _time_column(table, time)
     if wrong:
         return Clock(), wrong
@@ -109,18 +105,38 @@ def find_clock(
     return Clock(sample_time or period, stamps, column), wrong
 
 
+def _contradiction_faults(table: Table, time_unit: str | None, sample_time: float) -> list[str]:
+    """Return the fault of a sample time beside a column that is called t or time and has another one.
+
+    A column whose unit is not said may be in any, or count samples; one whose clock is not uniform only has to be near.
+    """
+    column, missing = _time_column(table, None)
+    if missing:
+        return []
+    known = units.units_of("time")
+    said = time_unit or unit_in_name(column, known) or units.spelled(table.units.get(column, ""))
+    values = table.columns[column]
+    if (said and said not in known) or values.size < 2 or not np.all(np.isfinite(values)) or values[-1] <= values[0]:
+        return []
+    step = float(values[-1] - values[0]) / (values.size - 1)
+    periods = [step * units.unit(unit).factor for unit in ([said] if said else known)]
+    tolerance = _NEAR if clock_faults(values, CLOCK_TOLERANCE, column) else _RATE_TOLERANCE
+    if any(abs(sample_time / period - 1) <= tolerance for period in periods) or (not said and step == 1.0):
+        return []
+    return [
+        f'sample_time is {sample_time:g} s, but the time column "{column}" has {step:g} {said or "s"} between samples; '
+        f"expected the same: leave sample_time out, or {'correct it' if said else 'give time_unit'}, or rename the "
+        "column if it is no time."
+    ]
+
+
 def is_same_rate(sample_time: float, other: float) -> bool:
-    """Return True if two sample times are equal within `RATE_TOLERANCE`."""
-    return abs(sample_time / other - 1) <= RATE_TOLERANCE
+    """Return True if two sample times are equal within `_RATE_TOLERANCE`."""
+    return abs(sample_time / other - 1) <= _RATE_TOLERANCE
 
 
 def beginning_faults(clocks: Mapping[str, Clock], tolerance: float) -> list[str]:
-    """Return the fault of channels that begin at different instants, by their own stamps.
-
-    Args:
-        clocks: by channel.
-        tolerance: how far, as a share of the shorter sample time.
-    """
+    """Return the fault of channels whose stamps begin farther apart than a tolerance, a share of the sample time."""
     stamped = {name: clock for name, clock in clocks.items() if clock.stamps is not None and clock.sample_time}
     firsts = {name: float(clock.stamps[0]) for name, clock in stamped.items() if clock.stamps is not None}
     if not firsts:
@@ -166,7 +182,7 @@ def measure_irregularity(stamps: FloatArray) -> Irregularity:
     steps = np.diff(stamps)
     forward = steps[steps > 0]
     typical = float(np.median(forward)) if forward.size else 1.0
-    skipped = np.where(steps >= GAP * typical, np.maximum(np.round(steps / typical), 1), steps != 0)
+    skipped = np.where(steps >= _GAP * typical, np.maximum(np.round(steps / typical), 1), steps != 0)
     number = np.concatenate([[0.0], np.cumsum(skipped)])
     centred, times = number - number.mean(), stamps - stamps.mean()
     period = float(centred @ times / (centred @ centred))
@@ -201,7 +217,12 @@ def clock_faults(stamps: FloatArray, tolerance: float | None = CLOCK_TOLERANCE, 
     if faults:
         return faults
     steps = np.diff(stamps)
-    sample_time = float(np.median(steps))
+    largest, sample_time = float(np.max(np.abs(stamps))), float(np.median(steps))
+    if largest > _LATEST or 0 < sample_time < 1 / _LATEST:
+        return [
+            f"{name} goes to {largest:.3g} s in steps of {sample_time:.3g} s, which is no time; name another time "
+            "column, or give its unit."
+        ]
     if sample_time <= 0:
         return [
             f"{name} does not run forward (its median step is {sample_time:g} s); name another time "
@@ -210,7 +231,7 @@ def clock_faults(stamps: FloatArray, tolerance: float | None = CLOCK_TOLERANCE, 
     if tolerance is None:
         return []
     error = np.abs(steps / sample_time - 1)
-    jumped = error > max(JUMP, tolerance)
+    jumped = error > max(_JUMP, tolerance)
     if jumped.any():
         first = int(np.argmax(jumped))
         faults.append(

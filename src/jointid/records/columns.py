@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,6 +16,8 @@ from jointid.common.text import counted
 from jointid.common.transmission import Side
 from jointid.records.record import InjectionPoint, Tap, Timing
 
+_SAFE_STEP = 0.4  # of a wrap in one sample: from a half on, forwards and backwards cannot be told apart
+_BEYOND_WRAP = 1e-2  # of a wrap, by which values may span more
 _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
 
 
@@ -98,7 +99,14 @@ class Column:
     def stated_unit(self, known: tuple[str, ...]) -> str | None:
         """Return the unit of the values as far as it is stated, here or in the column's name."""
         # A gain takes the values from the unit in the name to another one.
-        return self.unit if self.unit is not None or self.gain != 1 else unit_in_name(self.column, known)
+        if self.unit is not None:
+            return self.unit if self.unit in known else units.spelled(self.unit)
+        return None if self.gain != 1 else unit_in_name(self.column, known)
+
+    def doubled_unit(self, known: tuple[str, ...]) -> str | None:
+        """Return the unit in the column's name where it is another one than is declared, and no gain leads there."""
+        named = None if self.unit is None or self.gain != 1 else unit_in_name(self.column, known)
+        return named if named in known and named != self.stated_unit(known) else None
 
     def misplaced_faults(self, channel: str) -> list[str]:
         """Return the faults of settings that belong to other channels than `channel`."""
@@ -118,7 +126,8 @@ def unit_in_name(column: str, known: tuple[str, ...]) -> str | None:
     if match is None or match[1].isdigit():  # "phi[0]" is an element
         return None
     # "q [clicks]" is to be refused, not to be read as metres; "q (filtered)" has a remark.
-    return match[1] if match[1] in known or column.rstrip().endswith("]") else None
+    said = match[1] if match[1] in known else units.spelled(match[1])
+    return (said or None) if said in known or column.rstrip().endswith("]") else None
 
 
 def unit_fault(what: str, name: str, known: tuple[str, ...]) -> str:
@@ -144,20 +153,10 @@ def unit_of_column(channel: str, columns: Mapping[str, Column], kind: str) -> st
     return columns[channel].stated_unit(known) or default
 
 
-def period_faults(what: str, sample_time: float | None) -> list[str]:
-    """Return the fault of a time between samples that is given and not positive and finite."""
-    if sample_time is None or (math.isfinite(sample_time) and sample_time > 0):
-        return []
-    return [f"The {what} is a positive number of seconds; got {sample_time:g}."]
-
-
 def finite_faults(name: str, values: FloatArray, time: FloatArray | None = None) -> list[str]:
     """Return the faults of raw values, shape (samples,), that are not finite: an early end, and gaps.
 
-    Args:
-        name: what the sentences call the values.
-        values: the values, before they become a channel.
-        time: instants of the samples [s], shape (samples,), if they are known.
+    The sentences call them `name`, and say when by `time`, the instants [s], (samples,), where these are known.
     """
     bad = np.flatnonzero(~np.isfinite(values))
     if bad.size == 0:
@@ -184,3 +183,24 @@ def finite_faults(name: str, values: FloatArray, time: FloatArray | None = None)
 def format_instant(time: FloatArray | None, index: int) -> str:
     """Return the instant of a sample, in brackets; "" where it is not known."""
     return "" if time is None else f" (t = {time[index]:g} s)"
+
+
+def unwrap(values: FloatArray, wrap: float) -> FloatArray:
+    """Return a position that wraps round as one that does not, (samples,); each step is taken the short way."""
+    steps = np.diff(values)
+    return np.asarray(values - wrap * np.concatenate([[0.0], np.cumsum(np.round(steps / wrap))]))
+
+
+def wrap_faults(name: str, values: FloatArray, wrap: float) -> list[str]:
+    """Return the faults of raw values, (samples,), that do not fit their wrap, or move too fast to be unwrapped."""
+    span = float(np.ptp(values))
+    if span > wrap * (1 + _BEYOND_WRAP):
+        return [f"{name} spans {span:g}, more than its wrap of {wrap:g}; correct the wrap, or leave it out."]
+    steps = np.abs(np.diff(unwrap(values, wrap)))
+    fast = np.flatnonzero(steps > _SAFE_STEP * wrap)
+    if fast.size == 0:
+        return []
+    return [
+        f"{name} moves by {steps[fast[0]] / wrap:.2f} of its wrap of {wrap:g} after sample {fast[0]} (at most "
+        f"{_SAFE_STEP:g} can be told from a move backwards); log it more often, or correct the wrap."
+    ]

@@ -5,26 +5,32 @@ from __future__ import annotations
 import math
 import os
 import re
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from jointid.common import units
 from jointid.common.arrays import FloatArray
+from jointid.common.charts import MEASURED, Band, Chart, Charted, Line, Panel
 from jointid.common.document import Block, Document, Documented, Listing, Paragraph, Table
 from jointid.common.text import counted, number, shown
 from jointid.records.columns import unit_in_name
 from jointid.records.formats import format_of, read_tables
 
 _ROWS = 65536  # that are in memory at once, where the format allows it
-_TIME = re.compile(r"(?:.*[/._ ])?(?:t|time|timestamp|stamp)\s*(?:[\[(].*[\])])?", re.IGNORECASE)
+_TIME = re.compile(r"(?:.*[/._ ])?(?:t|time|timestamp|stamp|zeit)\s*(?:[\[(].*[\])])?", re.IGNORECASE)
 _LEVELS = "▁▂▃▄▅▆▇█"
 _SPARKLINE = 24  # characters
 _ROUNDING = 1e-3  # per cent of jitter; what is less is of the clock's digits
+_STEPS, _PARTS = re.compile(r"[/.]"), 32  # what parts a path, and how often at most
 _LONGEST = 60  # characters of a name in the table
+_LISTED = 1000  # channels; who has more of them reads them by a program
+_DRAWN = 90  # channels; beyond that none could be read
+_ACROSS = 3  # of their panels
+_TITLE = 40  # characters of the title of one
 _STRETCHES = 1024  # that are kept at most, of equal length; a power of two
 
 
@@ -55,7 +61,7 @@ class InspectedChannel:
 
 
 @dataclass(frozen=True, slots=True)
-class Inspection(Documented):
+class Inspection(Charted, Documented):
     """Contents of a file.
 
     Attributes:
@@ -75,11 +81,16 @@ class Inspection(Documented):
     passed: Mapping[str, str]
 
     def document(self, *, details: bool = False) -> Document:
-        """Return the table of the channels, single numbers, what is not read, and the clocks; all of it always."""
+        """Return the table of the channels, single numbers, what is not read, and the clocks; no further details.
+
+        Of more than 1,000 channels the first are listed, and how many more there are.
+        """
         del details
         header = ("channel", "rows", "unit", "sample time", "min", "max", "NaN", "picture")
-        rows = tuple(map(_table_row, self.channels))
+        rows = tuple(map(_table_row, self.channels[:_LISTED]))
         blocks: list[Block] = [Table(header, rows, words=(0, 2, 7))] if rows else []
+        if more := len(self.channels) - len(rows):
+            blocks.append(Paragraph(f"and {counted(more, 'more channel')}, which --json lists, too"))
         if self.scalars:
             numbers = ", ".join(f"{shown(n)} {v:.6g}" for n, v in self.scalars.items())
             blocks.append(Paragraph(f"single numbers: {numbers}"))
@@ -90,12 +101,40 @@ class Inspection(Documented):
         title = f"{shown(self.file)}: {self.format}, {self.size} bytes, {len(self.channels)} channels"
         return Document(title, (*blocks, Listing(tuple(self.clocks()))))
 
+    def chart(self) -> Chart:
+        """Return a panel for each channel that is no clock: the range of its numbers in every stretch of its time.
+
+        Of more than 90 channels the first are drawn, and the title says so.
+        """
+        every = [channel for channel in self.channels if not channel.is_time] or list(self.channels)
+        drawn = every[:_DRAWN]
+        panels = []
+        for channel in drawn:
+            outline = channel.outline
+            rows = (np.arange(outline.low.size) + 0.5 * (outline.length > 1)) * outline.length
+            seconds = (
+                channel.sample_time if channel.sample_time is not None and np.isfinite(channel.sample_time) else None
+            )
+            place = np.asarray(rows * (seconds or 1.0), dtype=np.float64)
+            name = shown(channel.name)
+            short = name if len(name) <= _TITLE else f"...{name[3 - _TITLE :]}"
+            items = (
+                Band(place, outline.low, outline.high, MEASURED),
+                Line(place, (outline.low + outline.high) / 2, MEASURED, "", 1.0),
+            )
+            title = f"{short} [{shown(channel.unit)}]" if channel.unit else short
+            panels.append(Panel("time [s]" if seconds else "row", "", items, title, height=170))
+        count = f"{len(drawn)} of {len(every)} channels" if len(drawn) < len(every) else f"{len(drawn)} channels"
+        title = f"{shown(self.file)}: {count}"
+        return Chart("channels", "", tuple(panels), columns=min(_ACROSS, max(len(drawn), 1)), title=title)
+
     def clocks(self) -> list[str]:
         """Return a sentence on each clock."""
         said = []
+        timed = Counter(channel.time for channel in self.channels)
         for clock in self.channels:
             if clock.is_time and clock.sample_time is not None and clock.jitter is not None:
-                count = sum(channel.time == clock.name for channel in self.channels) - 1
+                count = timed[clock.name] - 1
                 said.append(
                     f"{shown(clock.name)} is the time of {counted(count, 'channel')}: a sample every "
                     f"{clock.sample_time:.6g} s, the steps within {max(100 * clock.jitter, _ROUNDING):.2g} % of that."
@@ -129,13 +168,15 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
         told.update(table.clocks)
         scalars, passed = dict(table.scalars), dict(table.passed)
     outlines = {name: made.build() for name, made in outlining.items()}
-    clocks = {name: o for name, o in outlines.items() if _is_clock(name, o, _unit(name, stated))}
-    channels = []
+    of_time = units.units_of("time")
+    stated = {name: unit for name in outlines if (unit := stated.get(name) or unit_in_name(name, of_time))}
+    clocks = {name: o for name, o in outlines.items() if _is_clock(name, o, stated.get(name))}
+    nearest, channels = _Clocks(clocks), []
     for name, outline in outlines.items():
-        channel = InspectedChannel(name, _unit(name, stated), outline)
-        clock = name if name in clocks else told.get(name) or _find_clock(name, outline, clocks)
+        channel = InspectedChannel(name, stated.get(name), outline)
+        clock = name if name in clocks else told.get(name) or nearest.find(name, outline)
         if clock is not None and clock in clocks:
-            seconds = units.unit(units.spelled(_unit(clock, stated) or "s")).factor
+            seconds = units.unit(units.spelled(stated.get(clock) or "s")).factor
             step, jitter = clocks[clock].step, clocks[clock].jitter
             channel = replace(channel, time=clock, sample_time=step * seconds, jitter=jitter)
         channels.append(channel)
@@ -144,26 +185,40 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
     return Inspection(path.name, format_of(path).name, size, tuple(channels), scalars, passed)
 
 
-def _unit(name: str, stated: Mapping[str, str]) -> str | None:
-    return stated.get(name) or unit_in_name(name, units.units_of("time"))
-
-
 def _is_clock(name: str, outline: Outline, unit: str | None) -> bool:
     of_time = unit is None or units.spelled(unit) in units.units_of("time")
     return bool(_TIME.fullmatch(name)) and of_time and outline.rises and outline.rows > 1
 
 
-def _find_clock(name: str, outline: Outline, clocks: Mapping[str, Outline]) -> str | None:
-    """Return the clock of a column; None where there is none of its length that is nearest."""
-    alike = {clock: _count_shared_parts(name, clock) for clock, other in clocks.items() if other.rows == outline.rows}
-    best = [clock for clock, length in alike.items() if length == max(alike.values())]
-    return best[0] if len(best) == 1 else None
+class _Clocks:
+    """The clocks of a file, by their length and by how their names begin."""
+
+    def __init__(self, clocks: Mapping[str, Outline]) -> None:
+        self._beginning: dict[tuple[int, tuple[str, ...]], list[str]] = {}
+        self._whole: dict[tuple[int, tuple[str, ...]], list[str]] = {}
+        for clock, outline in clocks.items():
+            parts = _split_path(clock)
+            for count in range(len(parts) + 1):
+                self._beginning.setdefault((outline.rows, parts[:count]), []).append(clock)
+            self._whole.setdefault((outline.rows, parts), []).append(clock)
+
+    def find(self, name: str, outline: Outline) -> str | None:
+        """Return the clock of a column; None where there is none of its length that is nearest.
+
+        A clock "name/time" has all of the name's parts in common, and so has one whose path the name goes on from.
+        """
+        parts, rows = _split_path(name), outline.rows
+        above = [clock for count in range(len(parts)) for clock in self._whole.get((rows, parts[:count]), ())]
+        for count in range(len(parts), -1, -1):
+            best = self._beginning.get((rows, parts[:count]), []) + above
+            if best:
+                return best[0] if len(best) == 1 else None
+        return None
 
 
-def _count_shared_parts(name: str, clock: str) -> int:
-    """Return how many parts two paths have in common; a clock "name/time" has all of the name's."""
-    pairs = zip(re.split(r"[/.]", name), re.split(r"[/.]", clock), strict=False)
-    return next((i for i, (one, other) in enumerate(pairs) if one != other), len(re.split(r"[/.]", name)))
+def _split_path(name: str) -> tuple[str, ...]:
+    """Return the parts of a path, of which the first few tell one from another."""
+    return tuple(_STEPS.split(name, _PARTS))
 
 
 def _table_row(channel: InspectedChannel) -> tuple[str, ...]:
@@ -227,16 +282,15 @@ class Outline:
 
     def stretches(self, count: int) -> list[tuple[float, float]]:
         """Return the range of so many stretches, or of as many as there are."""
-        edges = np.linspace(0, self.low.size, min(count, self.low.size) + 1).astype(int)
-        return [
-            (float(np.fmin.reduce(self.low[start:end])), float(np.fmax.reduce(self.high[start:end])))
-            for start, end in pairwise(edges)
-        ]
+        count = min(count, self.low.size)
+        starts = np.arange(count) * self.low.size // count
+        low, high = np.fmin.reduceat(self.low, starts), np.fmax.reduceat(self.high, starts)
+        return list(zip(low.tolist(), high.tolist(), strict=True))
 
 
 @dataclass(slots=True)
 class OutlineBuilder:
-    """Builder of an outline from a signal that comes part after part."""
+    """Builder of an outline from a signal that comes part after part: thousands of them are made for one file."""
 
     rows: int = 0
     missing: int = 0
@@ -244,47 +298,57 @@ class OutlineBuilder:
     first: float = math.nan
     last: float = math.nan
     steps: tuple[float, float] = (math.inf, -math.inf)
-    low: FloatArray = field(default_factory=lambda: np.full(_STRETCHES, np.nan))
-    high: FloatArray = field(default_factory=lambda: np.full(_STRETCHES, np.nan))
+    low: FloatArray = field(default_factory=lambda: np.empty(0))
+    high: FloatArray = field(default_factory=lambda: np.empty(0))
     length: int = 1
 
     def take(self, values: FloatArray) -> None:
         """Add the next numbers, shape (samples,), one or more."""
         if self.rows == 0:
             self.first = float(values[0])
-        before = values[:1] if self.rows == 0 else np.array([self.last])
+        joined = np.append(self.last, values) if self.rows else values
         with np.errstate(invalid="ignore", over="ignore"):  # infinite numbers have no difference
-            steps = np.diff(np.concatenate([before, values])[1 if self.rows == 0 else 0 :])
+            steps = joined[1:] - joined[:-1]
         if steps.size:
-            self.rises = self.rises and bool(np.all(steps > 0))
-            self.steps = (min(self.steps[0], float(steps.min())), max(self.steps[1], float(steps.max())))
+            least, most = float(steps.min()), float(steps.max())
+            self.rises = self.rises and least > 0
+            self.steps = (min(self.steps[0], least), max(self.steps[1], most))
         self.missing += int(np.count_nonzero(np.isnan(values)))
-        while self.rows + values.size > _STRETCHES * self.length:
-            self._halve()
-        stretches = np.arange(self.rows // self.length, (self.rows + values.size - 1) // self.length + 1)
-        starts = np.maximum(stretches * self.length - self.rows, 0)
-        self.low[stretches] = np.fmin(self.low[stretches], np.fmin.reduceat(values, starts))
-        self.high[stretches] = np.fmax(self.high[stretches], np.fmax.reduceat(values, starts))
+        if self.rows == 0 and values.size <= _STRETCHES:
+            self.low = self.high = values
+        else:
+            self._add(values)
         self.rows += values.size
         self.last = float(values[-1])
 
-    def _halve(self) -> None:
-        """Make stretches twice as long."""
-        for kept, smaller in ((self.low, np.fmin), (self.high, np.fmax)):
-            pairs = smaller.reduce(kept.reshape(-1, 2), axis=1)
-            kept[:] = np.nan
-            kept[: pairs.size] = pairs
-        self.length *= 2
+    def _add(self, values: FloatArray) -> None:
+        """Add numbers to the stretches, which are made twice as long until there are few enough."""
+        total = self.rows + values.size
+        while total > _STRETCHES * self.length:
+            self.low, self.high = _halved(self.low, np.fmin), _halved(self.high, np.fmax)
+            self.length *= 2
+        used = -(-total // self.length)
+        more = np.full(used - self.low.size, np.nan)
+        stretches = np.arange(self.rows // self.length, used)
+        starts = np.maximum(stretches * self.length - self.rows, 0)
+        self.low, self.high = np.append(self.low, more), np.append(self.high, more)
+        self.low[stretches] = np.fmin(self.low[stretches], np.fmin.reduceat(values, starts))
+        self.high[stretches] = np.fmax(self.high[stretches], np.fmax.reduceat(values, starts))
 
     def build(self) -> Outline:
         """Return the outline; one number or more must have been taken."""
-        used = math.ceil(self.rows / self.length)
-        low, high = self.low[:used].copy(), self.high[:used].copy()
         there = self.missing < self.rows
         step = (self.last - self.first) / (self.rows - 1) if self.rows > 1 else 0.0
         jitter = max(self.steps[1] - step, step - self.steps[0]) / step if step else math.nan
-        minimum, maximum = (float(np.nanmin(low)), float(np.nanmax(high))) if there else (None, None)
+        minimum, maximum = (
+            (float(np.fmin.reduce(self.low)), float(np.fmax.reduce(self.high))) if there else (None, None)
+        )
         return Outline(
-            self.rows, self.missing, minimum, maximum, self.first, self.last, self.rises, step, jitter, low, high,
-            self.length,
+            self.rows, self.missing, minimum, maximum, self.first, self.last, self.rises, step, jitter, self.low,
+            self.high, self.length,
         )  # fmt: skip
+
+
+def _halved(kept: FloatArray, smaller: np.ufunc) -> FloatArray:
+    """Return the ends of stretches twice as long."""
+    return np.asarray(smaller.reduceat(kept, np.arange(0, kept.size, 2)) if kept.size else kept)

@@ -15,12 +15,11 @@ from jointid.common.errors import RecordError
 from jointid.common.transmission import Transmission
 from jointid.records.checks import scale_faults
 from jointid.records.clock import CLOCK_TOLERANCE, Clock, Clocks, beginning_faults, find_clock
-from jointid.records.columns import Column, finite_faults, known_units, unit_fault, unit_of_column
-from jointid.records.drives.drive import Drive
+from jointid.records.columns import Column, finite_faults, known_units, unit_fault, unit_of_column, unwrap, wrap_faults
+from jointid.records.drives import Drive
 from jointid.records.formats import Table, read_table
 from jointid.records.record import CHANNELS, Channel, Injection, Record, Tap, Timing, refer_channel
 from jointid.records.resampling import Resampling, Stamped, align_updates, resample_together
-from jointid.records.signals.encoder import unwrap, wrap_faults
 
 _MOVES = 0.01  # of this axis's travel: an axis that moves less is held
 _NUMBER = re.compile(r"\d+")
@@ -371,11 +370,8 @@ def find_other_axes(channels: Mapping[str, str], names: Collection[str]) -> tupl
     """Return the position columns of other axes, in the log's order.
 
     An axis has its number in several names: `pos[2]` and `torque[2]` beside `pos[0]` and `torque[0]`. One name with a
-    number tells nothing: `data[0]` and `data[1]` may be anything.
-
-    Args:
-        channels: the column of each channel of this joint.
-        names: of all columns.
+    number tells nothing: `data[0]` and `data[1]` may be anything. `channels` has the column of each of this joint's,
+    `names` are those of all columns.
     """
     numbered = {channel: dict(_axis_numbers(column, names)) for channel, column in channels.items()}
     position = _own_position(channels)

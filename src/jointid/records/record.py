@@ -9,15 +9,21 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jointid.common import units
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import RecordError
-from jointid.common.text import counted
-from jointid.common.transmission import SI_UNITS, Side, Transmission
+from jointid.common.charts import MEASURED, Chart, Charted, Line, Panel
+from jointid.common.document import Document, Documented, Facts, Table, common_facts
+from jointid.common.errors import RecordError, extra
+from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
+from jointid.common.text import counted, listed
+from jointid.common.transmission import Side, Transmission
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 
 class Timing(StrEnum):
@@ -26,6 +32,11 @@ class Timing(StrEnum):
     SAMPLED = "sampled"  # the value at the sample's instant
     HELD = "held"  # the value from this instant to the next
     AVERAGED = "averaged"  # the mean over the period that ends at this instant
+
+    @property
+    def begins(self) -> float:
+        """Samples after its stamp from which on a torque acts; a sampled one holds for half a period on each side."""
+        return {Timing.HELD: 0.0, Timing.SAMPLED: -0.5, Timing.AVERAGED: -1.0}[self]
 
 
 class Tap(StrEnum):
@@ -118,7 +129,7 @@ class Irregularity:
     Attributes:
         sample_time: of the uniform clock, s.
         largest, rms: deviation of the stamps from it, s.
-        gaps: steps of `GAP` sample times and more; longest_gap: samples left out in the longest.
+        gaps: steps that leave out samples; longest_gap: samples left out in the longest.
         repeats: stamps that are those before them again.
         backward: steps back.
     """
@@ -132,7 +143,6 @@ class Irregularity:
     backward: int = 0
 
     def __str__(self) -> str:
-        """Return it in words."""
         told = [
             f"{1e3 * self.sample_time:.6g} ms, off by up to {self.largest / self.sample_time:.2g} samples "
             f"({self.rms / self.sample_time:.2g} rms)"
@@ -163,7 +173,6 @@ class Resampled:
     channels: Mapping[str, str]
 
     def __str__(self) -> str:
-        """Return it in a sentence."""
         how = ", ".join(f"{name} {method}" for name, method in self.methods.items())
         logged = "; ".join(f'"{name}" {clock}' for name, clock in self.clocks.items())
         return f"to {1e3 * self.sample_time:g} ms ({how}); stamps of {logged}"
@@ -176,7 +185,7 @@ _TORQUES = ("torque", "injected")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Record:
+class Record(Charted, Documented):
     """Signals logged in one run; a channel that was not logged is None.
 
     Attributes:
@@ -242,6 +251,49 @@ class Record:
         """Seconds covered by the channel that ends first."""
         return min(channel.duration for _, channel in self.items())
 
+    @property
+    def sentence(self) -> str:
+        """What was logged, for how long."""
+        names = listed([name.replace("_", " ") for name in self.channels])
+        rates = listed([*dict.fromkeys(f"{1e3 * channel.sample_time:.6g} ms" for _, channel in self.items())])
+        return f"{names[0].upper()}{names[1:]}, {self.duration:.6g} s, a sample every {rates}."
+
+    def document(self, *, details: bool = False) -> Document:
+        """Return the table of the channels; there are no further details."""
+        del details
+        rows = tuple(
+            (
+                name.replace("_", " "), channel.unit, str(len(channel)), f"{1e3 * channel.sample_time:.6g}",
+                f"{channel.values.min():.5g}", f"{channel.values.max():.5g}", channel.timing.value,
+                channel.source or "-",
+            )
+            for name, channel in self.items()
+        )  # fmt: skip
+        header = ("channel", "unit", "samples", "every [ms]", "min", "max", "timing", "source")
+        facts = common_facts(self.resampled, None)
+        return Document(f"Record {self.name}", (Table(header, rows, words=(0, 1, 6, 7)), Facts(facts)))
+
+    def chart(self) -> Chart:
+        """Return the channels over time, a panel each."""
+        panels = [
+            Panel("", f"{name.replace('_', ' ')} [{channel.unit}]", (Line(channel.time, channel.values, MEASURED),),
+                  height=170, group="time")
+            for name, channel in self.items()
+        ]  # fmt: skip
+        panels[-1] = replace(panels[-1], x_label="time [s]", height=195)
+        return Chart("record", "", tuple(panels), title=self.name)
+
+    def to_dataframe(self) -> DataFrame:
+        """Return the channels over time as a pandas data frame, a column each; NaN where a slower one has no sample.
+
+        Raises:
+            ExtraError: pandas is not installed.
+        """
+        pandas = extra("pandas", "dataframe", "A data frame")
+        columns = {name: pandas.Series(channel.values, index=channel.time) for name, channel in self.items()}
+        frame: DataFrame = pandas.DataFrame(columns).rename_axis("time")
+        return frame
+
     def without(self, *names: str) -> Record:
         """Return this record with the named channels removed."""
         unknown = set(names) - set(CHANNELS)
@@ -268,12 +320,9 @@ class Record:
 
 
 def require_units(record: Record, kind: str, torque_unit: str | None) -> None:
-    """Raise a `RecordError` if a record's channels are in units that are not those of the joint.
+    """Raise a `RecordError` if a record's channels are not in the units of a joint of that kind.
 
-    Args:
-        record: of the joint.
-        kind: of the joint.
-        torque_unit: that its torque is kept in; None is the SI unit.
+    Its torque is kept in `torque_unit`; None is the SI unit.
     """
     wrong = []
     for name, channel in record.items():
@@ -310,7 +359,7 @@ def _refer(name: str, channel: Channel, position: float, kind: str) -> Channel:
 
 def si_unit(name: str, kind: str) -> str:
     """Return the SI unit of a channel of that name on a side that moves so."""
-    position, torque = SI_UNITS[kind]
+    position, torque = POSITION_UNIT[kind], TORQUE_UNIT[kind]
     if name in _TORQUES:
         return torque
     return f"{position}/s" if name == "reference_velocity" else position

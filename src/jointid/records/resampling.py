@@ -1,4 +1,4 @@
-"""Bring channels to one uniform clock where that is asked for, or to the rate at which they are refreshed.
+"""Bring channels to one uniform clock, to the rate at which they are refreshed, or to a controller's instants.
 
 Resampling is right where the *samples* were taken at the stamps. Where only the stamps jitter, the samples are uniform
 already, and resampling would add the jitter to them: `sample_time` without a time column is right there.
@@ -21,17 +21,17 @@ from jointid.records.record import Channel, Irregularity, Resampled, Timing
 
 Interpolation: TypeAlias = Literal["hold", "linear", "cubic"]
 
-LOWER_RATE = 1.1
-"""Largest ratio of the new sample time to a channel's own: what aliases then was above 0.9 of its Nyquist
-frequency, where a joint leaves nothing."""
-
+# Largest ratio of the new sample time to a channel's own: what aliases then was above 0.9 of its Nyquist frequency,
+# where a joint leaves nothing.
+_LOWER_RATE = 1.1
 _ONE_INSTANT = 1e-6  # of a sample time
 _LARGEST = 10**8  # samples of one channel
-
 _SAME = 1e-6  # of a sample
 _WHOLE = 1e-2  # how near to a whole number of samples counts as one
 _CHANGES = 20  # fewer changes than this do not show a rhythm
 _LONGEST = 10_000  # refreshes within which all channels must begin at one instant
+_SAME_RATE = 1e-4  # two clocks whose rates differ by less than crystals do are one clock
+_MOST = 200  # periods to one log sample, or the other way round: more is a mistake
 
 
 @documented
@@ -76,13 +76,7 @@ class Resampling:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stamped:
-    """A channel as logged, at instants that need not be uniform.
-
-    Attributes:
-        channel: its sample time is what its clock has on average.
-        stamps: instants of the samples [s], shape (samples,).
-        clock: name of its time column.
-    """
+    """A channel as logged, at instants [s], (samples,), that need not be uniform, and the name of its time column."""
 
     channel: Channel
     stamps: FloatArray
@@ -156,7 +150,7 @@ def _rate_faults(name: str, one: Stamped, clocks: Mapping[str, Irregularity], ho
     if one.clock not in clocks:
         return [f"{name} has a single sample, between which and others nothing can be taken; log more of it."]
     own = clocks[one.clock].sample_time
-    if one.channel.timing is Timing.AVERAGED or how.sample_time <= LOWER_RATE * own or own <= 0:
+    if one.channel.timing is Timing.AVERAGED or how.sample_time <= _LOWER_RATE * own or own <= 0:
         return []
     return [
         f"{name} has a sample every {own:g} s, and resampled to {how.sample_time:g} s what is fast in it would alias; "
@@ -229,9 +223,7 @@ def align_updates(
 ) -> tuple[dict[str, Channel], float]:
     """Return the channels, each at its own update rate from the first instant on at which all are new; that instant.
 
-    Args:
-        logged: the channels as logged, by name.
-        update_times: time between updates [s], by channel; None, or none, where every sample is new.
+    The times between updates [s] are by channel; None, or none, where every sample is new.
 
     Raises:
         RecordError: a channel does not change at the rate that is declared, or no instant is new to all.
@@ -293,3 +285,45 @@ def update_interval(values: FloatArray) -> int:
     """Return the number of samples after which, and only then, a signal (samples,) changes; 1 if no such number."""
     changes = np.flatnonzero(np.diff(values))
     return int(np.gcd.reduce(np.diff(changes))) if changes.size >= _CHANGES else 1
+
+
+def at_period(
+    channel: Channel, period: float, periods: int, name: str, interpolation: Interpolation | None = None
+) -> FloatArray:
+    """Return a channel at the controller's instants.
+
+    A channel that is faster than the controller is picked. One that is slower is filled in: held until its next
+    sample, by straight lines, or by Catmull-Rom's cubic, whose slope at a sample is half the difference of its
+    neighbours; after the last sample it stays. What is not said follows from the channel: one that is sampled (as a
+    reference is, unless it is declared held) gets lines.
+
+    Raises:
+        RecordError: neither of the two periods is a multiple of the other.
+    """
+    every, repeat = period_ratio(period, channel.sample_time, name)
+    if interpolation is None:
+        interpolation = "linear" if channel.timing is Timing.SAMPLED else "hold"
+    if repeat == 1 or interpolation == "hold" or channel.values.size < 2:
+        return np.asarray(np.repeat(channel.values[::every], repeat)[:periods])
+    values, at = channel.values, np.minimum(np.arange(periods) / repeat, channel.values.size - 1)
+    if interpolation == "linear":
+        return np.asarray(np.interp(at, np.arange(values.size), values), dtype=np.float64)
+    begin = np.minimum(at.astype(np.intp), values.size - 2)
+    ends = np.concatenate([2 * values[:1] - values[1:2], values, 2 * values[-1:] - values[-2:-1]])
+    before, first, second, after = (ends[begin + i] for i in range(4))
+    t = at - begin
+    straight, low, high = second - first, 0.5 * (second - before), 0.5 * (after - first)
+    curve = (low - straight) * (1 - t) - (high - straight) * t
+    return np.asarray(first + t * (straight + (1 - t) * curve))
+
+
+def period_ratio(long: float, short: float, name: str) -> tuple[int, int]:
+    """Return (every, repeat): how many of `short` make one `long`, or the other way round; one of them is 1."""
+    ratio = long / short
+    every, repeat = max(round(min(ratio, 1e9)), 1), max(round(min(1 / ratio, 1e9)), 1)
+    if max(every, repeat) > _MOST or abs(ratio * repeat / every - 1) > _SAME_RATE:
+        raise RecordError(
+            f"The controller's period and the sample time of {name}, {long:.9g} s and {short:.9g} s, are not the same, "
+            f"nor is one a multiple of the other up to {_MOST} times; correct the period, or resample the log."
+        )
+    return every, repeat

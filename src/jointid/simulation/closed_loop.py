@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray, Fresh, Room
 from jointid.common.errors import MethodError
 from jointid.models.controllers import POSITION, REFERENCE, Cascade
-from jointid.models.joints import Motion, RigidJoint
+from jointid.models.joints import ClosedLoop, Motion, RigidJoint
 from jointid.records.record import Channel, Record
-from jointid.simulation.loop_input import ClosedLoop, LoopInput, as_logged, prepare, seen_torque
+from jointid.simulation.loop_input import LoopInput, as_logged, prepare, seen_torque
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -201,7 +201,7 @@ def run(
     modes, tape = array("modes", (kept,), np.int8), array("tape", (taped, kernels.TAPE))
     counts = np.zeros(4, dtype=np.int64)
     outcome, before = Outcome.INVALID, 0.0
-    if _possible(drive) and _hangs(drive, gravity) and math.isfinite(position) and math.isfinite(velocity):
+    if _possible(drive, gravity) and math.isfinite(position) and math.isfinite(velocity):
         state, first = first_state(experiment, position, velocity, initial.torque)
         before = first + experiment.after_limit[0]
         status = kernels.run(
@@ -264,16 +264,13 @@ def simulate(
     return run(loop, experiment, values, initial, keep=True).simulation()
 
 
-def _possible(drive: FloatArray) -> bool:
-    """True if a row of coefficients is a physical drive: positive masses, a spring, friction that is not negative."""
+def _possible(drive: FloatArray, gravity: FloatArray | None) -> bool:
+    """True for a physical drive: positive masses, friction that is not negative, a spring that holds the load."""
+    if gravity is not None and not (np.all(np.isfinite(gravity)) and (drive[2] > 0 or gravity[4] == 0)):
+        return False
     row = drive.tolist()  # a few plain numbers take less time than an array of them
     cones = row[6] + row[7] >= 0 and row[10] + row[11] >= 0
     return all(map(math.isfinite, row)) and min(row[:2]) > 0 and min(row[2:4]) >= 0 and cones
-
-
-def _hangs(drive: FloatArray, gravity: FloatArray | None) -> bool:
-    """True if there is no gravity, or a finite one that, on the load, a spring holds."""
-    return gravity is None or bool(np.all(np.isfinite(gravity)) and (drive[2] > 0 or gravity[4] == 0))
 
 
 def _acceleration(
@@ -286,7 +283,9 @@ def _acceleration(
         spring = drive[2] * (states[2] - states[0]) + drive[3] * (states[3] - states[1])
         push = push + spring if side == 0 else push - spring
     if gravity is not None and side == gravity[4]:
-        push = push - gravity_force(gravity, states[2 * side])
+        cos, sin, rate, angle, _ = gravity
+        position = states[2 * side]
+        push = push - (cos * np.cos(angle * position) + sin * np.sin(angle * position) + rate * position)
     velocity = states[1 + 2 * side]
     moving = np.sign(velocity)
     still = np.flatnonzero(velocity == 0)
@@ -297,12 +296,6 @@ def _acceleration(
     push /= drive[side]
     push[still[moving[still] == 0]] = 0.0
     return np.asarray(push)
-
-
-def gravity_force(gravity: FloatArray, position: FloatArray) -> FloatArray:
-    """Return gravity's position-dependent force, at positions of the side on which it acts."""
-    cos, sin, rate, angle, _ = gravity
-    return np.asarray(cos * np.cos(angle * position) + sin * np.sin(angle * position) + rate * position)
 
 
 def simulate_many(
@@ -345,6 +338,6 @@ def warm_up() -> None:
 
 def smallest() -> tuple[ClosedLoop, LoopInput, dict[str, float]]:
     """Return a loop, what it is driven with and values, as small as they can be."""
-    loop = ClosedLoop(RigidJoint(), Cascade(kp=1.0, kv=1.0))
+    loop = ClosedLoop(RigidJoint(), Cascade(position_gain=1.0, velocity_gain=1.0))
     still = Record(reference=Channel(np.zeros(10), "m", 1.0))
     return loop, prepare(loop, still), dict.fromkeys(("inertia", "viscous", "coulomb", "offset"), 1.0)

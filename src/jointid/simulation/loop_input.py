@@ -1,8 +1,7 @@
 """Parameter-independent inputs of a closed-loop simulation, computed once; and the log of its output.
 
-`prepare` turns a record into an `LoopInput`: the controller lowered to its sampled law, its answer to the reference,
-and the cut of a controller period into the parts in which the torque, or what the log looks at, changes. `as_logged`
-shows a torque as the record's channel would: at its tap, at the log's instants, held or averaged.
+`prepare` lowers the controller to its sampled law, computes its answer to the reference, and cuts a controller period
+into the parts in which the torque, or what the log looks at, changes.
 """
 
 from __future__ import annotations
@@ -27,10 +26,10 @@ from jointid.models.controllers import (
     scaled,
     shift_start,
 )
-from jointid.models.joints import Joint
+from jointid.models.joints import ClosedLoop
 from jointid.models.linear import SNAP
 from jointid.records.record import InjectionPoint, Record, Tap, Timing, require_units
-from jointid.records.signals.instants import at_period, period_ratio
+from jointid.records.resampling import at_period, period_ratio
 
 if TYPE_CHECKING:
     from jointid.simulation.kernels.drive import Feedback
@@ -38,19 +37,6 @@ if TYPE_CHECKING:
 _FEWEST = 10  # periods that can be simulated to any purpose
 _SLOWLY = 1e-4  # of the sampling frequency: there a loop holds its position
 _FAR = 1e3  # times the commanded travel: a motor this far away will not come back
-
-
-@dataclass(frozen=True, slots=True)
-class ClosedLoop:
-    """A joint under its controller: from reference alone to torque."""
-
-    joint: Joint
-    controller: Controller
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Names of the channels a record must have to be compared with this loop."""
-        return ("torque", *self.controller.channels)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,7 +18,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray, Fresh, Room
 from jointid.common.errors import MethodError
 from jointid.models.controllers import POSITION, SampledLaw, number, respond, with_numbers
-from jointid.models.joints import Joint
+from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.record import Tap, Timing
 from jointid.simulation.closed_loop import (
     ClosedLoopRun,
@@ -30,19 +30,13 @@ from jointid.simulation.closed_loop import (
     run,
     smallest,
 )
-from jointid.simulation.loop_input import (
-    ClosedLoop,
-    LoopInput,
-    acting,
-    as_logged,
-    averages,
-    seen_torque,
-)
+from jointid.simulation.loop_input import LoopInput, acting, as_logged, averages, seen_torque
 
 _STEP = 1e-4  # of a controller's number: its output is a low-order polynomial in it
 _FROM_NOTHING = 1e-2  # the step from a number that is 0, to its right alone: of a delay in periods; the law is linear
 _SMALL = 1e-6  # of a joint's value: where steady motion begins is a rational function of it
 _TAPED = 1000  # rows of the tape to begin with
+_ASTRAY = 1e100  # a derivative by which two neighbours part at once; its square would be no number
 _ROOM, _FRESH = Room(), Fresh()
 _INITIAL = {
     "initial_position": (1.0, 0.0, 0.0),
@@ -84,15 +78,18 @@ def simulate_sensitivities(
         experiment: what they are driven with.
         values: every parameter of the joint by name.
         names: of parameters of the joint, "initial_position", "initial_velocity", "initial_torque", or numbers of the
-            controller ("kp", "kv", "gain", "limit", "delay", "velocity_filter.time_constant", ...).
+            controller ("position_gain", "velocity_gain", "gain", "limit", "delay", "velocity_filter.time_constant",
+            ...).
         initial: where the motor is at the first sample.
         positions: also return the derivatives of the positions.
 
-    Of a run that did not finish all derivatives are 0. At a delay of a whole number of periods the derivative is that
-    towards longer delays; for a motor at rest, that by its velocity is of a load that moves along.
+    Of a run that did not finish all derivatives are 0; so are those of an unstable loop that its torque's limit holds,
+    where two neighbours part at once and a derivative says nothing (above 1e100). At a delay of a whole number of
+    periods the derivative is that towards longer delays; for a motor at rest, that by its velocity is of a load that
+    moves along.
 
     Raises:
-        MethodError: a name is none of these, or of a part that is not there, as a `ki` of 0.
+        MethodError: a name is none of these, or of a part that is not there, as a `integral_gain` of 0.
     """
     return _derived(_taped(loop, experiment, values, names, initial), names, positions)
 
@@ -133,9 +130,7 @@ def _derived(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> Sensi
     experiment, response = out.experiment, out.response()
     flexible = out.loop.joint.model == "flexible"
     if out.outcome is not Outcome.FINISHED:
-        torque = np.zeros((response.torque.size, len(names)))
-        position = torque if positions else torque[:, :0]
-        return Sensitivities(response, torque, position, position if flexible else torque[:, :0])
+        return _none(response, len(names), positions, flexible)
     from jointid.simulation.kernels.drive_sensitivities import LANES
 
     # The law's own columns come last in a block.
@@ -151,6 +146,8 @@ def _derived(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> Sensi
         moved.append(followed[2][experiment.looked, ::2, : len(block)] if positions else np.empty((0, 2, len(block))))
     command, states = _joined(commands, order), _joined(moved, order)
     torque = as_logged(experiment, command)
+    if torque.size and not (-_ASTRAY < torque.min() <= torque.max() < _ASTRAY):  # nor a NaN
+        return _none(response, len(names), positions, flexible)
     if "delay" in names and experiment.tap is Tap.MEASURED and experiment.timing is Timing.AVERAGED:
         # An edge of the torque that moves takes its height from the mean over the sample time it stands in.
         edges = -np.diff(acting(experiment, seen_torque(experiment, out.command, out.tapped)), prepend=out.before)
@@ -161,6 +158,13 @@ def _derived(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> Sensi
         states[:, 0] if positions else command[:, :0],
         states[:, 1] if positions and flexible else command[:, :0],
     )
+
+
+def _none(response: Response, count: int, positions: bool, flexible: bool) -> Sensitivities:
+    """Return derivatives of 0."""
+    torque = np.zeros((response.torque.size, count))
+    position = torque if positions else torque[:, :0]
+    return Sensitivities(response, torque, position, position if flexible else torque[:, :0])
 
 
 def _joined(blocks: Sequence[FloatArray], order: Sequence[int]) -> FloatArray:

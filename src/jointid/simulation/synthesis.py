@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jointid.common.arrays import FloatArray
-from jointid.models.parameters import POSITION_UNIT, TORQUE_UNIT
+from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
+from jointid.models.joints import ClosedLoop
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
 from jointid.simulation.closed_loop import Initial, Simulation, require_finished, simulate
-from jointid.simulation.loop_input import ClosedLoop, prepare
+from jointid.simulation.loop_input import prepare
 
 
 def simulated_record(
@@ -83,22 +84,16 @@ def as_record(
 ) -> Record:
     """Return the record a drive would have logged in a run: what drove it, with torque and positions of the run.
 
-    Args:
-        driven: the record the run was prepared from.
-        run: the simulation.
-        torque_noise: (samples,) added to the logged torque.
-        encoder_step: positions are rounded to multiples of it.
+    The run was prepared from `driven`; of noise and encoder step see `simulated_record`.
     """
     assert driven.reference is not None
-    like = driven.torque or driven.reference
+    logged, position = driven.torque, driven.reference.unit
+    unit, timing = (_TORQUE_OF[position], Timing.HELD) if logged is None else (logged.unit, logged.timing)
     torque = run.torque if torque_noise is None else run.torque + np.asarray(torque_noise, dtype=np.float64)
-    timing = driven.torque.timing if driven.torque is not None else Timing.HELD
 
     def channel(values: FloatArray, unit: str, timing: Timing = Timing.SAMPLED) -> Channel:
         return Channel(values, unit, run.sample_time, timing, "simulated")
 
-    position = driven.reference.unit
-    unit = like.unit if driven.torque is not None else _TORQUE_OF[position]
     return replace(
         driven,
         torque=channel(torque, unit, timing),

@@ -183,8 +183,6 @@ class GaussNewton:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Point:
-    """An iterate of any problem."""
-
     x: FloatArray
     residual: FloatArray
     jacobian: FloatArray

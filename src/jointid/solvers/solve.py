@@ -1,4 +1,4 @@
-"""The verb `solve` and what it works on: a problem, as a solver sees it, its bounds, and where a solver ended.
+"""The verb `solve` and what it works on: a problem, as a solver sees it, where a solver ended, and several starts.
 
 A closed loop, a prescribed motion, a prescribed torque, or several records together are the same to a solver, and so
 will be one joint and a robot of many.
@@ -6,16 +6,17 @@ will be one joint and a robot of many.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Protocol, TypeAlias, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.parameters import Parameter
+from jointid.common.parameters import Bounds, Parameter
+
+_SAME = 1e-4  # of the criterion: two ends so near are one
 
 
 class Problem(Protocol):
@@ -40,45 +41,6 @@ class InstrumentProblem(Problem, Protocol):
 
     def instruments(self, x: FloatArray) -> FloatArray:
         """Return the instruments, (rows, free)."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Bounds:
-    """Lower and upper bounds, each (parameters,)."""
-
-    lower: FloatArray
-    upper: FloatArray
-
-    @classmethod
-    def of(cls, parameters: Sequence[Parameter]) -> Bounds:
-        """Return the bounds of parameters, in their order."""
-        return cls(np.array([p.lower for p in parameters]), np.array([p.upper for p in parameters]))
-
-    @classmethod
-    def none(cls, size: int) -> Bounds:
-        """Return no bounds on so many parameters."""
-        anywhere = np.full(size, np.inf)
-        return cls(-anywhere, anywhere)
-
-    def clip(self, x: FloatArray) -> FloatArray:
-        """Return the nearest point within the bounds."""
-        return np.minimum(np.maximum(x, self.lower), self.upper)
-
-    def reached(self, x: FloatArray, gap: float | FloatArray = 0.0) -> NDArray[np.bool_]:
-        """Return which parameters are at a bound, or nearer to one than `gap`."""
-        return np.asarray((x <= self.lower + gap) | (x >= self.upper - gap))
-
-    def blocked(self, x: FloatArray, step: FloatArray) -> NDArray[np.bool_]:
-        """Return which parameters are at a bound that a step would lead beyond."""
-        return np.asarray(((x <= self.lower) & (step < 0)) | ((x >= self.upper) & (step > 0)))
-
-    def around(self, x: FloatArray) -> Bounds:
-        """Return the bounds on a step from a point."""
-        return Bounds(self.lower - x, self.upper - x)
-
-    def in_units(self, unit: FloatArray) -> Bounds:
-        """Return the bounds on parameters that are divided by positive units."""
-        return Bounds(self.lower / unit, self.upper / unit)
 
 
 class Status(Enum):
@@ -167,20 +129,6 @@ class Solution:
         return self.status.converged
 
 
-_CHANGED = {
-    Status.STEP: "the parameters",
-    Status.COST: "the criterion",
-    Status.STEP_AND_COST: "the criterion and the parameters",
-}
-
-
-def explain(status: Status, evaluations: int, tolerance: float) -> str:
-    """Return why least squares ended, in a sentence with its numbers."""
-    if status in _CHANGED:
-        return f"converged: {_CHANGED[status]} changed by less than {100 * tolerance:g} %"
-    return f"not converged after {evaluations} evaluations"
-
-
 @dataclass(slots=True)
 class Tally:
     """A count of evaluations, which several problems may share."""
@@ -237,6 +185,29 @@ class Solver(Protocol[_Solved_contra]):
 
     def solve(self, problem: _Solved_contra, start: FloatArray, watch: Watch) -> Solution:
         """Return where the solver ends from a start within the bounds."""
+
+
+@dataclass(frozen=True, slots=True)
+class Multistart:
+    """One solver, begun at several starts.
+
+    Attributes:
+        solver: of one start.
+    """
+
+    solver: Solver[Problem]
+
+    def solve(self, problem: Problem, start: FloatArray, watch: Watch) -> Solution:
+        """Return the lowest end of several starts, (starts, free), and how many of them led there."""
+        counted = Counted.of(problem)
+        before = counted.evaluations
+        ends = [self.solver.solve(counted, x, watch) for x in np.atleast_2d(start)]
+        costs = [float(np.linalg.norm(end.residual)) ** 2 for end in ends]
+        best = ends[int(np.argmin(costs))]
+        same = sum(cost <= (1 + _SAME) * min(costs) for cost in costs)
+        agreed = f" ({same} of {len(ends)} starts end there)" if len(ends) > 1 else ""
+        used = counted.evaluations - before
+        return replace(best, message=best.message + agreed, evaluations=used, starts=(same, len(ends)))
 
 
 def solve(problem: _Problem, solver: Solver[_Problem], start: FloatArray, watch: Watch = lambda _: None) -> Solution:

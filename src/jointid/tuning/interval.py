@@ -20,11 +20,11 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.common.parameters import Quantity
 from jointid.common.text import number
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import SampledLaw
 from jointid.models.joints import MODE_DAMPING, FlexibleJoint, Joint, RigidJoint, split_by_mode
-from jointid.models.parameters import Quantity
 from jointid.tuning.margins import JointSet, joint_set
 
 _MOVES = (Quantity.INERTIA, Quantity.VISCOUS, Quantity.STIFFNESS)
@@ -204,7 +204,6 @@ def _downhill(points: FloatArray, margins: FloatArray) -> FloatArray:
 
 
 def _around(points: FloatArray, margins: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Return joints around the worst ones, on the surface."""
     worst_ones = points[np.unique(np.argmin(margins, axis=0))]
     drawn = np.repeat(worst_ones, _NEAR, axis=0)
     drawn = drawn + _TURNED * rng.standard_normal(drawn.shape)

@@ -21,10 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.text import number
 from jointid.models.controllers import POSITION, SampledLaw
 from jointid.models.joints import Joint
-from jointid.models.linear import ComplexArray, LinearJoints, SampledDrive, discretise, linear_joints, state_response
+from jointid.models.linear import ComplexArray, LinearJoints, SampledDrive, discretise, linear_joints, sampled_position
 
 _LOWEST = 1e-4  # of half the sampling frequency, where a grid begins
 _BASE = 1000  # frequencies without modes
@@ -59,20 +58,6 @@ class Margins:
     def stable(self) -> bool:
         """True if the loop is stable."""
         return self.modulus > 0.0
-
-    def __str__(self) -> str:
-        """Return them in a line."""
-        if not self.stable:
-            return "not stable"
-        decibel = "-" if math.isinf(self.gain) else f"{20 * math.log10(self.gain):.1f} dB"
-        said = [f"gain x {_size(self.gain)} ({decibel})", f"gain / {_size(self.reduction)}"]
-        phase = "none needed" if math.isinf(self.phase) else f"{number(math.degrees(self.phase), 3)} deg"
-        delay = "any" if math.isinf(self.delay) else f"{number(1e3 * self.delay, 3)} ms"
-        return ", ".join([*said, f"phase {phase}", f"delay {delay}", f"distance from -1 {number(self.modulus, 3)}"])
-
-
-def _size(ratio: float) -> str:
-    return "any" if math.isinf(ratio) else number(ratio, 3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,15 +97,9 @@ def joint_set(joint: Joint, candidates: Sequence[Mapping[str, float]], law: Samp
     linear = linear_joints(joint, candidates)
     drive = discretise(linear.A, linear.B, law.period, law.delay)
     hertz = grid(linear, law.period)
-    return JointSet(hertz, drive, position_response(drive, hertz, law.period), len(linear.A) // len(candidates))
-
-
-def position_response(drive: SampledDrive, hertz: FloatArray, period: float) -> ComplexArray:
-    """Return the response of sampled joints' motor positions to the law's torque, (joints, frequencies)."""
-    z = np.exp(2j * math.pi * hertz * period)
-    parts = zip(drive.transition, drive.new, drive.old, strict=True)
-    found = [state_response(transition, new + old / z[:, np.newaxis], z)[:, 0] for transition, new, old in parts]
-    return np.asarray(np.array(found) * z**-drive.whole)
+    turned = np.asarray(2j * math.pi * hertz * law.period)
+    position = np.asarray(sampled_position(drive, turned) * np.exp(-drive.whole * turned))
+    return JointSet(hertz, drive, position, len(linear.A) // len(candidates))
 
 
 def grid(joints: LinearJoints, period: float) -> FloatArray:

@@ -1,4 +1,4 @@
-"""What a loop is asked to keep, and gains and a notch that keep it over an interval: as large as they may be.
+"""What a loop is asked to keep; gains and a notch that keep it over an interval, as large as they may be; feed-forward.
 
 A loop of the same structure is laid out for a rate w and a damping ratio d of the rigid joint with the whole inertia J
 (g the controller's torque per unit, r a transmission's ratio)::
@@ -9,20 +9,35 @@ A loop of the same structure is laid out for a rate w and a damping ratio d of t
 whose poles, without friction, delay or spring, are those of ``s^2 + w s + w^2 / (4 d^2)``. An integral keeps its time
 in units of 1/w. Of all w and d whose loop keeps the margins in the worst case, the one that holds its position stiffest
 is proposed (the largest w^2 / d^2).
+
+Feed-forward is what the reference alone says the torque should be, in a controller's own units. With the whole joint's
+viscous friction Fv, Coulomb friction Fc and constant force c::
+
+    acceleration J / (g r^2),   viscous Fv / (g r^2),   coulomb Fc / (g |r|),   constant c / (g r)
+
+are what takes the reference's acceleration, velocity and direction, as the law sees them, to its output. It is the
+torque of a rigid joint that follows its reference: good below about a fifth of the first resonance.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from types import MappingProxyType
+from typing import Any, TypeAlias
 
 import numpy as np
 
+from jointid.common import units
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.models.controllers import PD, PID, Cascade, Notch, SampledLaw
+from jointid.common.parameters import POSITION_UNIT, Quantity, unit_of
+from jointid.common.transmission import Transmission
+from jointid.estimation.result.estimate import Estimate
+from jointid.models.controllers import PD, PID, Cascade, Notch, SampledLaw, unit_of_number
+from jointid.models.controllers.drive_numbers import DriveNumber
+from jointid.models.friction import PARTS
 from jointid.tuning.margins import JointSet, crossover
 
 DAMPINGS = (0.7, 0.6, 0.5, 0.85, 1.0)
@@ -34,6 +49,14 @@ _WIDTHS, _DEPTHS = (0.3, 0.6, 1.2), (0.05, 0.2, 0.5)  # of a notch: bandwidth by
 _BETTER = 1.01  # by how much a rate must be higher than one of another damping
 _WORTH = 1.2  # by how much a notch must make the loop stiffer
 _HIGHEST = 0.45  # of the sampling frequency, where a notch may be
+
+_ROWS: tuple[tuple[str, str, Quantity, int], ...] = (
+    ("inertia", "acceleration_feedforward", Quantity.INERTIA, 2),
+    ("viscous", "viscous_feedforward", Quantity.VISCOUS, 2),
+    ("coulomb", "coulomb_feedforward", Quantity.FORCE, 1),
+    ("constant", "constant_feedforward", Quantity.FORCE, 1),
+)
+_PER_COUNT = {"inertia": "/(counts/s2)", "viscous": "/(counts/s)", "coulomb": "", "constant": ""}
 
 
 TunableController: TypeAlias = Cascade | PD
@@ -108,7 +131,7 @@ class Layout:
 
 def rate_of(controller: TunableController, inertia: float) -> float:
     """Return the rate w of a controller on an inertia, rad/s."""
-    gain = controller.kv if isinstance(controller, Cascade) else controller.kd
+    gain = controller.velocity_gain if isinstance(controller, Cascade) else controller.derivative_gain
     return gain * controller.gain * controller.ratio**2 / inertia
 
 
@@ -117,11 +140,18 @@ def with_gains(controller: TunableController, inertia: float, rate: float, dampi
     velocity, slow = rate * inertia / (controller.gain * controller.ratio**2), rate / (4 * damping**2)
     faster = rate / (rate_of(controller, inertia) or rate)
     if isinstance(controller, Cascade):
-        return replace(controller, kv=velocity, kp=slow, ki=controller.ki * faster)
+        return replace(
+            controller, velocity_gain=velocity, position_gain=slow, integral_gain=controller.integral_gain * faster
+        )
     if isinstance(controller, PID):
-        integral = controller.ki / controller.kp * faster if controller.kp else 0.0
-        return replace(controller, kd=velocity, kp=velocity * slow, ki=integral * velocity * slow)
-    return replace(controller, kd=velocity, kp=velocity * slow)
+        integral = controller.integral_gain / controller.position_gain * faster if controller.position_gain else 0.0
+        return replace(
+            controller,
+            derivative_gain=velocity,
+            position_gain=velocity * slow,
+            integral_gain=integral * velocity * slow,
+        )
+    return replace(controller, derivative_gain=velocity, position_gain=velocity * slow)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,3 +232,152 @@ class StiffestLoop:
 def meets_margins(margins: FloatArray, settings: Tuning, by: float = 1.0) -> bool:
     """True if all margins, (joints, 5), are at least the required ones times a factor."""
     return bool(np.all(margins >= by * settings.asked) and np.all(margins[:, -1] > 0))
+
+
+@dataclass(frozen=True, slots=True)
+class LumpedParameter:
+    """A weighted sum of parameters, both sides of a joint together.
+
+    Attributes:
+        formula: in symbols. value: in SI on the joint's side. std: None where nothing of it was free.
+    """
+
+    formula: str
+    value: float
+    std: float | None
+
+
+def lumped_parameters(estimate: Estimate) -> dict[str, LumpedParameter]:
+    """Return inertia, viscous and Coulomb friction and the constant force of the whole joint, by those names.
+
+    Of friction that differs with the direction viscous and Coulomb friction are the means of both directions, and half
+    the difference of the Coulomb forces belongs to the constant.
+    """
+    sides = ("motor_", "load_") if estimate.settings.joint.model == "flexible" else ("",)
+    law = estimate.settings.joint.friction
+    friction: dict[str, dict[str, float]] = {
+        part: {n: w for side in sides for n, w in law.mean(part, side).items()} for part in PARTS
+    }
+    constant: dict[str, float] = {n: w for side in sides for n, w in law.constant(side).items()}
+    names = {p.name for p in estimate.params}
+    constant |= {name: 1.0 for name in ("offset", "gravity_constant") if name in names}
+    wanted = {"inertia": {f"{side}inertia": 1.0 for side in sides}, **friction, "constant": constant}
+    return {name: _total(estimate, weights) for name, weights in wanted.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class FeedForward:
+    """One feed-forward.
+
+    Attributes:
+        key: its name in a joint file's [controller].
+        formula: from the estimate, in symbols.
+        value, std: in SI, on the joint's side; unit: of these. std is None where nothing of it was free.
+        before: what the controller has, in its own units. after, after_std: what is proposed, in the same.
+        in_drive: before, after, the latter's deviation, and their unit as the drive shows them.
+        drive: in per mille of the rated torque, and per count of the encoder; None where they are not known.
+        drive_unit: of that.
+    """
+
+    key: str
+    formula: str
+    value: float
+    std: float | None
+    unit: str
+    before: float
+    after: float
+    after_std: float | None
+    in_drive: tuple[float, float, float | None, str]
+    drive: float | None = None
+    drive_unit: str = ""
+
+
+def feedforward(
+    estimate: Estimate,
+    controller: Any,
+    whole: Mapping[str, LumpedParameter],
+    drive: units.DriveUnits | None = None,
+    shown: Mapping[str, DriveNumber] = MappingProxyType({}),
+) -> tuple[FeedForward, ...]:
+    """Return the feed-forwards of an estimate.
+
+    Args:
+        estimate: of the joint.
+        controller: a `ServoController`, whose units are meant, as the joint sees it.
+        whole: see `lumped_parameters`.
+        drive: with the rated torque, and the encoder's counts, if they are known.
+        shown: how the drive shows the numbers of the controller, by their names.
+    """
+    found, kind, torque = [], estimate.settings.joint.kind, estimate.data.torque_unit
+    for name, key, quantity, power in _ROWS:
+        total = whole[name]
+        ratio = controller.ratio if name == "constant" else abs(controller.ratio)
+        per = 1.0 / (controller.gain * ratio**power)
+        before, after = float(getattr(controller, key, 0.0)), per * total.value
+        std = None if total.std is None else abs(per) * total.std
+        told = before, after, std, unit_of_number(controller, key, POSITION_UNIT[kind], torque)
+        if (there := shown.get(key)) is not None and there.unit:
+            by = there.of(1.0, {})
+            told = by * before, by * after, None if std is None else by * std, there.unit
+        per_mille = _per_mille(name, total.value, estimate, drive)
+        si = unit_of(quantity, kind, torque)
+        found.append(FeedForward(key, total.formula, total.value, total.std, si, before, after, std, told, *per_mille))
+    return tuple(found)
+
+
+def _per_mille(name: str, value: float, estimate: Estimate, drive: units.DriveUnits | None) -> tuple[float | None, str]:
+    """Return a feed-forward in the drive's own units on the motor's side, and their name."""
+    joint = estimate.settings.joint
+    if drive is None or estimate.data.torque_unit not in ("N", "N m"):
+        return None, ""
+    gear: Transmission | None = joint.transmission
+    kind = joint.kind if gear is None else gear.motor
+    torque = 1.0 if gear is None else gear.torque("motor")
+    try:
+        share = drive.resolve_unit(units.unit("permille"), kind).factor
+        per_count = 1.0 if name in ("coulomb", "constant") else drive.resolve_unit(units.unit("counts"), kind).factor
+    except units.UnitError:  # the drive's numbers are not all known
+        return None, ""
+    if name in ("inertia", "viscous"):
+        return value * per_count / (torque**2 * share), f"per mille{_PER_COUNT[name]}"
+    return value / ((abs(torque) if name == "coulomb" else torque) * share), "per mille"
+
+
+def _total(estimate: Estimate, weights: Mapping[str, float]) -> LumpedParameter:
+    if not weights:  # the law has no such friction
+        return LumpedParameter("0", 0.0, None)
+    formula = _formula(estimate, weights)
+    if estimate.checks.bounds:
+        return _of_sums(estimate, weights, formula)
+    value = sum(weight * estimate.values[name] for name, weight in weights.items())
+    spread = {name: weight * std for name, weight in weights.items() if (std := estimate[name].stderr)}
+    if not spread:
+        return LumpedParameter(formula, value, None)
+    sizes, correlation = np.array(list(spread.values())), estimate.params.correlation_of(list(spread))
+    return LumpedParameter(formula, value, math.sqrt(max(float(sizes @ correlation @ sizes), 0.0)))
+
+
+def _of_sums(estimate: Estimate, weights: Mapping[str, float], formula: str) -> LumpedParameter:
+    """Return a sum where only those of both sides are told; what their errors have in common is not kept: no less."""
+    assert estimate.checks.known is not None
+    value, std = 0.0, 0.0
+    for known in estimate.checks.known.physical:
+        weight = weights.get(next(iter(known.combination.weights)))
+        if weight is not None:
+            value, std = value + weight * known.value, std + abs(weight) * known.std
+    for name, weight in weights.items():
+        if name in estimate.values:  # what both sides have in common, and what was fixed
+            value, std = value + weight * estimate.values[name], std + abs(weight) * (estimate[name].stderr or 0.0)
+    return LumpedParameter(formula, value, std or None)
+
+
+def _formula(estimate: Estimate, weights: Mapping[str, float]) -> str:
+    """Return the sum in symbols, with a mean written as one."""
+    kept = {name: w for name, w in weights.items() if estimate[name].free or estimate.values.get(name)} or weights
+    halves = all(abs(w) == 0.5 for w in kept.values())
+    terms = [
+        ("- " if w < 0 else "+ ") + ("" if halves or abs(w) == 1 else f"{abs(w):g} ") + estimate[name].symbol
+        for name, w in kept.items()
+    ]
+    joined = " ".join(terms).removeprefix("+ ")
+    return f"({joined})/2" if halves else joined

@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.progress import Progress, silent
+from jointid.common.messages import Progress, Work, silent
+from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import number
 from jointid.common.units import DriveUnits
-from jointid.estimation.problems.nuisance_parameters import of_law
+from jointid.estimation.problems.base import of_law
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.controllers import PD, PID, Cascade, Controller, ServoController
-from jointid.models.joints import MODE_DAMPING, FlexibleJoint, RigidJoint, acts_on_whole, frequencies
+from jointid.models.controllers import (
+    PD,
+    PID,
+    Cascade,
+    Controller,
+    ServoController,
+    numbers_of,
+    unit_of_number,
+)
+from jointid.models.controllers.drive_numbers import DriveNumber
+from jointid.models.joints import MODE_DAMPING, FlexibleJoint, RigidJoint, acts_on_whole
 from jointid.models.linear import ComplexArray, linear_joints, state_response
-from jointid.models.parameters import POSITION_UNIT
-from jointid.tuning.feedforward import feedforward, lumped_parameters
 from jointid.tuning.interval import (
     Interval,
     find_worst_case,
@@ -28,7 +38,7 @@ from jointid.tuning.interval import (
 )
 from jointid.tuning.margins import Margins, crossover, joint_set
 from jointid.tuning.minimum_detectable_change import compute_minimum_detectable_change
-from jointid.tuning.proposals import Layout, StiffestLoop, Tuning, meets_margins
+from jointid.tuning.proposals import Layout, StiffestLoop, Tuning, feedforward, lumped_parameters, meets_margins
 from jointid.tuning.tuned import Gain, LoopMargins, ProposedNotch, ResponseBand, Tuned
 
 _ROUNDS = 5  # of a proposal, and of looking for a joint that it fails
@@ -64,7 +74,12 @@ class _Case:
 
 
 def tune(
-    estimate: Estimate, settings: Tuning | None = None, *, drive: DriveUnits | None = None, progress: Progress = silent
+    estimate: Estimate,
+    settings: Tuning | None = None,
+    *,
+    drive: DriveUnits | None = None,
+    shown: Iterable[DriveNumber] = (),
+    progress: Progress = silent,
 ) -> Tuned:
     """Return the margins of an estimate's loop over its interval, and what to set in the drive.
 
@@ -72,6 +87,7 @@ def tune(
         estimate: with the loop, its deviations and correlations: by DIDIM with least squares, rigid or flexible.
         settings: the margins that are asked; see `Tuning`.
         drive: a `Drive` with rated torque and encoder counts, to have feed-forward in these, too.
+        shown: how the drive shows its gains, as `jointid.config.JointFile.declared_numbers` has it.
         progress: is told each step.
 
     Returns:
@@ -103,12 +119,15 @@ def tune(
     period = controller.law(estimate.data.sample_time).period
     interval = possible_joints(estimate, settings.confidence, period)
     case = _Case(estimate, interval, interval.points(settings.seed), settings)
-    progress("margins of the loop as it is")
+    work = Work(progress, "tuning", 2 + _ROUNDS, "steps")
     present = case.evaluate(controller)
-    layout, proposed, refusal = _proposed(case, controller, present, progress)
+    work.add()
+    layout, proposed, refusal = _proposed(case, controller, present, work)
+    work.reach(1 + _ROUNDS)
     notch = None if layout is None else layout.notch
-    whole = lumped_parameters(estimate)
+    whole, in_drive = lumped_parameters(estimate), {one.number: one for one in shown}
     notes = [*refusal, *_notes(case, present, proposed)]
+    work.reach(work.total)
     return Tuned(
         record=estimate.data.record,
         model=estimate.settings.joint.model,
@@ -117,9 +136,9 @@ def tune(
         interval=interval.description,
         present=present,
         proposed=proposed,
-        gains=() if layout is None else _gains(estimate, controller, layout),
+        gains=() if layout is None else _gains(estimate, controller, layout, in_drive),
         notch=None if notch is None else ProposedNotch(notch, *notch.coefficients(period), period),
-        feedforward=feedforward(estimate, controller, whole, drive),
+        feedforward=feedforward(estimate, controller, whole, drive, in_drive),
         detectable=compute_minimum_detectable_change(estimate, false_alarm=settings.false_alarm, power=settings.power),
         joint=_joint_band(case, present.response.hertz),
         position_unit=POSITION_UNIT[estimate.settings.joint.kind],
@@ -129,18 +148,21 @@ def tune(
 
 
 def _proposed(
-    case: _Case, controller: Controller, present: LoopMargins, progress: Progress
+    case: _Case, controller: Controller, present: LoopMargins, work: Work
 ) -> tuple[Layout | None, LoopMargins | None, list[str]]:
     """Return the stiffest loop that keeps the margins in the worst case, or why there is none."""
     estimate, interval, settings = case.estimate, case.interval, case.settings
     if not isinstance(controller, Cascade | PD):
         kind = type(controller).__name__
         return None, None, [f"no gains are proposed for a {kind}: only a cascade, a PD or a PID has gains to lay out"]
-    progress("looking for the stiffest gains that keep the margins")
     inertia, sample_time = lumped_parameters(estimate)["inertia"].value, estimate.data.sample_time
     flexible = isinstance(estimate.settings.joint, FlexibleJoint)
     band = None if flexible else estimate.settings.filtering.cutoff
-    mode = frequencies(interval.nominal)["free_free"] if flexible and interval.names and settings.notch else None
+    mode = (
+        FlexibleJoint.frequencies(interval.nominal)["free_free"]
+        if flexible and interval.names and settings.notch
+        else None
+    )
     points = case.points
     for _ in range(_ROUNDS):
         seen = interval.sample(points, controller.law(sample_time))
@@ -150,29 +172,35 @@ def _proposed(
         worst, at = find_worst_case(interval, layout.controller.law(sample_time), case.points, settings.seed)
         if meets_margins(worst[np.newaxis], settings, _NEARLY):
             return layout, case.evaluate(layout.controller), []
+        work.add()
         points = np.concatenate([points, at])
     said = "no gains of this structure were found that keep the asked margins for all joints of the interval"
     return None, None, [f"{said}; ask for less, or narrow the interval (jointid diagnose sensors says how)"]
 
 
-def _gains(estimate: Estimate, before: Controller, layout: Layout) -> tuple[Gain, ...]:
-    """Return the gains with the formulas that gave them."""
+def _gains(estimate: Estimate, before: Any, layout: Layout, shown: Mapping[str, DriveNumber]) -> tuple[Gain, ...]:
     after, position = layout.controller, POSITION_UNIT[estimate.settings.joint.kind]
     rate, damping = f"w = {number(layout.rate, 4)}/s", f"d = {layout.damping:g}"
-    velocity = f"w J / (g r^2), {rate}"
-    per = f"units per {position}/s"
+    velocity, integral = f"w J / (g r^2), {rate}", "as before, in units of w"
     if isinstance(after, Cascade):
-        rows = [("kp", f"w / (4 d^2), {damping}", "1/s"), ("kv", velocity, per)]
-        rows += [("ki", "as before, in units of w", "1/s")] * bool(after.ki)
+        rows = {"position_gain": f"w / (4 d^2), {damping}", "velocity_gain": velocity}
+        rows |= {"integral_gain": integral} if after.integral_gain else {}
     else:
-        assert isinstance(after, PD)
-        rows = [("kp", f"kd w / (4 d^2), {damping}", f"units per {position}"), ("kd", velocity, per)]
-        rows += [("ki", "as before, in units of w", f"units per {position} s")] * isinstance(after, PID)
-    return tuple(Gain(key, formula, unit, getattr(before, key), getattr(after, key)) for key, formula, unit in rows)
+        rows = {"position_gain": f"kd w / (4 d^2), {damping}", "derivative_gain": velocity}
+        rows |= {"integral_gain": integral} if isinstance(after, PID) else {}
+    known = [numbers_of(one) for one in (before, after)]
+    gains = []
+    for key, formula in rows.items():
+        unit = unit_of_number(before, key, position, estimate.data.torque_unit)
+        now, then = (law[key] for law in known)
+        told = key, now, then, unit
+        if (there := shown.get(key)) is not None:
+            told = there.name, there.of(now, known[0]), there.of(then, known[1]), there.unit or unit
+        gains.append(Gain(key, formula, unit, now, then, told))
+    return tuple(gains)
 
 
 def _notes(case: _Case, present: LoopMargins, proposed: LoopMargins | None) -> list[str]:
-    """Return the limits of the result, in sentences."""
     estimate, found = case.estimate, []
     if not estimate.fit.converged:
         found.append("the identification did not end well, so all of this is of a joint that may be another one")

@@ -3,18 +3,52 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.document import Block, Code, Document, Documented, Facts, Heading, Paragraph, Table, common_facts
+from jointid.common.charts import (
+    ERROR,
+    LOAD,
+    MEASURED,
+    OTHERS,
+    SIMULATED,
+    Band,
+    Chart,
+    Charted,
+    Item,
+    Level,
+    Line,
+    Panel,
+)
+from jointid.common.document import (
+    Block,
+    Code,
+    Document,
+    Documented,
+    Facts,
+    Heading,
+    Paragraph,
+    Table,
+    common_facts,
+    data_frame,
+)
 from jointid.common.text import number
 from jointid.common.transmission import Transmission
-from jointid.models.controllers import Controller, Notch
+from jointid.models.controllers import CONTROLLER_UNITS, Controller, Notch, in_torque
 from jointid.models.linear import ComplexArray
-from jointid.tuning.feedforward import FeedForward
 from jointid.tuning.margins import Margins
 from jointid.tuning.minimum_detectable_change import MinimumDetectableChange
-from jointid.tuning.proposals import Tuning
+from jointid.tuning.proposals import FeedForward, Tuning
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+_SMALLEST = 1e-3  # loop gain that is shown
+_REACH = 2.5  # of the Nyquist plot, about its origin
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,8 +88,9 @@ class Gain:
     """A gain of the controller.
 
     Attributes:
-        key: its name in a joint file's [controller]. formula: that gave it. unit: in the controller's own terms.
+        key: its name in a joint file's [controller]. formula: that gave it. unit: of the law's own numbers.
         before, after: in that unit, on the law's side.
+        in_drive: its name, before, after and unit as the drive shows them; the same where it shows nothing else.
     """
 
     key: str
@@ -63,6 +98,7 @@ class Gain:
     unit: str
     before: float
     after: float
+    in_drive: tuple[str, float, float, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +117,7 @@ class ProposedNotch:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tuned(Documented):
+class Tuned(Charted, Documented):
     """Margins over the interval of an estimate, the proposed gains, and the smallest detectable change.
 
     Attributes:
@@ -110,18 +146,87 @@ class Tuned(Documented):
     torque_unit: str
     notes: tuple[str, ...]
 
+    @property
+    def sentence(self) -> str:
+        """The margins as they are in the worst case, and what is proposed."""
+        present, asked = self.present.worst, self.settings
+        if not present.stable:
+            return "In the worst case of the estimate's interval the loop as it is would not be stable."
+        where = f"{number(present.modulus, 2)} from -1 at its nearest ({number(asked.modulus, 2)} is asked)"
+        gains = [
+            f"{name.replace('_', ' ')} from {number(before, 4)} to {number(after, 4)} {unit}".rstrip()
+            for name, before, after, unit in (gain.in_drive for gain in self.gains)
+        ]
+        proposal = f"proposed: {', '.join(gains)}" if gains else "no gains are proposed"
+        notch = "" if self.notch is None else f", and a notch at {number(self.notch.notch.frequency, 3)} Hz"
+        return f"The loop as it is comes, in the worst case, {where}; {proposal}{notch}."
+
+    def to_dataframe(self) -> DataFrame:
+        """Return the gains as a pandas data frame: a row each, before and after, with unit and formula.
+
+        Raises:
+            ExtraError: pandas is not installed.
+        """
+        rows = {g.key: {"before": g.before, "after": g.after, "unit": g.unit, "formula": g.formula} for g in self.gains}
+        return data_frame(rows, "gain")
+
     def document(self, *, details: bool = False) -> Document:
         """Return the tables, before and after, and the notes; there are no further details."""
         del details
         worst = ("worst case over", self.interval)
         change = self.detectable.document()
-        blocks: list[Block] = [Facts((worst, *common_facts(None, self.transmission))), self._margins()]
-        blocks += [self._gains()] if self.gains else []
-        blocks += [_notch(self.notch)] if self.notch is not None else []
-        said = "now and proposed are in controller units, per unit of the controller's reference"
-        blocks += [self._feedforward(), Paragraph(said), Heading(change.title), *change.blocks]
-        blocks += [Facts(tuple(("note", note) for note in self.notes))] if self.notes else []
-        return Document(f"Tuning for {self.record}, a {self.model} joint", tuple(blocks))
+        blocks: list[Block] = [Facts((worst, *common_facts(None, self.transmission))), *self.proposal()]
+        blocks += [self._feedforward(), *self._unit_of_its_own(), Heading(change.title), *change.blocks]
+        notes = Facts(tuple(("note", note) for note in self.notes))
+        return Document(f"Tuning for {self.record}, a {self.model} joint", (*blocks, notes))
+
+    def proposal(self) -> tuple[Block, ...]:
+        """Return the margins as they are and as proposed, and the gains and the notch that give them."""
+        gains = (self._gains(),) if self.gains else ()
+        return self._margins(), *gains, *(() if self.notch is None else (_notch(self.notch),))
+
+    def chart(self) -> Chart:
+        """Return the responses: joint, loop size and phase over frequency, and the Nyquist plot.
+
+        The bands are the interval of the estimate; the circle about -1 is the distance that was asked.
+        """
+        sizes: list[Item] = []
+        phases: list[Item] = []
+        curves: list[Item] = []
+        loops = [("as it is", self.present, MEASURED)]
+        loops += [("proposed", self.proposed, SIMULATED)] if self.proposed is not None else []
+        for name, loop, colour in loops:
+            found = loop.response
+            sizes += _sizes(found.hertz, np.abs(found.nominal), found.size, colour, name)
+            low, high = (np.degrees(one) for one in found.phase)
+            phase = np.unwrap(np.angle(found.nominal))
+            # As its band is: whole turns are no part of a phase.
+            turns = np.round((0.5 * (found.phase[0, 0] + found.phase[1, 0]) - phase[0]) / (2 * math.pi))
+            phase = np.degrees(phase + 2 * math.pi * turns)
+            phases += [Band(found.hertz, low, high, colour), Line(found.hertz, phase, colour)]
+            curves.append(Line(found.nominal.real, found.nominal.imag, colour))
+        angle, modulus = np.linspace(0, 2 * math.pi, 200), self.settings.modulus
+        circle = Line(-1 + modulus * np.cos(angle), modulus * np.sin(angle), OTHERS[-1], "", 1.0)
+        middle = Line(np.array([-1.0]), np.zeros(1), ERROR, f"-1, distance {modulus:g}", dots=True)
+        joint, unit = self.joint, f"{self.position_unit}/s per {self.torque_unit}"
+        frequency, reach = "frequency [Hz]", 0.5 * (_REACH + 1)
+        panels = (
+            Panel(
+                frequency, f"motor velocity per torque [{unit}]",
+                _sizes(joint.hertz, np.abs(joint.nominal), joint.size, LOAD, ""),
+                f"{self.record}: the {self.model} joint", log_x=True, log_y=True, height=325,
+            ),
+            Panel(
+                "real part of the loop [1]", "imaginary part of the loop [1]", (*curves, circle, middle), height=325,
+                x_range=(-_REACH, 1.0), y_range=(-reach, reach), equal=True,
+            ),
+            Panel(
+                frequency, "loop gain [1]", (*sizes, Level(1.0)), log_x=True, log_y=True, height=325,
+                y_range=(_SMALLEST, 2 * max(float(loop.response.size.max()) for _, loop, _ in loops)),
+            ),
+            Panel(frequency, "loop phase [degrees]", (*phases, Level(-180.0)), log_x=True, height=325),
+        )  # fmt: skip
+        return Chart("tuning", "", panels, columns=2)
 
     def _margins(self) -> Table:
         header = ("margins", "gain", "dB", "reduction", "phase deg", "delay ms", "distance from -1", "crossover Hz")
@@ -140,23 +245,47 @@ class Tuned(Documented):
         return Table(header, tuple(rows))
 
     def _gains(self) -> Table:
-        rows = tuple((g.key, number(g.before), number(g.after), g.unit, g.formula) for g in self.gains)
-        return Table(("gain", "now", "proposed", "unit", "formula"), rows, words=(0, 3, 4))
+        shown = [gain.in_drive for gain in self.gains]
+        scale = getattr(self.present.controller, "gain", 1.0)
+        si = []
+        for g, (_, _, after, _) in zip(self.gains, shown, strict=True):
+            by, unit = (scale, in_torque(g.unit, self.torque_unit)) if CONTROLLER_UNITS in g.unit else (1.0, g.unit)
+            told = f"{g.key} {number(by * g.before)}, {number(by * g.after)} {unit}"
+            si.append("" if number(g.after) == number(after) else told)
+        beside = any(si)  # what is simulated, where the drive shows another number
+        rows = tuple(
+            (name, number(before), number(after), unit, *((plain or "as shown",) if beside else ()), gain.formula)
+            for gain, plain, (name, before, after, unit) in zip(self.gains, si, shown, strict=True)
+        )
+        header = ("gain", "now", "proposed", "unit", *(("in SI",) if beside else ()), "formula")
+        return Table(header, rows, words=(0, *range(3, len(header))))
 
     def _feedforward(self) -> Table:
         drive = any(f.drive is not None for f in self.feedforward)
-        rows = [
-            (
-                f.key, f"{f.formula} = {number(f.value)}", _two_sigma(f.std), f.unit, number(f.before), number(f.after),
-                _two_sigma(f.after_std), *((number(f.drive), f.drive_unit) if drive else ()),
-            )
-            for f in self.feedforward
-        ]  # fmt: skip
+        rows = []
+        for f in self.feedforward:
+            before, after, std, unit = f.in_drive
+            in_counts = (number(f.drive), f.drive_unit) if drive else ()
+            beside = number(before), number(after), _two_sigma(std), unit
+            rows.append((f.key, f"{f.formula} = {number(f.value)}", _two_sigma(f.std), f.unit, *beside, *in_counts))
         header = (
-            "feed-forward", "in SI", "2 sigma", "unit", "now", "proposed", "2 sigma",
+            "feed-forward", "in SI", "2 sigma", "unit", "now", "proposed", "2 sigma", "unit",
             *(("drive", "unit") if drive else ()),
         )  # fmt: skip
-        return Table(header, tuple(rows), words=(0, 3, 8))
+        return Table(header, tuple(rows), words=(0, 3, 7, 9))
+
+    def _unit_of_its_own(self) -> Iterator[Paragraph]:
+        """Yield what one unit of the controller is, where numbers are told in it."""
+        units = [f.in_drive[-1] for f in self.feedforward] + [g.in_drive[-1] for g in self.gains]
+        if any(CONTROLLER_UNITS in one for one in units):
+            gain = getattr(self.present.controller, "gain", 1.0)
+            yield Paragraph(
+                f"one of the {CONTROLLER_UNITS} is {number(gain)} {self.torque_unit} (gain of [controller])"
+            )
+
+
+def _sizes(hertz: FloatArray, size: FloatArray, ends: FloatArray, colour: str, label: str) -> tuple[Item, ...]:
+    return Band(hertz, ends[0], ends[1], colour), Line(hertz, size, colour, label)
 
 
 def _row(name: str, margins: Margins, loop: LoopMargins | None = None) -> tuple[str, ...]:

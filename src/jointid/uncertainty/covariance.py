@@ -16,11 +16,7 @@ here: `position_dependent_error` measures it and widens.
 
 A bandwidth so short smears the residual's spectrum over several hertz. Where a loop rings at 10 Hz and a parameter is
 determined by what happens at 10 Hz, half of that is missed: of 2-sigma intervals of the twin's viscous frictions 91 %
-hold the truth. A stationary residual's covariance is known much better from its spectrum S, at all lags
-(`stationary`)::
-
-    S_Z = sum_f S(f) Z(f)' Z(f)*
-
+hold the truth. A stationary residual's covariance is known much better from its spectrum, at all lags (`spectral`),
 but no residual is known to be stationary, so of the two the larger is taken, in every direction (`robust`): 94-98 %
 then do.
 
@@ -49,6 +45,7 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.messages import Message
+from jointid.uncertainty.spectral import spectral_covariance
 
 _BANDS = 8  # of frequency, whose scores are compared
 _MOST = 2.0  # times its residual: what leaving a block out may make of it
@@ -187,15 +184,24 @@ def _parts(rows: int, series: Sequence[int] | None) -> list[slice]:
     return [slice(int(end) - n, int(end)) for end, n in zip(ends, series or [rows], strict=True)]
 
 
-def stationary(Z: FloatArray, J: FloatArray, error: FloatArray, series: Sequence[int] | None = None) -> Covariance:
-    """Return the covariance for a residual that is stationary, by its spectrum (see the module).
+def by_spectrum(Z: FloatArray, J: FloatArray, error: FloatArray, series: Sequence[int] | None = None) -> Covariance:
+    """Return the covariance for a residual that is stationary, by its spectrum in bands (see `spectral`).
 
-    Args:
-        Z: (rows, parameters), the instruments.
-        J: (rows, parameters), the sensitivities of the prediction.
-        error: (rows,) the residual, in the order of time. Its periodogram is averaged over sqrt(rows) neighbours, the
-            mean left out, which a fit of an offset takes away.
-        series: rows of each record, where several stand one after the other; each has a spectrum of its own.
+    The arguments are those of `sandwich`, the residual in the order of time. The deviations are Student's: two of them
+    hold as much as two of a normal error would.
+    """
+    norms = column_norms(Z)
+    spread = np.linalg.pinv((Z / norms).T @ (J / norms))
+    matrix, factor = spectral_covariance((Z / norms) @ spread.T, J / norms, error, _parts(len(Z), series))
+    return covariance_of(matrix * np.outer(factor, factor), len(Z), norms)
+
+
+def stationary(Z: FloatArray, J: FloatArray, error: FloatArray, series: Sequence[int] | None = None) -> Covariance:
+    """Return what an error of this spectrum would make of other equations than those that left it.
+
+    ``S = sum_f S(f) Z(f)' Z(f)*``; what a fit took out of the spectrum is not allowed for. The arguments are those of
+    `sandwich`, the error in the order of time. Its periodogram is averaged over sqrt(rows) neighbours, the mean left
+    out, which a fit of an offset takes away; every series has its own spectrum.
     """
 
     def meat(Z: FloatArray, _: FloatArray, spread: FloatArray) -> FloatArray:
@@ -236,8 +242,8 @@ def sum_over_frequencies(columns: FloatArray, weights: FloatArray) -> FloatArray
 
 
 def robust(Z: FloatArray, J: FloatArray, error: FloatArray, series: Sequence[int] | None = None) -> Covariance:
-    """Return the larger of `sandwich` and `stationary` in every direction; the arguments are theirs."""
-    return larger(sandwich(Z, J, error, series=series), stationary(Z, J, error, series))
+    """Return the larger of `sandwich` and `by_spectrum` in every direction; the arguments are theirs."""
+    return larger(sandwich(Z, J, error, series=series), by_spectrum(Z, J, error, series))
 
 
 def larger(first: Covariance, second: Covariance) -> Covariance:
@@ -263,12 +269,8 @@ def residual_left_out(
 ) -> FloatArray:
     """Return the residual, (rows,), that each block of rows had if it had been left out of the fit.
 
-    Args:
-        Z: (rows, parameters), the instruments.
-        J: (rows, parameters), the sensitivities of the prediction.
-        error: (rows,) the residual.
-        spread: (parameters, parameters), the inverse of Z' J.
-        block: (rows,) the number of each row's block.
+    Beside the arguments of `sandwich`, `spread` is the inverse of Z' J, (parameters, parameters), and `block`, (rows,),
+    the number of each row's block.
 
     The small matrix of ``(I - J_b S Z_b')^-1 = I + J_b (I - S Z_b' J_b)^-1 S Z_b'`` is inverted: a block may be long.
     """
@@ -338,17 +340,21 @@ def words(covariance: Covariance) -> str:
     )
 
 
-def with_bands(covariance: Covariance, Z: FloatArray, J: FloatArray, error: FloatArray) -> Covariance:
-    """Return a covariance whose deviations are no smaller than `band_deviations` of the same Z, J and error."""
-    return replace(covariance, std=np.maximum(covariance.std, band_deviations(Z, J, error)))
+def with_bands(
+    covariance: Covariance, Z: FloatArray, J: FloatArray, error: FloatArray, equations: int = 1
+) -> Covariance:
+    """Return a covariance whose deviations are no smaller than `band_deviations` of the same arguments."""
+    return replace(covariance, std=np.maximum(covariance.std, band_deviations(Z, J, error, equations)))
 
 
-def band_deviations(Z: FloatArray, J: FloatArray, error: FloatArray) -> FloatArray:
+def band_deviations(Z: FloatArray, J: FloatArray, error: FloatArray, equations: int = 1) -> FloatArray:
     """Return standard deviations from the scores by bands of frequency, (parameters,), of what `sandwich` takes."""
     norms = column_norms(Z)
-    spectrum = np.fft.rfft(error)
-    energy = np.cumsum(np.abs(spectrum) ** 2)
-    scores = np.real(np.conj(np.fft.rfft(Z / norms, axis=0)) * spectrum[:, np.newaxis]) * (2 / error.size)
+    columns = np.fft.rfft((Z / norms).reshape(equations, -1, Z.shape[1]), axis=1)
+    spectrum = np.fft.rfft(error.reshape(equations, -1), axis=1)
+    each = np.real(np.conj(columns) * spectrum[..., np.newaxis])
+    energy = np.cumsum(np.sum(np.abs(spectrum) ** 2, axis=0))
+    scores = np.sum(each, axis=0) * (2 * equations / error.size)
     edges = np.searchsorted(energy, energy[-1] * np.arange(1, _BANDS) / _BANDS)
     sums = np.add.reduceat(scores, np.concatenate([[0], np.maximum.accumulate(edges)]), axis=0)
     spread = np.linalg.pinv((Z / norms).T @ (J / norms))

@@ -148,15 +148,14 @@ class Identifiability:
         physical: sums and differences with a meaning of their own.
         directions: the combinations of the sensitivities' singular vectors, the best known first.
         condition: of the sensitivities scaled by the parameters: the largest over the smallest singular value.
-        undetermined: names of what must be positive and whose 2-sigma interval holds 0.
-        limitations: pairs that are known only together, and what is undetermined; none of a good record.
+        limitations: pairs that are known only together, and what must be positive and whose 2-sigma interval holds 0;
+            none of a good record.
     """
 
     parameters: tuple[Known, ...]
     physical: tuple[Known, ...]
     directions: tuple[Known, ...]
     condition: float
-    undetermined: tuple[str, ...]
     limitations: tuple[Message, ...]
 
 
@@ -194,17 +193,16 @@ def identifiability(
     limitations = [
         _describe_pair(joint, each, spread, i, j) for i, j in pairs if abs(spread.correlation[i, j]) > _INSEPARABLE
     ]
-    lost = [(p, one) for p, one in zip(joint, each, strict=True) if p.lower >= 0 and one.interval[0] <= 0.0]
-    for p, one in lost:
-        said = f"{p.symbol} is not told from 0: its interval holds it"
-        values = {"parameter": p.name, "value": one.value, "std": one.std}
-        limitations.append(Message(Limitation.NOT_SIGNIFICANT, said, values))
+    for p, one in zip(joint, each, strict=True):
+        if p.lower >= 0 and one.interval[0] <= 0.0:
+            said = f"{p.symbol} is not told from 0: its interval holds it"
+            values = {"parameter": p.name, "value": one.value, "std": one.std}
+            limitations.append(Message(Limitation.NOT_SIGNIFICANT, said, values))
     return Identifiability(
         each,
         tuple(known(combination) for combination in physical(joint, units)),
         tuple(sorted(directions, key=lambda one: one.relative)),
         condition,
-        tuple(p.name for p, _ in lost),
         tuple(limitations),
     )
 
@@ -274,4 +272,8 @@ def _describe_pair(
         f"{apart}, {other} (correlation {correlation:+.3f})"
     )
     values = {"parameters": [first.name, second.name], "weight": float(weights[j]), "value": value, "std": std}
-    return Message(Limitation.INSEPARABLE, said, values | {"unit": unit, "correlation": correlation})
+    values |= {"unit": unit, "correlation": correlation}
+    clause = (
+        f"{first.symbol} and {second.symbol} are known by {what}, {number(value, 4)} +- {number(2 * std, 2)} {unit}"
+    )
+    return Message(Limitation.INSEPARABLE, said, values, clause)

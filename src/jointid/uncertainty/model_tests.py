@@ -53,6 +53,7 @@ _MATTERS = 0.1  # deviations of least squares: a smaller shift is none
 _SAME = 1e-9  # of a column: what instruments leave of it is then rounding
 _RANK = 1e-3  # of the largest: directions of V that are less are not counted
 _LEVEL = 0.05  # of the test of endogeneity
+_BELIEVED = 0.01  # a smaller p-value of a rigid joint says that it is flexible
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,23 +65,19 @@ class BoundaryTest:
         p_value: how often as much is found where the rigid model is true.
         over: whose signs gave that: blocks of "time", or of "place".
         draws: (draws,) the statistic in them.
-        amount: of the extra direction that is best, 0 or more.
         gained: share of the sum of squares.
-        level: below which the flexible model is believed.
     """
 
     statistic: float
     p_value: float
     over: str
     draws: FloatArray
-    amount: float
     gained: float
-    level: float
 
     @property
     def significant(self) -> bool:
-        """True if the record asks for the flexible model."""
-        return self.p_value <= self.level
+        """True if the record asks for the flexible model, at 1 %."""
+        return self.p_value <= _BELIEVED
 
     def __str__(self) -> str:
         """Return the verdict in a sentence."""
@@ -100,7 +97,6 @@ def flexible_against_rigid(
     fitted: float | None = None,
     *,
     draws: int = 1999,
-    level: float = 0.01,
 ) -> BoundaryTest:
     """Test whether an extra direction, which only counts forwards, explains more than chance would (see the module).
 
@@ -111,7 +107,6 @@ def flexible_against_rigid(
         where: the rows' cells, so that what repeats with the motion is provided for.
         fitted: sum of squares of a flexible fit, where one was made: it takes the place of the linear one.
         draws: of the signs.
-        level: below which the flexible model is believed.
 
     Raises:
         MethodError: there is no alternative, one is not a single column, or one does nothing that the rigid parameters
@@ -145,29 +140,31 @@ def flexible_against_rigid(
     spread = np.asarray(np.linalg.pinv(columns.T @ columns), dtype=np.float64)
     left = residual + beside[:, best] * amounts[best] - Q @ (Q.T @ residual)
 
-    def turn_signs(block: NDArray[np.intp]) -> FloatArray:
-        """Return the statistic with the signs of the blocks turned, (draws,)."""
-        count = int(block.max()) + 1
-        noise = residual_left_out(columns, columns, left, spread, block)
-        signs = np.random.default_rng(0).choice([-1.0, 1.0], size=(draws, count))
-
-        def summed(matrix: FloatArray) -> FloatArray:
-            """Return the matrix's products with every draw, from those with every block."""
-            sums = np.zeros((count, matrix.shape[1]))
-            np.add.at(sums, block, matrix * noise[:, np.newaxis])
-            return np.asarray(signs @ sums)
-
-        remaining = float(noise @ noise) - np.sum(summed(Q) ** 2, axis=1)
-        gains = np.max(np.maximum(-summed(beside), 0.0) ** 2 / squares, axis=1)
-        return np.asarray(gains / np.maximum((remaining - gains) / degrees, 1e-300))
-
-    turned = {"time": turn_signs(np.arange(residual.size) // (_PER_BANDWIDTH * bandwidth(residual.size)))}
+    blocks = {"time": np.arange(residual.size) // (_PER_BANDWIDTH * bandwidth(residual.size))}
     if where is not None:
-        turned["place"] = turn_signs(np.unique(where.stretch, return_inverse=True)[1].reshape(-1))
+        blocks["place"] = np.unique(where.stretch, return_inverse=True)[1].reshape(-1)
+    turned = {}
+    for over, block in blocks.items():
+        noise = residual_left_out(columns, columns, left, spread, block)
+        turned[over] = _draw_statistics(noise, block, Q, beside, degrees, draws)
     p_values = {over: float(1 + np.sum(drawn >= statistic)) / (draws + 1) for over, drawn in turned.items()}
-    over = max(p_values, key=lambda one: p_values[one])
+    least_certain = max(p_values, key=lambda over: p_values[over])
     share = found / rigid if rigid > 0 else 0.0
-    return BoundaryTest(statistic, p_values[over], over, turned[over], float(amounts[best]), share, level)
+    return BoundaryTest(statistic, p_values[least_certain], least_certain, turned[least_certain], share)
+
+
+def _draw_statistics(
+    noise: FloatArray, block: NDArray[np.intp], Q: FloatArray, beside: FloatArray, degrees: int, draws: int
+) -> FloatArray:
+    """Return the statistic of a noise the signs of whose blocks are turned at random, (draws,)."""
+    count = int(block.max()) + 1
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], size=(draws, count))
+    of_rigid, of_extra = np.zeros((count, Q.shape[1])), np.zeros((count, beside.shape[1]))
+    np.add.at(of_rigid, block, Q * noise[:, np.newaxis])
+    np.add.at(of_extra, block, beside * noise[:, np.newaxis])
+    remaining = float(noise @ noise) - np.sum((signs @ of_rigid) ** 2, axis=1)
+    gains = np.max(np.maximum(-(signs @ of_extra), 0.0) ** 2 / np.sum(beside**2, axis=0), axis=1)
+    return np.asarray(gains / np.maximum((remaining - gains) / degrees, 1e-300))
 
 
 @dataclass(frozen=True, slots=True)

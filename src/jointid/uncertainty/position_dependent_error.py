@@ -24,7 +24,7 @@ the one over time stands alone, for the second is a noisier estimate of the same
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,6 +128,7 @@ class Uncertainty:
         repeatable: the verdict on that.
         basis: how the deviations were obtained, in words.
         warnings: limits of the deviations, for the reader.
+        shifts: (parameters,) each, of the estimate, for which the deviations were widened.
     """
 
     robust: Covariance
@@ -135,6 +136,13 @@ class Uncertainty:
     repeatable: Repeatable
     basis: str
     warnings: tuple[Message, ...]
+    shifts: tuple[FloatArray, ...] = ()
+
+    def widened_by(self, shift: FloatArray, why: str) -> Uncertainty:
+        """Return this with deviations wide enough for a shift of the estimate, (parameters,), whose reason is said."""
+        covariance = replace(self.covariance, std=np.hypot(self.covariance.std, shift))
+        basis = f"{self.basis}, and for {why}"
+        return replace(self, covariance=covariance, basis=basis, shifts=(*self.shifts, shift))
 
 
 def cells(position: FloatArray, velocity: FloatArray) -> Cells:
@@ -230,12 +238,9 @@ def _between_halves(error: FloatArray, where: Cells) -> float | None:
 def by_place(Z: FloatArray, J: FloatArray, error: FloatArray, where: Cells) -> Covariance:
     """Return the covariance of an estimate whose errors are shared by all visits to a cell (see the module).
 
-    Args:
-        Z: (rows, parameters), the instruments.
-        J: (rows, parameters), the sensitivities of the prediction.
-        error: (rows,) the residual.
-        where: the rows' cells. Those along the travel are correlated over ``ceil(4 (cells / 100)^(2/9))`` on each
-            side, the rule of `uncertainty` for rows, and left out of the fit by as many and one together.
+    Z, J and the residual are those of `uncertainty`. The cells along the travel are correlated over
+    ``ceil(4 (cells / 100)^(2/9))`` on each side, the rule of `bandwidth` for rows, and left out of the fit by as many
+    and one together.
 
     An error that is smooth over more than that is covered too little: of 2-sigma intervals 95 % hold the truth at a
     length of half a cell, 88-96 % at two and 80-98 % at four (on the EMPS motion, by simulation).

@@ -25,10 +25,10 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
-from jointid.common.parameters import Parameter, Quantity
+from jointid.common.parameters import Bounds, Parameter, Quantity
 from jointid.common.text import number
-from jointid.solvers.solve import Bounds, Counted, Problem, Solution, solve
-from jointid.solvers.trust_region import TrustRegion
+from jointid.solvers.bounded_least_squares import TrustRegion
+from jointid.solvers.solve import Counted, Problem, solve
 from jointid.uncertainty.covariance import Covariance, covariance_of, robust
 from jointid.uncertainty.identifiability import Combination
 
@@ -39,6 +39,7 @@ _FAR = 1.5  # times the threshold's root: a point beyond is not used to interpol
 _NARROW = 0.02  # of the way from the estimate: a bracket this narrow needs no more points
 _UNSEEN = 1e-9  # of the largest: a normalised singular value whose direction leaves no trace in the residual
 _IMPROVED = 1e-3  # of the threshold: a fit so much below the estimate says that it was no minimum
+_PARABOLA = 0.1  # of the threshold: so much may the rise differ; the end of the interval then does by half as much
 _LEAST = 1e-4  # of the compliance: a smaller one is negligible
 
 
@@ -67,7 +68,7 @@ class Profiling:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Profile:
+class ProfileInterval:
     """Rise of the criterion as one quantity is held away from its estimate.
 
     Attributes:
@@ -170,43 +171,53 @@ class ByCompliance:
         return [p.quantity for p in self.problem.free].index(Quantity.STIFFNESS)
 
 
-def refit(
-    problem: Problem,
-    x: FloatArray,
-    rows: Callable[[FloatArray, FloatArray], FloatArray],
-    columns: Callable[[FloatArray], FloatArray],
-    tolerance: float,
-    evaluations: int,
-) -> Solution:
-    """Solve a problem again with its rows changed, within its bounds.
-
-    Args:
-        problem: that was solved.
-        x: (free,) where the search begins.
-        rows: the changed residual, from a residual and the parameters it is of.
-        columns: its derivatives, from those of the residual.
-        tolerance: relative, on the sum of squares and on the parameters.
-        evaluations: at most.
-    """
-    return solve(_Changed(problem, rows, columns), TrustRegion(tolerance, evaluations, eager=False), x)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Changed:
+    """A problem whose rows are changed, and not its parameters."""
+
     problem: Problem
-    rows: Callable[[FloatArray, FloatArray], FloatArray]
-    columns: Callable[[FloatArray], FloatArray]
 
     @property
     def free(self) -> tuple[Parameter, ...]:
         return self.problem.free
 
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Held(_Changed):
+    """A problem with one more row, ``stiffness (weights' x - value)``, which holds a quantity at a value."""
+
+    weights: FloatArray
+    stiffness: float
+    value: float
+
+    def _row(self, x: FloatArray) -> float:
+        return self.stiffness * float(self.weights @ x - self.value)
+
     def residual(self, x: FloatArray) -> FloatArray:
-        return self.rows(self.problem.residual(x), x)
+        return np.append(self.problem.residual(x), self._row(x))
 
     def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         residual, J = self.problem.linearised(x)
-        return self.rows(residual, x), self.columns(J)
+        return np.append(residual, self._row(x)), np.vstack([J, self.stiffness * self.weights])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Weighted(_Changed):
+    """A problem whose rows count as often as their weights, (rows,), say."""
+
+    root: FloatArray
+
+    def residual(self, x: FloatArray) -> FloatArray:
+        return self.root * self.problem.residual(x)
+
+    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        residual, J = self.problem.linearised(x)
+        return self.root * residual, self.root[:, np.newaxis] * J
+
+
+def refit_weighted(problem: Problem, x: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return the parameters that minimise a problem's ``sum w r^2`` near a point, (free,), weights (rows,)."""
+    return solve(_Weighted(problem, np.sqrt(weights)), TrustRegion(evaluations=30, eager=False), x).x
 
 
 @dataclass(slots=True, eq=False)
@@ -222,7 +233,7 @@ def profile(
     combination: Combination,
     covariance: Covariance | None = None,
     settings: Profiling | None = None,
-) -> Profile:
+) -> ProfileInterval:
     """Return the profile of a parameter, or of a weighted sum of parameters, about an estimate.
 
     Args:
@@ -247,24 +258,21 @@ def profile(
     found, threshold = [centre], 0.0
     if flat is not None and std > 0.0:
         quantile = float(student.ppf(0.5 + 0.5 * settings.level, max(residual.size - x.size, 1)))
-        threshold, row = quantile**2 * std**2 / flat, _HELD / math.sqrt(flat)
+        threshold, stiffness = quantile**2 * std**2 / flat, _HELD / math.sqrt(flat)
+
+        solver = TrustRegion(settings.tolerance, settings.evaluations, eager=False)
 
         def fit(start: FloatArray, value: float) -> _Point:
-            end = refit(
-                counted, start,
-                lambda rows, x: np.append(rows, row * (weights @ x - value)),
-                lambda columns: np.vstack([columns, row * weights]),
-                settings.tolerance, settings.evaluations,
-            )  # fmt: skip
-            error = end.residual[:-1]
-            return _Point(float(weights @ end.x), float(error @ error), end.x)
+            found = solve(_Held(counted, weights, stiffness, value), solver, start)
+            error = found.residual[:-1]
+            return _Point(float(weights @ found.x), float(error @ error), found.x)
 
         bounds, used = Bounds.of(problem.free), weights != 0
         for sign in (-1.0, 1.0):
             furthest = np.where(weights * sign > 0, bounds.upper, bounds.lower)
-            end = float(np.sum(weights[used] * furthest[used]))
+            limit = float(np.sum(weights[used] * furthest[used]))
             step = sign * _FIRST * quantile * std
-            found += _follow(fit, centre, end, step, direction, threshold, settings.points)
+            found += _follow(fit, centre, limit, step, direction, threshold, settings.points)
     found.sort(key=lambda point: point.value)
     lowest = min(found, key=lambda point: point.cost)
     values, best = np.array([point.value for point in found]), found.index(lowest)
@@ -277,7 +285,7 @@ def profile(
         )
     elif flat is not None and std == 0.0:  # it is known without error
         interval = (centre.value, centre.value)
-    return Profile(
+    return ProfileInterval(
         combination.name,
         combination.formula,
         combination.unit,
@@ -294,13 +302,53 @@ def profile(
     )
 
 
+def is_parabola(
+    problem: Problem,
+    x: FloatArray,
+    combination: Combination,
+    covariance: Covariance,
+    settings: Profiling | None = None,
+) -> bool:
+    """Return whether the criterion rises as a parabola does, within a tenth, out to both ends of an interval.
+
+    It is evaluated where a linear problem's profile would end; one that is parabolic there has the interval of the
+    covariance, and need not be followed. A bound on the way, or a quantity that leaves no trace, is no parabola.
+
+    Args:
+        problem: that was solved.
+        x: (free,) where.
+        combination: the quantity.
+        covariance: of the free parameters, to be believed.
+        settings: see `Profiling`.
+    """
+    from scipy.stats import t as student
+
+    settings = settings or Profiling()
+    weights = combination.vector(problem.free)
+    residual, J = problem.linearised(x)
+    std = covariance.std_of(weights)
+    direction, flat = _least_rise(J, weights)
+    if flat is None or std == 0.0:
+        return False
+    quantile = float(student.ppf(0.5 + 0.5 * settings.level, max(residual.size - x.size, 1)))
+    threshold, lowest, bounds = quantile**2 * std**2 / flat, float(residual @ residual), Bounds.of(problem.free)
+    for sign in (-1.0, 1.0):
+        there = x + sign * quantile * std * direction
+        if np.any(there < bounds.lower) or np.any(there > bounds.upper):
+            return False
+        error = problem.residual(there)
+        if not abs(float(error @ error) - lowest - threshold) <= _PARABOLA * threshold:
+            return False
+    return True
+
+
 def profile_compliance(
     problem: Problem,
     x: FloatArray,
     covariance: Covariance,
     unit: Callable[[Parameter], str],
     settings: Profiling | None = None,
-) -> Profile:
+) -> ProfileInterval:
     """Return the profile of 1/K12, in which a nearly rigid joint is nearly linear.
 
     Args:
@@ -335,7 +383,7 @@ def _least_rise(J: FloatArray, weights: FloatArray) -> tuple[FloatArray, float |
 def _follow(
     fit: Callable[[FloatArray, float], _Point],
     centre: _Point,
-    end: float,
+    limit: float,
     step: float,
     direction: FloatArray,
     threshold: float,
@@ -348,9 +396,9 @@ def _follow(
     Args:
         fit: the best fit near a value of the quantity, from a start that may be outside the bounds.
         centre: the estimate.
-        end: value of the quantity, perhaps infinite, beyond which the parameters' bounds do not let it go.
-        step: of the quantity to the first point, negative on the lower side.
-        direction: (free,) how the parameters follow it.
+        limit: value, perhaps infinite, beyond which the parameters' bounds do not let the quantity go.
+        step: to the first point, negative on the lower side.
+        direction: (free,) how the parameters follow the quantity.
         threshold: of the rise.
         most: points.
     """
@@ -365,7 +413,7 @@ def _follow(
         inside = outwards[-1 if passed is None else passed - 1]
         if passed is None:
             target = inside.value + sign * step
-            target = min(target, end) if sign > 0 else max(target, end)
+            target = min(target, limit) if sign > 0 else max(target, limit)
         else:
             outside = outwards[passed]
             narrow = abs(outside.value - inside.value) <= _NARROW * abs(outside.value - centre.value)
@@ -377,7 +425,7 @@ def _follow(
         lowest = min(lowest, point.cost)
         if passed is not None:
             continue
-        if sign * (end - point.value) <= 1e-3 * step:  # held by the bounds
+        if sign * (limit - point.value) <= 1e-3 * step:  # held by the bounds
             break
         went = point.value - inside.value
         if abs(went) <= 1e-6 * step:

@@ -35,7 +35,7 @@ _ROUNDING = 1e-12  # of the torque's: a band with less in it holds nothing to co
 
 
 @dataclass(frozen=True, slots=True)
-class Band:
+class ResidualBand:
     """The residual between two frequencies.
 
     Attributes:
@@ -97,7 +97,7 @@ class ResidualReport:
     rms: float
     mean: float
     unit: str
-    bands: tuple[Band, ...]
+    bands: tuple[ResidualBand, ...]
     against_rigid: float | None
     whiteness: Whiteness | None
     repeatable: Repeatable | None
@@ -176,7 +176,9 @@ def _within(error: FloatArray, sample_time: float, cutoff: float) -> FloatArray:
     return np.asarray(np.fft.irfft(spectrum[: kept + 1], 2 * kept + 1))
 
 
-def _divide_into_bands(error: FloatArray, measured: FloatArray, sample_time: float, cutoff: float) -> tuple[Band, ...]:
+def _divide_into_bands(
+    error: FloatArray, measured: FloatArray, sample_time: float, cutoff: float
+) -> tuple[ResidualBand, ...]:
     nyquist = 0.5 / sample_time
     octaves = [min(cutoff, nyquist) / 2**i for i in range(_OCTAVES, -1, -1)]
     edges = [0.0, *octaves, *([nyquist] if nyquist > cutoff else [])]
@@ -189,7 +191,7 @@ def _divide_into_bands(error: FloatArray, measured: FloatArray, sample_time: flo
         inside = (frequency >= low) & ((frequency < high) | (high == edges[-1]) & (frequency <= high * (1 + 1e-12)))
         left, there = float(residual[inside].sum()), float(torque[inside].sum())
         error_there = math.sqrt(left / there) if there > _ROUNDING**2 * whole else None
-        found.append(Band(low, high, error_there, left / total))
+        found.append(ResidualBand(low, high, error_there, left / total))
     return tuple(found)
 
 

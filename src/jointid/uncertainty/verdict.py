@@ -11,10 +11,12 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from jointid.common.messages import Message, joined
+from jointid.common.text import listed, number
 from jointid.uncertainty.identifiability import Identifiability
 from jointid.uncertainty.residual_tests import ResidualReport
 
-_POOR = 0.15  # of the filtered torque: the EMPS axis leaves 0.045, the paper's 0.08
+POOR_FIT = 0.15
+"""Share of the filtered torque that a right model leaves at most: the EMPS axis leaves 0.045, the paper's 0.08."""
 
 
 class Subject(StrEnum):
@@ -28,6 +30,23 @@ class Subject(StrEnum):
     BOUNDS = "bounds"
     STIFFNESS = "stiffness"
     LOOP = "loop"
+
+    @property
+    def question(self) -> str:
+        """The question in words, to which yes is the good answer."""
+        return _QUESTIONS[self]
+
+
+_QUESTIONS = {
+    Subject.SOLVER: "Did the search end well?",
+    Subject.FIT: "Does the model explain the torque?",
+    Subject.WHITENESS: "Is the residual white noise?",
+    Subject.REPEATABLE: "Is the residual free of anything that repeats with the motion?",
+    Subject.IDENTIFIABILITY: "Does the record determine every parameter?",
+    Subject.BOUNDS: "Is no parameter at its bound?",
+    Subject.STIFFNESS: "Does the record show the stiffness?",
+    Subject.LOOP: "Are controller and log as declared?",
+}
 
 
 class Status(StrEnum):
@@ -63,7 +82,17 @@ class Reason(StrEnum):
     STIFFNESS_NOT_SHOWN = "stiffness_not_shown"
     LOOP_AS_DECLARED = "loop_as_declared"
     LOOP_NOT_AS_DECLARED = "loop_not_as_declared"
+    SPRING_NOT_LINEAR = "spring_not_linear"
+    LAW_UNDECIDED = "law_undecided"
+    CAUSE_FOUND = "cause_found"
+    NO_CAUSE_FOUND = "no_cause_found"
+    RECORD_TOO_SHORT = "record_too_short"
+    HARDLY_MOVES = "hardly_moves"
     NOT_TESTED = "not_tested"
+
+
+CAUSES = (Reason.CAUSE_FOUND, Reason.NO_CAUSE_FOUND, Reason.RECORD_TOO_SHORT, Reason.HARDLY_MOVES)
+"""Reasons that stand in the place of what the tests of small deviations find."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +143,7 @@ def solver_verdict(stop: str, converged: bool) -> Verdict:
 def fit_verdict(report: ResidualReport) -> Verdict:
     """Return the verdict on the fit: a right model explains more of the torque than a poor one."""
     said, values = f"{100 * report.relative:.2f} % of the filtered torque remains", {"remaining": report.relative}
-    if report.relative <= _POOR:
+    if report.relative <= POOR_FIT:
         return _judge(Subject.FIT, True, Reason.TORQUE_EXPLAINED, said, values)
     return _judge(Subject.FIT, False, Reason.TORQUE_UNEXPLAINED, f"{said}, more than a right model leaves", values)
 
@@ -127,14 +156,20 @@ def residual_verdicts(report: ResidualReport) -> tuple[Verdict, Verdict]:
     else:
         code = Reason.RESIDUAL_WHITE if white.white else Reason.RESIDUAL_COLOURED
         values = {"statistic": white.statistic, "lags": white.lags, "p_value": white.p_value}
-        noise = _judge(Subject.WHITENESS, white.white, code, str(white), values)
+        clause = "" if white.white else "the residual is not white within the pass band"
+        noise = _judge(Subject.WHITENESS, white.white, code, str(white), values, clause)
     if repeats is None:
         return noise, not_tested(Subject.REPEATABLE, "not looked at")
     if repeats.p_value is None:
         return noise, _judge(Subject.REPEATABLE, None, Reason.NO_PLACE_REVISITED, str(repeats))
     code = Reason.RESIDUAL_REPEATS if repeats.significant else Reason.NOTHING_REPEATS
     sizes = {"rms": repeats.rms, "unit": repeats.unit, "share": repeats.share, "p_value": repeats.p_value}
-    return noise, _judge(Subject.REPEATABLE, not repeats.significant, code, str(repeats), sizes)
+    clause = (
+        f"{number(repeats.rms, 2)} {repeats.unit} rms of it repeat with position, direction and speed"
+        if repeats.significant
+        else ""
+    )
+    return noise, _judge(Subject.REPEATABLE, not repeats.significant, code, str(repeats), sizes, clause)
 
 
 def identifiability_verdict(known: Identifiability) -> Verdict:
@@ -156,7 +191,8 @@ def bounds_verdict(touched: Sequence[str]) -> Verdict:
     if not touched:
         return _judge(Subject.BOUNDS, True, Reason.NONE_AT_BOUND, "no parameter is held by a bound")
     said = f"{', '.join(touched)} at a bound, where it does not follow the record"
-    return _judge(Subject.BOUNDS, False, Reason.AT_BOUND, said, {"parameters": list(touched)})
+    clause = f"{listed(touched)} at {'its bound' if len(touched) == 1 else 'their bounds'}"
+    return _judge(Subject.BOUNDS, False, Reason.AT_BOUND, said, {"parameters": list(touched)}, clause)
 
 
 def not_tested(subject: Subject, why: str) -> Verdict:
@@ -165,6 +201,11 @@ def not_tested(subject: Subject, why: str) -> Verdict:
 
 
 def _judge(
-    subject: Subject, good: bool | None, code: Reason, said: str, values: Mapping[str, object] | None = None
+    subject: Subject,
+    good: bool | None,
+    code: Reason,
+    said: str,
+    values: Mapping[str, object] | None = None,
+    clause: str = "",
 ) -> Verdict:
-    return Verdict(subject, Status.of(good), (Message(code, said, values or {}),))
+    return Verdict(subject, Status.of(good), (Message(code, said, values or {}, clause),))

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import http.client
 import re
+import socket
 import time
 from dataclasses import dataclass
 from html import unescape
@@ -13,7 +16,13 @@ from tests.apps.web.testclient import TestClient
 
 TOKEN = "kept-secret"
 ADDRESS = f"http://127.0.0.1:8765/{TOKEN}/"
-LAW = {"controller.law": "cascade", "controller.kp": "60", "controller.kv": "500"}
+LAW = {"controller.law": "cascade", "controller.position_gain": "60", "controller.velocity_gain": "500"}
+UNITS = {
+    "joint.kind": "prismatic",
+    "record.channels.torque.unit@prismatic": "N",
+    "record.channels.reference.unit@prismatic": "m",
+    "record.channels.motor_position.unit@prismatic": "m",
+}
 
 
 @dataclass
@@ -45,7 +54,7 @@ class Asker:
     def identify(self, log: bytes, **fields: str) -> Run:
         """Go through the steps, and return the identification."""
         assert self.send("log.csv", log)[0] == 200
-        assert self.post("/channels")[0] == 200
+        assert self.post("/channels", UNITS)[0] == 200
         answer = self.client.post("/joint", data={**LAW, **fields}, follow_redirects=False)
         assert answer.status_code == 303, answer.text
         found = self.folder.run(int(answer.headers["location"].rsplit("/", 1)[1]))
@@ -82,3 +91,53 @@ def running(run: Run, line: str, most: float = 60.0) -> None:
         assert run.active, run.status
         time.sleep(0.05)
     raise AssertionError(f"{run.status}: {run.read_progress()}")
+
+
+WAIT = 60.0  # seconds that a machine which is busy may take
+
+
+class Served:
+    """A page that is served in this process."""
+
+    def __init__(self, port: int) -> None:
+        self.port = port
+
+    def connect(self) -> socket.socket:
+        return socket.create_connection(("127.0.0.1", self.port), timeout=WAIT)
+
+    def ask(self, method: str, path: str, body: bytes = b"", kind: str = "") -> tuple[int, bytes]:
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=WAIT)
+        try:
+            connection.request(method, f"/{TOKEN}{path}", body, {"content-type": kind} if kind else {})
+            answer = connection.getresponse()
+            return answer.status, answer.read()
+        finally:
+            connection.close()
+
+    def send(self, raw: bytes) -> bytes:
+        """Send bytes as they are and no more, and return all that comes back."""
+        got = b""
+        with self.connect() as made, contextlib.suppress(ConnectionError):  # it was cut off, which is an answer
+            made.sendall(raw)
+            while part := made.recv(65536):
+                got += part
+        return got
+
+    def begin_upload(self, declared: int, sent: bytes = b"1,2\n") -> socket.socket:
+        """Send the beginning of a file of a declared size, and no more."""
+        head = f"POST /{TOKEN}/record HTTP/1.1\r\nhost: 127.0.0.1\r\ncontent-length: {declared}\r\n"
+        made = self.connect()
+        made.sendall(
+            head.encode() + b"content-type: multipart/form-data; boundary=x\r\n\r\n--x\r\n"
+            b'Content-Disposition: form-data; name="file"; filename="a.csv"\r\n\r\n' + sent
+        )
+        return made
+
+
+def parts(content: bytes, name: str = "log.csv") -> bytes:
+    """Return a form with a file."""
+    head = f'--x\r\nContent-Disposition: form-data; name="file"; filename="{name}"\r\n\r\n'
+    return head.encode() + content + b"\r\n--x--\r\n"
+
+
+MULTIPART = "multipart/form-data; boundary=x"

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import socket
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import uvicorn
 
+from jointid.apps.web import serving
 from jointid.apps.web.application import build_application
 from jointid.apps.web.folder import Limits
 from jointid.models.controllers import Cascade
-from jointid.models.joints import RigidJoint
-from jointid.records.signals.excitation import trapezoids
+from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.writing import write
-from jointid.simulation.loop_input import ClosedLoop
+from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
-from tests.apps.web.asking import ADDRESS, TOKEN, Asker
+from tests.apps.web.asking import ADDRESS, TOKEN, WAIT, Asker, Served
 from tests.apps.web.testclient import TestClient
 
 TRUTH = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 1.0}
@@ -47,10 +50,32 @@ def asker(client: TestClient) -> Asker:
 
 @pytest.fixture(scope="session")
 def log(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """A log of a rigid axis under a P-P law, kp 60, kv 500; its truth is TRUTH."""
-    loop = ClosedLoop(RigidJoint(), Cascade(kp=60.0, kv=500.0))
+    """A log of a rigid axis under a P-P law, position_gain 60, velocity_gain 500; its truth is TRUTH."""
+    loop = ClosedLoop(RigidJoint(), Cascade(position_gain=60.0, velocity_gain=500.0))
     reference = trapezoids([0.1, 0.3], 2.0, 0.2, 1e-3, 0.1, 8.0)
     record = simulated_record(loop, reference, TRUTH, sample_time=1e-3, encoder_step=1e-7)
     path = tmp_path_factory.mktemp("log") / "log.csv"
     write(record, path)
     return path.read_bytes()
+
+
+@pytest.fixture
+def served(folder: Path, limits: Limits, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
+    """The page on a port of this machine."""
+    servers: list[uvicorn.Server] = []
+    begin = uvicorn.Server.run
+
+    def begin_and_note(server: uvicorn.Server, sockets: list[socket.socket]) -> None:
+        servers.append(server)
+        begin(server, sockets)
+
+    monkeypatch.setattr(uvicorn.Server, "run", begin_and_note)
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        thread = threading.Thread(target=serving.run, args=(build_application(folder, TOKEN, limits=limits), listening))
+        thread.start()
+        made = Served(listening.getsockname()[1])
+        assert made.ask("GET", "/")[0] == 200  # it has begun
+        yield made
+        servers[0].should_exit = True
+        thread.join(WAIT)
+        assert not thread.is_alive()

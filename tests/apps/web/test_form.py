@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from jointid.apps.web.fields import EXTRA_LAW, FIELDS, JOINT_STEP, LAWS, LEARN, NAMES, WITHOUT
+from jointid.apps.web.fields import CHANNEL_STEP, EXTRA_LAW, FIELDS, JOINT_STEP, LAWS, LEARN, NAMES, WITHOUT
 from jointid.apps.web.form import (
     clean_entries,
     make_order,
@@ -16,24 +17,33 @@ from jointid.apps.web.form import (
     make_tables,
     place_faults,
     read_joint_file,
+    require_answers,
+    with_units,
 )
-from jointid.apps.web.preview import build_preview, draw_svg, guess_roles
+from jointid.apps.web.guesses import guess_draft, guess_roles
+from jointid.apps.web.pages import find_fields
+from jointid.apps.web.preview import build_preview, draw_svg
 from jointid.common.errors import JointFileError
 from jointid.config import json_schema, load, loads
+from jointid.models.controllers import FILTERS, Cascade, FirstOrder, MovingAverage
 from jointid.paper.twin import JOINT_FILE
 from jointid.records.formats import Table
 
 ROOT = Path(__file__).resolve().parents[3]
 EXAMPLES = sorted((ROOT / "examples").glob("*/*.toml"))
 FILLED = {
+    "joint.kind": "prismatic",
     "record.channels.torque.column": "i",
     "record.channels.torque.unit@prismatic": "N",
     "record.channels.torque.unit@revolute": "N m",
     "record.channels.reference.column": "x",
     "controller.law": "cascade",
-    "controller.kp": "60",
-    "controller.kv": "500",
+    "controller.position_gain": "60",
+    "controller.velocity_gain": "500",
 }
+NUMERATOR = "controller.velocity_filter.numerator"
+TAPS = {"controller.velocity_filter.kind": "digital"}
+LAG = "controller.torque_filters.0.kind"
 MOTOR = {"record.channels.motor_position.column": "q"}
 
 
@@ -60,6 +70,12 @@ def test_every_field_is_a_key_of_the_joint_file_with_its_words() -> None:
         laws = one.when.get("controller.law", LAWS)
         for law in set(laws) & set(LAWS):
             known = keys(schema, schema, law)
+            if "_filter" in one.key:
+                path, _, setting = one.key.rpartition(".")
+                assert path in ("controller.velocity_filter", "controller.torque_filters.0")
+                kind = one.when.get(f"{path}.kind", ("digital",))[0]
+                assert setting == "kind" or setting in {each.name for each in dataclasses.fields(FILTERS[kind])}
+                continue
             if one.key == "controller.law":
                 assert {word for word, _ in one.choices} == {"", *LAWS, LEARN, WITHOUT, EXTRA_LAW}
                 continue
@@ -71,55 +87,64 @@ def test_every_field_is_a_key_of_the_joint_file_with_its_words() -> None:
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: f"{path.parent.name}-{path.stem}")
 def test_a_joint_file_comes_through_the_form_unchanged(path: Path) -> None:
     file = load(path)
-    again = loads(make_order(read_joint_file(path.read_text(encoding="utf-8")), file.source.file or "record.csv").text)
+    again = loads(make_order(read_joint_file(path.read_text(encoding="utf-8")), file.source.file or "record.csv")[0])
     assert again == file if file.source.file else again.tables()["joint"] == file.tables()["joint"]
 
 
 def test_the_twin_comes_through_without_further_lines_but_what_has_no_field() -> None:
     draft = read_joint_file(JOINT_FILE)
-    assert draft["controller.velocity_filter"] == "0.5, 0.5"
+    assert draft["controller.velocity_filter.kind"] == "digital"
+    assert draft[NUMERATOR] == "0.5, 0.5"
     assert draft["method.frequency"] == "30.0"
-    assert "kp" not in draft["extra"]
+    assert "position_gain" not in draft["extra"]
     assert "optional" in draft["extra"]
 
 
 def test_what_is_filled_in_is_what_is_written() -> None:
-    file = loads(
-        make_order({**FILLED, "controller.limit": "10", "extra": "[parameters]\ncoulomb = 20.0"}, "a.csv").text
-    )
+    file = loads(make_order({**FILLED, "controller.limit": "10", "extra": "[parameters]\ncoulomb = 20.0"}, "a.csv")[0])
     assert file.source.file == "a.csv"
     assert file.controller is not None
     assert file.controller.limit == 10.0
     assert file.parameters["coulomb"].start == 20.0
     assert file.columns["torque"].unit == "N"
-    revolute = loads(make_order({**FILLED, "joint.kind": "revolute"}, "a.csv").text)
+    revolute = loads(make_order({**FILLED, "joint.kind": "revolute"}, "a.csv")[0])
     assert revolute.columns["torque"].unit == "N m"
 
 
 @pytest.mark.parametrize(
     ("changes", "name", "said"),
     [
-        ({"controller.kp": "-1"}, "controller.kp", "Position gain kp is -1"),
-        ({"controller.kp": "fast"}, "controller.kp", 'is "fast"; expected a number'),
-        ({"controller.kp": "1,5"}, "controller.kp", 'is "1,5"; expected a number with a decimal point: write 1.5.'),
-        ({"controller.kp": "-1,5e-3"}, "controller.kp", "write -1.5e-3."),
-        ({"controller.kp": "1,234,567"}, "controller.kp", "expected a number in plain digits"),
-        ({"controller.kp": "1_0"}, "controller.kp", 'is "1_0"; expected a number in plain digits'),
+        ({"controller.position_gain": "-1"}, "controller.position_gain", "Position gain Kv is -1"),
+        ({"controller.position_gain": "fast"}, "controller.position_gain", 'is "fast"; expected a number'),
+        ({"controller.position_gain": "-1,5e-3"}, "controller.position_gain", "is -0.0015"),
+        ({"controller.position_gain": "1.234,5"}, "controller.position_gain", "expected a number in plain digits"),
+        ({"controller.position_gain": "5 rad"}, "controller.position_gain", "expected a number in plain digits"),
+        ({"controller.delay": "5 rad"}, "controller.delay", "expected a number in plain digits"),
+        ({"controller.integral_time": "0"}, "controller.integral_time", "Integral time Tn is"),
+        ({"controller.position_gain": "1,234,567"}, "controller.position_gain", "expected a number in plain digits"),
+        (
+            {"controller.position_gain": "1_0"},
+            "controller.position_gain",
+            'is "1_0"; expected a number in plain digits',
+        ),
         ({"controller.gain": "\u0663"}, "controller.gain", "expected a number in plain digits"),
         ({"controller.law": LEARN, "controller.gain": "1_0", **MOTOR}, "controller.gain", "in plain digits"),
-        ({"controller.kp": "nan"}, "controller.kp", "expected a number"),
-        ({"controller.kv": ""}, "controller.kv", "Velocity gain kv is missing"),
+        ({"controller.position_gain": "nan"}, "controller.position_gain", "expected a number"),
+        ({"controller.velocity_gain": ""}, "controller.velocity_gain", "Velocity gain Kp is missing"),
         ({"controller.law": ""}, "controller.law", "is not chosen"),
         ({"controller.law": LEARN}, "controller.law", "no motor_position"),
         ({"controller.law": "made up"}, "controller.law", ""),
-        ({"controller.law": "pd"}, "controller.kd", "is missing"),
+        ({"controller.law": "pd", "controller.position_gain@pd": "3"}, "controller.derivative_gain", "is missing"),
         ({"joint.friction": "none"}, "joint.friction", 'Friction "none" cannot'),
-        ({"controller.velocity_filter": "0.5; x"}, "controller.velocity_filter", "in plain digits"),
-        ({"controller.velocity_filter": "0,5; 0,5"}, "controller.velocity_filter", "write 0.5."),
+        ({**TAPS, NUMERATOR: "0.5; x"}, NUMERATOR, "in plain digits"),
+        ({**TAPS, NUMERATOR: "0,5"}, NUMERATOR, 'is "0,5", which is one number or two; write 0.5 or 0; 5.'),
+        ({**TAPS, NUMERATOR: ""}, "controller.velocity_filter.numerator", "is missing"),
+        ({LAG: "first_order"}, "controller.torque_filters.0.time_constant", "is missing"),
+        ({"joint.kind": ""}, "joint.kind", "is not chosen"),
         ({"extra": "[parameters"}, "extra", "is not TOML"),
         ({"extra": '[[records]]\nfile = "/etc/passwd"'}, "extra", "says [[records]], and this page identifies one"),
         ({"extra": "[together]"}, "extra", "use jointid identify for several records"),
-        ({"extra": "[controller]\nkp = 3.0"}, "controller.kp", "further lines and in its field"),
+        ({"extra": "[controller]\nposition_gain = 3.0"}, "controller.position_gain", "further lines and in its field"),
     ],
 )
 def test_a_fault_stands_beside_its_field(changes: dict[str, str], name: str, said: str) -> None:
@@ -127,14 +152,14 @@ def test_a_fault_stands_beside_its_field(changes: dict[str, str], name: str, sai
     with pytest.raises(JointFileError) as refused:
         make_order(draft, "a.csv")
     faults = place_faults(refused.value, draft, {"extra", *(one.name for one in JOINT_STEP)})
-    beside = [*faults.beside.get(name, []), *(faults.general if name == "controller.law" else ())]
+    beside = [*faults.beside.get(name, []), *(faults.general if name in ("controller.law", "joint.kind") else ())]
     assert any(said in sentence for sentence in beside), faults
 
 
-@pytest.mark.parametrize("text", ["12", "-0.5", "+3.", ".5", "1e-3", "2.5E6", " 7 "])
+@pytest.mark.parametrize("text", ["12", "-0.5", "+3.", ".5", "1e-3", "2.5E6", " 7 ", "1,5", ",5", "-3,25e2"])
 def test_plain_numbers_are_read(text: str) -> None:
     draft = {**FILLED, "record.channels.torque.gain": text}
-    assert make_tables(draft, "a.csv")["record"]["channels"]["torque"]["gain"] == float(text)
+    assert make_tables(draft, "a.csv")["record"]["channels"]["torque"]["gain"] == float(text.replace(",", "."))
 
 
 @pytest.mark.parametrize("said", ["[[records]]\nfile = '/etc/passwd'", "[together]", "[record]\nfile = '/etc/passwd'"])
@@ -151,11 +176,11 @@ def test_no_lines_lead_to_another_file(said: str) -> None:
 
 def test_a_draft_holds_what_the_form_has_and_no_more() -> None:
     draft = clean_entries(
-        [("controller.kp", "1\x00\x1b[2J" + "9" * 1000), ("__class__", "x"), ("record.file", "/etc/passwd")]
+        [("controller.position_gain", "1\x00\x1b[2J" + "9" * 1000), ("__class__", "x"), ("record.file", "/etc/passwd")]
     )
-    assert set(draft) == {"controller.kp"}
-    assert len(draft["controller.kp"]) == 300
-    assert draft["controller.kp"].isprintable()
+    assert set(draft) == {"controller.position_gain"}
+    assert len(draft["controller.position_gain"]) == 300
+    assert draft["controller.position_gain"].isprintable()
     assert "record.file" not in NAMES
 
 
@@ -176,6 +201,163 @@ def test_roles_are_guessed_by_names(columns: list[str], roles: dict[str, str]) -
     assert {role: found.get(role) for role in roles} == roles
     assert not (roles == {} and found)
     assert len(set(found.values())) == len(found)
+
+
+@pytest.mark.parametrize(
+    ("columns", "torque", "unit", "kind", "reference"),
+    [
+        (["t", "Torque [N m]", "pos_ref [rad]"], "Torque [N m]", "N m", "revolute", "pos_ref [rad]"),
+        (["t", "F [N]", "x_soll [mm]", "x_ist [mm]"], "F [N]", "N", "prismatic", "x_soll [mm]"),
+        (["t_ms", "iq_act", "pos_set_deg", "pos_act_deg"], "iq_act", None, "revolute", "pos_set_deg"),
+        (["t", "I [A]", "phi_ref [°]", "phi_m [°]"], "I [A]", "A", "revolute", "phi_ref [°]"),
+        (["Zeit", "Istw", "qref"], "Istw", None, None, "qref"),
+        (["t", "Actual torque", "SetPos", "ActPos"], "Actual torque", None, None, "SetPos"),
+        (["t", "TorqueActual_Nm", "CommandPosition_deg"], "TorqueActual_Nm", "Nm", "revolute", "CommandPosition_deg"),
+        (
+            ["t", "Momentensollwert [Nm]", "Momentenistwert [Nm]", "Lagesollwert [mm]", "Lageistwert [mm]"],
+            "Momentensollwert [Nm]",
+            "Nm",
+            None,  # a torque and a travel: a screw
+            "Lagesollwert [mm]",
+        ),
+        (["t", "Torque limit", "Torque actual", "Set position", "Position error"], "Torque actual", None, None,
+         "Set position"),
+        (["t", "trq_a", "trq_b"], None, None, None, None),
+    ],
+)  # fmt: skip
+def test_the_torque_is_recognised_by_unit_and_usual_names(
+    columns: list[str], torque: str | None, unit: str | None, kind: str | None, reference: str | None
+) -> None:
+    draft = guess_draft(columns)
+    assert draft.get("record.channels.torque.column") == torque
+    assert draft.get("record.channels.reference.column") == reference
+    assert draft.get("joint.kind") == kind
+    assert draft.get(f"record.channels.torque.unit@{kind or 'revolute'}") == unit
+
+
+def test_a_record_in_ampere_is_read_with_the_torque_constant() -> None:
+    tables = make_reading_tables({**FILLED, "joint.torque_constant": "0,5"}, "a.csv")
+    assert tables["joint"] == {"kind": "prismatic", "torque_constant": 0.5}
+
+
+def test_with_a_torque_constant_no_torque_per_controller_unit_is_asked() -> None:
+    (gain,) = [one for one in FIELDS if one.key == "controller.gain"]
+    assert gain.applies(FILLED)
+    assert not gain.applies(FILLED | {"joint.torque_constant": "0.5"})
+
+
+def test_axis_and_units_are_asked_where_nothing_says_them() -> None:
+    draft = {"record.channels.torque.column": "i", "record.channels.reference.column": "x"}
+    with pytest.raises(JointFileError, match=r"^joint.kind is not chosen; say whether it turns"):
+        require_answers(draft)
+    turning = draft | {"joint.kind": "revolute", "record.channels.torque.unit@revolute": "A"}
+    with pytest.raises(JointFileError) as refused:
+        require_answers(turning)
+    faults = place_faults(refused.value, turning, {one.name for one in CHANNEL_STEP})
+    assert list(faults.beside) == ["record.channels.reference.unit@revolute"]
+    require_answers(turning | {"record.channels.reference.unit@revolute": "deg"})
+    require_answers(turning | {"extra": '[drive]\nprofile = "cia402"'})
+
+
+def test_a_joint_file_without_units_says_them_on_the_page() -> None:
+    text = """
+    [joint]
+    kind = "revolute"
+    [record.channels]
+    torque = {column = "iq [A]"}
+    reference = {column = "phi [deg]", gain = 0.017}
+    """
+    draft = with_units(read_joint_file(text))
+    assert draft["record.channels.torque.unit@revolute"] == "A"
+    assert draft["record.channels.reference.unit@revolute"] == "rad"  # the gain leads from deg to there
+    require_answers(draft)
+    own = read_joint_file(text.replace('"iq [A]"', '"iq", unit = "of its own"'))
+    assert "record.channels.torque.unit@revolute" not in with_units(own)  # the further lines say it
+
+
+def test_filters_times_and_units_are_entered_as_drives_show_them() -> None:
+    lag, mean = "controller.velocity_filter", "controller.torque_filters.0"
+    draft = {
+        **FILLED,
+        f"{lag}.kind": "first_order",
+        f"{lag}.time_constant": "0,8 ms",
+        f"{mean}.kind": "moving_average",
+        f"{mean}.samples": "2",
+        "controller.integral_time": "8 ms",
+        "controller.delay": "500 us",
+    }
+    file = loads(make_order(draft, "a.csv")[0])
+    law = file.controller
+    assert isinstance(law, Cascade)
+    assert law.velocity_filter == FirstOrder(8e-4)
+    assert law.torque_filters == (MovingAverage(2),)
+    assert (law.integral_gain, law.delay) == (125.0, pytest.approx(5e-4))
+    again = read_joint_file(make_order(draft, "a.csv")[0])
+    assert (again[f"{lag}.kind"], again[f"{mean}.kind"], again["controller.integral_time"]) == (
+        "first_order",
+        "moving_average",
+        "0.008",
+    )
+    assert "filter" not in again["extra"]
+
+
+def test_a_joint_file_fills_its_times_and_sides_into_their_fields() -> None:
+    sides = {f"record.channels.{name}.side": "load" for name in ("torque", "reference")} | {"controller.side": "load"}
+    text = """
+    [joint]
+    kind = "revolute"
+    [record.channels]
+    torque = {column = "i", unit = "A", side = "load"}
+    reference = {column = "x", side = "load"}
+    [transmission]
+    ratio = 50
+    side = "motor"
+    [controller]
+    law = "cascade"
+    side = "load"
+    position_gain = "35 1/s"
+    velocity_gain = "0.25 A s/rad"
+    integral_time = "20 ms"
+    """
+    draft = read_joint_file(text)
+    assert draft["extra"] == ""
+    assert draft.items() >= (sides | {"transmission.side": "motor", "controller.integral_time": "20 ms"}).items()
+    plain = text.replace('integral_time = "20 ms"', "integral_gain = 50")
+    assert read_joint_file(plain).items() >= {"extra": "", "controller.integral_time": "0.02"}.items()
+
+
+@pytest.mark.parametrize("lines", ['velocity_filter = {kind = "notch", frequency = 90.0, bandwidth = 20.0}',
+    'torque_filters = [{kind = "first_order", time_constant = 1e-3}, [0.5, 0.5]]',
+    "velocity_filter = {numerator = [0.2], denominator = [1.0, -0.8]}", "integral_gain = 49.0"])  # fmt: skip
+def test_what_the_fields_cannot_say_of_a_controller_stands_in_the_further_lines(lines: str) -> None:
+    text = f"""
+    [joint]
+    kind = "prismatic"
+    [record]
+    file = "a.csv"
+    channels = {{torque = {{column = "i"}}, reference = {{column = "x"}}}}
+    [controller]
+    law = "cascade"
+    position_gain = 60.0
+    velocity_gain = 500.0
+    {lines}
+    """
+    assert loads(make_order(read_joint_file(text), "a.csv")[0]) == loads(text)
+
+
+@pytest.mark.parametrize("gain", ["inf", "1e-320", "true", '50.0\nintegral_time = "3 ms"'])
+def test_an_integral_gain_that_is_no_time_is_left_as_it_is(gain: str) -> None:
+    text = f'[controller]\nlaw = "cascade"\nintegral_gain = {gain}\n'
+    draft = read_joint_file(text)
+    assert "integral_gain" in draft["extra"]
+    assert draft.get("controller.integral_time", "3 ms") == "3 ms"
+
+
+def test_a_sentence_leads_to_the_fields_that_it_names() -> None:
+    found = find_fields("The torque is in A; give joint.torque_constant, or correct velocity_gain.")
+    assert [one["path"] for one in found] == ["/channels#joint-torque_constant", "/joint#controller-velocity_gain"]
+    assert [one["label"] for one in found] == ["Torque constant", "Velocity gain Kp"]
+    assert find_fields("The limit of the torque is reached at a time.") == []
 
 
 def test_a_preview_is_small_and_has_the_peaks() -> None:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
+from collections.abc import MutableMapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -115,6 +118,20 @@ def test_a_place_in_the_progress_that_is_no_number_is_the_beginning(
     client: TestClient, asker: Asker, last: str
 ) -> None:
     (asker.folder.path / "log.csv").write_text("t\n", encoding="utf-8")
-    asker.folder.new_run("log.csv", "log.csv").update(state="done")
+    asker.folder.new_run("log.csv", "log.csv", "", learn=False).update(state="done")
     answer = client.get("/runs/1/events", headers={"last-event-id": last.encode("latin-1")})
     assert "event: end" in answer.text
+
+
+def test_a_request_for_no_path_is_refused(folder: Path) -> None:
+    sent: list[dict[str, Any]] = []
+
+    async def receive() -> dict[str, Any]:
+        return {"type": "http.request", "body": b"", "more_body": False}
+
+    async def send(message: MutableMapping[str, Any]) -> None:
+        sent.append(dict(message))
+
+    scope = {"type": "http", "method": "OPTIONS", "path": "*", "headers": [(b"host", b"127.0.0.1")]}
+    asyncio.run(build_application(folder, TOKEN)(scope, receive, send))
+    assert sent[0]["status"] == 403

@@ -13,7 +13,8 @@ from typing import Any
 
 import pytest
 
-from jointid.apps.cli.app import main
+from jointid.apps.cli import main
+from jointid.uncertainty.verdict import Subject
 from tests.browser import browser_path
 
 pytestmark = pytest.mark.browser
@@ -22,7 +23,13 @@ ARGUMENTS = [
     "--no-sandbox", "--disable-gpu", "--disable-quic", "--disable-background-networking", "--disable-component-update",
     "--disable-sync", "--no-first-run",
 ]  # fmt: skip
-LAW = {"kp": "160.18", "kv": "243.45", "velocity_filter": "0.5, 0.5", "gain": "35.15065188", "limit": "10"}
+LAW = {
+    "position_gain": "160.18",
+    "velocity_gain": "243.45",
+    "velocity_filter.numerator": "0,5; 0,5",
+    "gain": "35,15065188",
+    "limit": "10",
+}
 PATIENCE = 240_000  # ms
 SHOTS = os.environ.get("JOINTID_SHOTS")  # a folder: pictures of each step are left there
 
@@ -74,8 +81,21 @@ class Visit:
         """Nothing is wider than the screen; a picture is left where one is wanted."""
         wide, screen = self.page.evaluate("[document.documentElement.scrollWidth, window.innerWidth]")
         assert wide <= screen, name
+        self.assert_whole()
         if SHOTS:
             self.page.screenshot(path=Path(SHOTS) / f"{self.width}-{name}.png", full_page=True)
+
+    def assert_whole(self) -> None:
+        """No choice is cut off by the width of its field."""
+        cut = self.page.evaluate(
+            """() => [...document.querySelectorAll("select")].filter(one => one.offsetWidth > 0).flatMap(one => {
+                const style = getComputedStyle(one), pen = document.createElement("canvas").getContext("2d");
+                pen.font = style.font;
+                const room = one.clientWidth - parseFloat(style.paddingLeft) - parseFloat(style.paddingRight) - 8;
+                return [...one.options].filter(o => pen.measureText(o.text).width > room).map(o => o.text);
+            })"""
+        )
+        assert cut == []
 
     def on(self, path: str) -> None:
         self.page.wait_for_url(re.compile(re.escape(self.address) + path + r"(\?.*)?$"))
@@ -91,14 +111,24 @@ def upload(visit: Visit, record: Path) -> None:
 
 
 def map_torque(visit: Visit) -> None:
-    visit.field("record.channels.torque.unit@prismatic").select_option("N")
+    visit.field("joint.kind").select_option("prismatic")
+    for channel, unit in {"torque": "N", "reference": "m", "motor_position": "m"}.items():
+        visit.field(f"record.channels.{channel}.unit@prismatic").select_option(unit)
     gain = visit.field("record.channels.torque.gain")
     if not gain.is_visible():
         visit.page.locator("[data-channel] summary").first.click()
-    gain.fill("35.15065188")
+    gain.fill("35,15065188")
+    gain.blur()
 
 
-@pytest.mark.parametrize(("width", "height"), [(1280, 800), (820, 1180)])
+def fill_in_controller(visit: Visit) -> None:
+    visit.field("controller.law").select_option("cascade")
+    visit.field("controller.velocity_filter.kind").select_option("digital")
+    for key, value in LAW.items():
+        visit.field(f"controller.{key}").fill(value)
+
+
+@pytest.mark.parametrize(("width", "height"), [(1280, 800), (390, 844)])
 def test_emps_end_to_end(browser: Any, address: str, emps_path: Path, tmp_path: Path, width: int, height: int) -> None:
     visit = Visit(browser, address, width, height)
     page = visit.page
@@ -118,27 +148,35 @@ def test_emps_end_to_end(browser: Any, address: str, emps_path: Path, tmp_path: 
     assert visit.field("record.channels.torque.gain").input_value() == "35.15065188"
     page.get_by_role("button", name="Check, and go on").click()
     visit.on("joint")
-    visit.field("controller.law").select_option("cascade")
-    for key, value in LAW.items():
-        visit.field(f"controller.{key}").fill(value)
+    fill_in_controller(visit)
     visit.looked_at("3-joint")
     page.get_by_role("button", name="Identify").click()
     visit.on("runs/1")
-    page.wait_for_selector("text=reading the record")
+    page.wait_for_selector(".log li")
     visit.looked_at("4-identify")
     page.reload()
     page.wait_for_selector(".log li")  # the progress again, from its beginning
     page.wait_for_selector("h1:has-text('The answer')", timeout=PATIENCE)
+    page.wait_for_selector("p.trust:not(:has-text('not checked'))", timeout=PATIENCE)  # nor does it wait for its check
+    assert "It is being written" in page.inner_text("[data-run]")  # the answer does not wait for the report
+    assert page.inner_text("p.found") == "Inertia 95.4 ± 1.3\u202fkg."
+    assert "ely on it" in page.inner_text("p.trust")
+    assert page.locator(".checks li").count() == len(Subject) - 1  # a rigid joint has no stiffness to judge
     table = page.inner_text("table")
-    assert re.search(r"inertia\s+94\.90", table)
-    assert re.search(r"coulomb\s+20\.1", table)
+    assert re.search(r"inertia ZZ\s+95\.4 ± 1\.3\skg", table)
+    assert re.search(r"coulomb Fc\s+19\.9", table)
+    visit.looked_at("5-answer")
+    page.evaluate("window.stayed = true")
+    page.wait_for_selector("[data-report]:not([hidden])", timeout=PATIENCE)
+    assert page.evaluate("window.stayed")  # it came without the page being loaded anew
+    page.get_by_text("Read it here").click()
     frame = page.frame_locator("iframe")
     frame.get_by_role("heading", level=1).wait_for(timeout=PATIENCE)
-    visit.looked_at("5-report")
+    visit.looked_at("6-report")
     page.locator("iframe").evaluate("frame => frame.scrollIntoView()")
-    frame.get_by_role("heading", name="Verdicts").wait_for()
+    frame.get_by_role("heading", level=2).first.wait_for()
     if SHOTS:
-        page.screenshot(path=Path(SHOTS) / f"{width}-6-frame.png")
+        page.screenshot(path=Path(SHOTS) / f"{width}-7-frame.png")
     with page.expect_download() as downloading:
         page.get_by_role("link", name="Joint file").click()
     joint = tmp_path / "joint.toml"
@@ -195,14 +233,14 @@ def test_by_keyboard_alone(browser: Any, address: str) -> None:
     tab_to(visit, '[name="joint.model"]')
     keys.press("Home")  # rigid: its frequency no longer counts
     assert visit.field("joint.model").input_value() == "rigid"
-    tab_to(visit, '[name="controller.kp"]')
+    tab_to(visit, '[name="controller.position_gain"]')
     keys.press("Control+A")
     keys.type("fast")
     tab_to(visit, 'form[action$="/joint"] button.primary')
     keys.press("Enter")
     page.wait_for_selector(".fault:visible")
-    assert page.evaluate("document.activeElement.name") == "controller.kp"  # the focus is at the fault
-    assert 'is "fast"; expected a number' in page.inner_text("#controller-kp-wrong")
+    page.wait_for_selector("[name='controller.position_gain']:focus")  # the focus is at the fault
+    assert 'is "fast"; expected a number' in page.inner_text("#controller-position_gain-wrong")
     keys.press("Control+A")
     keys.type("160.18")
     tab_to(visit, 'form[action$="/joint"] button.primary')
@@ -219,8 +257,8 @@ def test_every_field_has_a_name_for_those_who_do_not_see(browser: Any, address: 
     for path in ("", "channels", "joint"):
         visit.page.goto(address + path)
         nameless = visit.page.evaluate(
-            "[...document.querySelectorAll('input, select, textarea, progress, iframe')].filter(one => "
-            "!(one.labels?.length || one.ariaLabel || one.title)).map(one => one.outerHTML)"
+            "[...document.querySelectorAll('input:not([type=hidden]), select, textarea, progress, iframe')]"
+            ".filter(one => !(one.labels?.length || one.ariaLabel || one.title)).map(one => one.outerHTML)"
         )
         assert nameless == []
         doubled = visit.page.evaluate(
@@ -229,6 +267,37 @@ def test_every_field_has_a_name_for_those_who_do_not_see(browser: Any, address: 
         )
         assert doubled == []
         assert visit.page.evaluate("document.querySelectorAll('h1').length") == 1
+
+
+def test_a_field_that_a_message_names_is_opened_and_marked(browser: Any, address: str, emps_path: Path) -> None:
+    visit = Visit(browser, address)
+    page = visit.page
+    upload(visit, emps_path)
+    page.get_by_role("button", name="Check, and go on").click()
+    page.wait_for_selector(".fault:visible")
+    page.wait_for_selector("[name='joint.kind']:focus")  # nothing in the names says how it moves
+    map_torque(visit)
+    visit.field("record.channels.torque.gain").fill("much")
+    page.locator("[data-channel] summary").first.click()  # folded again: the fault opens it
+    page.get_by_role("button", name="Check, and go on").click()
+    page.wait_for_selector(".fault:visible")
+    page.wait_for_selector("[name='record.channels.torque.gain']:focus")
+    visit.field("record.channels.torque.gain").fill("")
+    assert not visit.field("joint.torque_constant").is_visible()
+    visit.field("record.channels.torque.unit@prismatic").select_option("A")
+    assert visit.field("joint.torque_constant").is_visible()  # ampere are the drive's own
+    page.goto(f"{address}channels#record-channels-load_position-column")
+    page.reload()
+    page.wait_for_selector("[name='record.channels.load_position.column']:focus")
+    assert page.locator(".field.named").count() == 1
+
+
+def test_a_decimal_comma_is_shown_as_it_is_read(browser: Any, address: str, emps_path: Path) -> None:
+    visit = Visit(browser, address)
+    upload(visit, emps_path)
+    visit.field("record.sample_time").fill("0,5 ms")
+    visit.field("record.sample_time").blur()
+    assert visit.field("record.sample_time").input_value() == "0.5 ms"
 
 
 def test_a_file_that_is_dropped_is_read(browser: Any, address: str) -> None:

@@ -17,11 +17,11 @@ from typing import Any
 
 import pytest
 
-from jointid.apps.cli.app import main
+from jointid.apps.cli import main
 from jointid.apps.web.application import build_application
 from jointid.apps.web.folder import Limits, write_json
 from jointid.config import loads
-from tests.apps.web.asking import ADDRESS, LAW, TOKEN, Asker, ended, running
+from tests.apps.web.asking import ADDRESS, LAW, TOKEN, UNITS, Asker, ended, running
 from tests.apps.web.conftest import TRUTH
 from tests.apps.web.testclient import TestClient
 
@@ -79,6 +79,25 @@ def test_from_a_log_to_files_that_repeat_the_answer(
         assert again["record"] == answer["record"]
 
 
+def test_the_answer_is_there_before_its_report_which_gives_way(asker: Asker, log: bytes) -> None:
+    run = asker.identify(log)
+    running(run, "writing the report")
+    assert run.active
+    assert not run.has("report.html")
+    page = asker.get(f"/runs/{run.number}")
+    assert re.search(r"<p class=\"found\">Inertia [45]\.\d+ ± \S+\skg", page)
+    assert "It is being written" in page
+    assert "hidden>" in page[page.index("data-report") :][:40]
+    names = zipfile.ZipFile(io.BytesIO(asker.client.get(f"/runs/{run.number}/all.zip").content)).namelist()
+    assert "report.html" not in names
+    following = asker.client.post("/joint", data=LAW, follow_redirects=False)
+    assert following.headers["location"].endswith(f"/runs/{run.number + 1}")
+    assert run.status["state"] == "cancelled"
+    page = asker.get(f"/runs/{run.number}")
+    assert "The answer" in page
+    assert "Another identification was started before its report was written" in page
+
+
 def test_the_report_is_shown_in_a_sandbox(client: TestClient, asker: Asker, log: bytes) -> None:
     run = asker.identify(log)
     assert ended(run) == "done", run.status
@@ -94,6 +113,7 @@ def test_the_report_is_shown_in_a_sandbox(client: TestClient, asker: Asker, log:
     assert kept.content == answer.content
     events = client.get(f"/runs/{run.number}/events").text
     assert 'data: "identifying"' in events
+    assert "event: answer" in events
     assert events.rstrip().endswith('event: end\ndata: "done"')
     later = client.get(f"/runs/{run.number}/events", headers={"last-event-id": "0"}).text
     assert "id: 0\n" not in later
@@ -186,7 +206,11 @@ def test_a_page_that_is_started_again_finds_everything_under_its_new_token(folde
 
 def test_two_tabs_take_turns(asker: Asker, log: bytes) -> None:
     asker.send("log.csv", log)
-    tabs = [lambda: asker.send("one.csv", log), lambda: asker.send("two.csv", log), lambda: asker.post("/channels")]
+    tabs = [
+        lambda: asker.send("one.csv", log),
+        lambda: asker.send("two.csv", log),
+        lambda: asker.post("/channels", UNITS),
+    ]
     with ThreadPoolExecutor() as pool:
         codes = [each.result()[0] for each in [pool.submit(tab) for tab in tabs]]
     assert codes == [200, 200, 200]
@@ -197,9 +221,9 @@ def test_a_record_that_takes_too_much_memory_is_refused_in_a_sentence(folder: Pa
     small = build_application(folder, TOKEN, limits=Limits(memory=200 * 2**20))
     with TestClient(small, base_url=ADDRESS) as client:
         asker = Asker(client)
-        assert "too large for the memory" in asker.said("long.csv", b"1,2\n" * 1_000_000)
+        assert "of memory that reading a file may take" in asker.said("long.csv", b"1,2\n" * 1_000_000)
         assert asker.send("log.csv", log)[0] == 200
         asker.post("/draft", {"extra": '[record]\nresample = {method = "linear", sample_time = 1e-6}'})
-        code, said = asker.post("/channels", {"record.channels.torque.unit@prismatic": "N"})
+        code, said = asker.post("/channels", UNITS)
         assert code == 422
         assert "jointid identify --window" in said

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from jointid.apps.cli import serve
-from jointid.apps.cli.app import main
+from jointid.apps.cli import main, serve
 
 
 def served(*words: object) -> int:

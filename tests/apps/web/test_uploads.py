@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import io
+import os
 import pickle
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,10 +13,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from python_multipart.exceptions import FormParserError
+from starlette.requests import Request
 
-from jointid.apps.web.folder import Limits, name_in_run
-from jointid.apps.web.requests import clean_name
-from tests.apps.web.asking import Asker
+from jointid.apps.web.application import build_application
+from jointid.apps.web.folder import Limits, name_in_run, read_json, write_json
+from jointid.apps.web.pages import clean_name
+from jointid.common.errors import RecordError
+from tests.apps.web.asking import ADDRESS, LAW, TOKEN, UNITS, Asker
 from tests.apps.web.testclient import TestClient
 
 HOSTILE = '../../<img src=x onerror=alert(1)>".csv'
@@ -49,11 +55,12 @@ def test_what_is_left_of_a_name(raw: str, name: str) -> None:
 def test_a_record_is_kept_under_our_name_and_shown_under_its_own(asker: Asker, log: bytes, folder: Path) -> None:
     code, page = asker.send(HOSTILE, log)
     assert code == 200
+    (own,) = folder.glob("upload-*.csv")
     assert asker.kept == {
-        "record.csv",
+        own.name,
         "record.json",
-        "preview.json",
-        "draft.json",
+        f"{own.name}.preview.json",
+        f"{own.name}.draft.json",
         "work.json",
         "log.txt",
         "progress.txt",
@@ -110,6 +117,19 @@ def test_a_size_that_nobody_announced_is_stopped_at_the_bound(client: TestClient
     assert not asker.kept
 
 
+def test_a_damaged_form_is_a_sentence_with_any_starlette(client: TestClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its older versions pass on what their parser says."""
+    damaged = {"content": b"--y\r\n", "headers": {"content-type": "multipart/form-data; boundary=x"}}
+    assert client.post("/draft", **damaged).status_code == 422  # type: ignore[arg-type]
+
+    def old(*_: object, **__: object) -> None:
+        raise FormParserError
+
+    monkeypatch.setattr(Request, "form", old)
+    answer = client.post("/draft", **damaged)  # type: ignore[arg-type]
+    assert (answer.status_code, "did not arrive whole" in answer.text) == (422, True)
+
+
 @pytest.mark.parametrize("name", ["run.exe", "run.csv.html", "run", "run.pkl", "run.svg"])
 def test_only_formats_that_are_read_are_taken(asker: Asker, log: bytes, name: str) -> None:
     assert ("has the suffix" if "." in name else "has no suffix") in asker.said(name, log)
@@ -137,8 +157,7 @@ def test_nothing_in_a_file_is_executed(asker: Asker) -> None:
     np.save(objects, np.array([Boom()], dtype=object), allow_pickle=True)
     assert "executed" not in asker.said("a.npy", objects.getvalue())
     assert "executed" not in asker.said("a.mat", pickle.dumps(Boom()))
-    assert "record.npy" not in asker.kept
-    assert "record.mat" not in asker.kept
+    assert not any(name.endswith((".npy", ".mat")) for name in asker.kept)
 
 
 @pytest.mark.parametrize(
@@ -160,6 +179,13 @@ def test_damaged_forms_are_refused_in_a_sentence(client: TestClient, body: bytes
     assert said in answer.text
 
 
+@pytest.mark.parametrize("path", ["/record", "/again", "/channels", "/joint", "/jointfile", "/draft"])
+def test_so_is_one_at_any_step_of_a_page_without_a_record(client: TestClient, path: str) -> None:
+    answer = client.post(path, content=b"rubbish", headers={"content-type": "multipart/form-data; boundary=x"})
+    assert answer.status_code == 422
+    assert "did not arrive whole" in answer.text
+
+
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # Starlette leaves its spool open
 def test_a_file_that_is_cut_off_leaves_nothing(client: TestClient, asker: Asker) -> None:
     body = b'--x\r\nContent-Disposition: form-data; name="file"; filename="a.csv"\r\n\r\n1,2\n3,4\n'
@@ -177,7 +203,76 @@ def test_a_text_file_can_be_read_in_another_way(asker: Asker) -> None:
 
 def test_a_joint_file_fills_in_the_form_and_is_named(asker: Asker, log: bytes) -> None:
     asker.send("log.csv", log)
-    code, text = asker.send("my axis+1.toml", b'[controller]\nlaw = "cascade"\nkp = 61.5\nkv = 500.0\n', "/jointfile")
+    code, text = asker.send(
+        "my axis+1.toml", b'[controller]\nlaw = "cascade"\nposition_gain = 61.5\nvelocity_gain = 500.0\n', "/jointfile"
+    )
     assert code == 200
     assert "Filled in from my axis+1.toml" in text
-    assert asker.folder.draft["controller.kp"] == "61.5"
+    assert asker.folder.draft["controller.position_gain"] == "61.5"
+
+
+@pytest.mark.parametrize("name", ["Achse 3.npy", "Achse 3.mat", "Achse 3.csv"])
+def test_a_refused_file_is_called_what_it_came_as(asker: Asker, name: str, folder: Path) -> None:
+    said = asker.said(name, b"\x93NUMPY rubbish")
+    assert "Achse 3" in said
+    assert "upload" not in said
+    assert "incoming" not in said
+    assert str(folder) not in said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("said", ["law = []", "law = {}", 'law = "pd"\ntorque_filters = 3'])
+def test_a_joint_file_with_values_of_no_sense_is_refused_beside_its_fields(asker: Asker, log: bytes, said: str) -> None:
+    asker.send("log.csv", log)
+    assert asker.send("a.toml", f"[controller]\n{said}".encode(), "/jointfile")[0] == 200
+    asker.post("/draft", UNITS)
+    code, text = asker.post("/joint")
+    assert code == 422
+    assert "has to be mended" in text or 'class="fault"' in text
+
+
+@pytest.mark.parametrize("name", ["joint.kind", "controller.law", "controller.velocity_filter.kind"])
+@pytest.mark.parametrize("path", ["/channels", "/joint", "/again"])
+def test_an_emptied_choice_is_a_sentence(asker: Asker, log: bytes, path: str, name: str) -> None:
+    asker.send("log.csv", log)
+    asker.post("/draft", UNITS | LAW)
+    code, text = asker.post(path, {name: "", "extra": '[joint]\nkind = ""'})
+    assert code == 422 or path == "/again"
+    assert "The page failed" not in text
+
+
+def test_a_joint_file_that_takes_long_holds_up_nobody(folder: Path, log: bytes) -> None:
+    hasty = build_application(folder, TOKEN, limits=Limits(form=0.01))  # less than any process takes to begin
+    with TestClient(hasty, base_url=ADDRESS) as client:
+        asker = Asker(client)
+        asker.send("log.csv", log)
+        asker.post("/draft", UNITS | LAW)
+        for code, text in (asker.send("a.toml", b"[joint]", "/jointfile"), asker.post("/joint")):
+            assert code == 422
+            assert "Reading the joint file took longer than 0.01 s and was stopped" in text
+    assert not [*folder.glob("form-*")]
+
+
+def test_what_was_on_its_way_in_when_the_page_was_killed_is_removed(folder: Path, log: bytes) -> None:
+    (folder / "upload-0123456789ab.csv").write_bytes(log)
+    with TestClient(build_application(folder, TOKEN), base_url=ADDRESS) as client:
+        Asker(client).send("log.csv", log)
+        own = {*folder.glob("upload-*")}
+        assert len(own) == 3  # with its preview and the entries of the form
+    with TestClient(build_application(folder, TOKEN), base_url=ADDRESS):
+        assert {*folder.glob("upload-*")} == own
+
+
+def test_a_full_disk_leaves_what_the_page_knew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, write = tmp_path / "draft.json", Path.write_bytes
+    write_json(path, {"joint.kind": "revolute"})
+
+    def half(self: Path, data: bytes) -> int:
+        write(self, data[: len(data) // 2])
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_bytes", half)
+    with pytest.raises(RecordError, match=r"draft\.json cannot be written \(no space left on device\), and what"):
+        write_json(path, {"joint.kind": "prismatic"})
+    assert read_json(path) == {"joint.kind": "revolute"}
+    assert list(tmp_path.iterdir()) == [path]

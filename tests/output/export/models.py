@@ -55,7 +55,9 @@ def servo(law: ji.Cascade, reference: np.ndarray, period: float, plant: Callable
     torque = np.empty(reference.size)
     for k, wanted in enumerate(reference):
         velocity = float(weights @ -np.diff(seen)) / period
-        torque[k] = law.gain * np.clip(law.kv * (law.kp * (wanted - seen[0]) - velocity), -law.limit, law.limit)
+        torque[k] = law.gain * np.clip(
+            law.velocity_gain * (law.position_gain * (wanted - seen[0]) - velocity), -law.limit, law.limit
+        )
         seen = [plant(float(torque[k])), *seen[:-1]]
     return torque
 

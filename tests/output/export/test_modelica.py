@@ -14,7 +14,7 @@ from tests.geared import FLEXIBLE, LAW, RIGID, TURNED_SCREW
 from tests.output.export.modelica_reader import ModelicaModel
 from tests.output.export.models import apart, model, servo, simulated
 
-REFERENCE = ji.trapezoids((0.042, 0.125), 0.83, 0.05, 1e-3, duration=2.0)
+REFERENCE = ji.excitation.trapezoids((0.042, 0.125), 0.83, 0.05, 1e-3, duration=2.0)
 
 
 def torque_of(
@@ -44,16 +44,17 @@ def test_the_twin_s_torque_is_ours_to_the_last_digits_through_reversals_and_rest
     assert apart(torque_of(ji.FlexibleJoint(), TABLE_2, law, REFERENCE), ours) < 1e-6
 
 
+@pytest.mark.slow
 def test_asymmetric_friction_and_a_link_s_weight_are_told_whole() -> None:
     weight = ji.Gravity("link", ji.Counterbalance(cos=0.2, rate=0.05))
     joint = ji.RigidJoint("revolute", ji.AsymmetricFriction(), gravity=weight)
-    law = ji.Cascade(kp=30.0, kv=2.0)
+    law = ji.Cascade(position_gain=30.0, velocity_gain=2.0)
     values = {
         "inertia": 0.04, "viscous_forwards": 0.05, "coulomb_forwards": 0.1, "viscous_backwards": 0.08,
         "coulomb_backwards": 0.16, "gravity_cos": 0.6, "gravity_sin": -0.2, "offset": 0.0, "counterbalance_cos": 0.2,
         "counterbalance_rate": 0.05,
     }  # fmt: skip
-    reference = ji.trapezoids([0.5, 2.0], 8.0, 1.0, 1e-3, duration=3.0)
+    reference = ji.excitation.trapezoids([0.5, 2.0], 8.0, 1.0, 1e-3, duration=3.0)
     ours = simulated(joint, law, reference, values)
     # Our own simulation holds what gravity is over each period.
     assert apart(torque_of(joint, values, law, reference), ours) < 2e-5
@@ -66,7 +67,7 @@ def test_the_other_side_of_a_screw_that_turns_round_gives_the_same_torque(
     transmission = ji.Transmission(load="prismatic", lead=0.010, sign=-1, side="motor")
     assert transmission.motor_per_load == TURNED_SCREW.motor_per_load
     joint = made("revolute", transmission=transmission)
-    reference = ji.trapezoids([20.0, 60.0], 800.0, 20.0, 1e-3, duration=2.0)
+    reference = ji.excitation.trapezoids([20.0, 60.0], 800.0, 20.0, 1e-3, duration=2.0)
     ours = simulated(joint, LAW, reference, values)
     there = torque_of(joint, values, LAW, reference, "load", TURNED_SCREW.motor_per_load)
     assert apart(there, ours) < 1e-6

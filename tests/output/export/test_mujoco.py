@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.models.joints import Joint, rigid_sums
+from jointid.models.joints import FlexibleJoint, Joint
 from jointid.paper.twin import CONTROLLERS, TABLE_2
 from tests.geared import FLEXIBLE, LAW
 from tests.output.export.models import apart, model, servo, simulated
 
 mujoco = pytest.importorskip("mujoco")
 
-REFERENCE = ji.trapezoids((0.042, 0.083, 0.125), 0.83, 0.2, 1e-3, duration=8.0)
+REFERENCE = ji.excitation.trapezoids((0.042, 0.083, 0.125), 0.83, 0.2, 1e-3, duration=8.0)
 
 
 class Plant:
@@ -82,7 +82,7 @@ def test_without_coulomb_friction_only_the_steps_are_between_us() -> None:
 def test_behind_a_gear_or_a_screw_the_control_is_the_motor_s_own_torque(gear: dict[str, Any], sign: int) -> None:
     transmission = ji.Transmission(**gear, sign=sign, side="motor")
     joint = ji.FlexibleJoint("revolute", transmission=transmission)
-    reference = ji.trapezoids([20.0, 60.0], 800.0, 20.0, 1e-3, duration=3.0)
+    reference = ji.excitation.trapezoids([20.0, 60.0], 800.0, 20.0, 1e-3, duration=3.0)
     ours = simulated(joint, LAW, reference, FLEXIBLE)
     assert apart(mjcf_torque(joint, FLEXIBLE, LAW, reference, timestep=5e-5), ours) < 0.01
     told = ji.export(model(joint, FLEXIBLE), "mjcf").text
@@ -105,8 +105,8 @@ def test_a_link_weighs_what_it_does(ratio: float, sign: int) -> None:
     transmission = ji.Transmission(load="revolute", ratio=ratio, sign=sign, side="motor")
     gravity = ji.Gravity("link", balance, angle=sign / ratio)
     joint = ji.RigidJoint("revolute", gravity=gravity, transmission=transmission)
-    reference = ratio * ji.trapezoids([0.5, 2.0], 8.0, 1.0, 1e-3, duration=4.0)
-    law = ji.Cascade(kp=30.0, kv=2.0)
+    reference = ratio * ji.excitation.trapezoids([0.5, 2.0], 8.0, 1.0, 1e-3, duration=4.0)
+    law = ji.Cascade(position_gain=30.0, velocity_gain=2.0)
     ours = simulated(joint, law, reference, LINK)
     assert apart(mjcf_torque(joint, LINK, law, reference, timestep=1e-4), ours) < 0.003
 
@@ -141,7 +141,7 @@ def test_a_vertical_axis_with_uneven_friction_on_both_sides_loses_nothing_but_st
 
 def test_a_rigid_urdf_gives_our_torque_but_for_what_it_says_it_lost() -> None:
     joint, law = ji.RigidJoint(), CONTROLLERS["L19"]
-    values = rigid_sums(TABLE_2) | {"offset": 0.0}
+    values = FlexibleJoint.rigid_sums(TABLE_2) | {"offset": 0.0}
     exported = ji.export(model(joint, values), "urdf")
     assert not exported.lost
     ours = simulated(joint, law, REFERENCE, values)
@@ -157,7 +157,7 @@ def test_a_rigid_urdf_gives_our_torque_but_for_what_it_says_it_lost() -> None:
 def test_a_urdf_of_a_flexible_joint_is_the_rigid_one_of_its_sums() -> None:
     exported = ji.export(model(ji.FlexibleJoint(), TABLE_2), "urdf")
     found = mujoco.MjModel.from_xml_string(exported.text)
-    sums = rigid_sums(TABLE_2)
+    sums = FlexibleJoint.rigid_sums(TABLE_2)
     assert found.nv == 1
     assert found.body_mass[1] == pytest.approx(sums["inertia"], rel=1e-12)
     assert found.dof_damping[0] == pytest.approx(sums["viscous"], rel=1e-12)

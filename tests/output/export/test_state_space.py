@@ -17,7 +17,7 @@ from jointid.models.joints import Joint
 from jointid.output.export.joint_model import joint_model
 from jointid.paper.twin import CONTROLLERS, TABLE_2
 from jointid.records.record import Timing
-from jointid.simulation.open_loop import simulate_open_loop
+from jointid.simulation.prescribed import simulate_open_loop
 from tests.output.export.models import answer, apart, model, servo, simulated
 
 T = 1e-3
@@ -63,7 +63,7 @@ def test_python_control_closes_the_loop_with_our_torque(made: str) -> None:
     else:
         sampled = json.loads(ji.export(told, "state-space").text)["sampled"]
         system = control.ss(*(sampled[letter] for letter in "ABCD"), sampled["period"])
-    law, reference = CONTROLLERS["L19"], ji.trapezoids((0.042, 0.125), 0.83, 0.1, T, duration=3.0)
+    law, reference = CONTROLLERS["L19"], ji.excitation.trapezoids((0.042, 0.125), 0.83, 0.1, T, duration=3.0)
     state = np.array([reference[0], 0.0, reference[0], 0.0])
 
     def plant(torque: float) -> float:
@@ -75,7 +75,7 @@ def test_python_control_closes_the_loop_with_our_torque(made: str) -> None:
 
 
 def test_its_poles_are_the_joint_s() -> None:
-    free = ji.frequencies(TABLE_2)
+    free = ji.FlexibleJoint.frequencies(TABLE_2)
     poles = np.linalg.eigvals(ji.state_space(model(JOINT, TABLE_2)).A)
     assert max(abs(poles)) / (2 * np.pi) == pytest.approx(free["free_free"], rel=1e-3)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import jointid as ji
-from jointid.output.report.report import Report, report_file
+from jointid.output.report import Report
 
 EVIL = "<script>document.title='x'</script></script><!--[a](javascript:x)|"
 
@@ -17,9 +17,9 @@ def rigid_record(
     seed: int = 1, name: str = "run", seconds: float = 6.0, inertia: float = 0.04
 ) -> tuple[ji.Record, ji.ClosedLoop]:
     """A small rigid joint under a cascade, with noise in its log."""
-    loop = ji.ClosedLoop(ji.RigidJoint("revolute"), ji.Cascade(kp=40.0, kv=2.0, limit=20.0))
+    loop = ji.ClosedLoop(ji.RigidJoint("revolute"), ji.Cascade(position_gain=40.0, velocity_gain=2.0, limit=20.0))
     values = {"inertia": inertia, "viscous": 0.05, "coulomb": 0.1, "offset": 0.02}
-    reference = ji.trapezoids([0.5, 1.0, 2.0], 8.0, 2.0, 1e-3, duration=seconds)
+    reference = ji.excitation.trapezoids([0.5, 1.0, 2.0], 8.0, 2.0, 1e-3, duration=seconds)
     noise = 0.01 * np.random.default_rng(seed).standard_normal(reference.size)
     return ji.simulated_record(loop, reference, values, sample_time=1e-3, torque_noise=noise, name=name), loop
 
@@ -28,14 +28,14 @@ def rigid_record(
 def rigid() -> Report:
     """Of a rigid joint by DIDIM, from a record with a hostile name."""
     record, loop = rigid_record(name=EVIL)
-    return ji.report_estimate(ji.identify(record, loop), record, name=EVIL)
+    return ji.Report.of(ji.identify(record, loop), record, name=EVIL, profiles=["inertia", "coulomb"])
 
 
 @cache
 def idim() -> Report:
     """Of the same joint by IDIM."""
     record, loop = rigid_record()
-    return ji.report_estimate(ji.identify(record, loop.joint), record)
+    return ji.Report.of(ji.identify(record, loop.joint), record)
 
 
 @cache
@@ -43,7 +43,7 @@ def flexible() -> Report:
     """Of the twin's flexible joint."""
     axis = ji.twin()
     record = axis.record.without("motor_position", "load_position")
-    return ji.report_estimate(
+    return ji.Report.of(
         ji.identify(record, axis.loop, ji.FlexibleDIDIM(frequency=30.0)), record, profiles=["stiffness"]
     )
 
@@ -51,10 +51,10 @@ def flexible() -> Report:
 @cache
 def refused(record: Path) -> Report:
     """Of the EMPS axis taken for a flexible joint, whose stiffness is refused."""
-    from dataclasses import replace
-
     file = ji.load(Path(__file__).resolve().parents[3] / "examples" / "emps" / "joint.toml")
     tables = file.tables()
     tables["joint"]["model"] = "flexible"
     tables["method"] = {"name": "didim"}
-    return report_file(replace(type(file).of(tables, file.path)), record)
+    file = type(file).of(tables, file.path)
+    logged = file.record(record)
+    return Report.of(file.identify(logged), logged, name=file.name or "")

@@ -1,33 +1,44 @@
 """The program: its commands, and how errors leave it.
 
-Exit code 0 when it worked, 2 for a mistake of the user's (one sentence each), 1 for a failure of ours, 130 when
-interrupted. A traceback is shown only with `--debug`.
+Exit code 0 when it worked, 2 for a mistake of the user's (one sentence each) or a result that cannot be written, 1 for
+a failure of ours, 130 when interrupted, 143 when ended by SIGTERM; `--debug` shows the traceback and the warnings of
+libraries too, and changes no exit code.
 """
 
 from __future__ import annotations
 
 import atexit
+import errno
 import gc
 import os
+import signal
 import sys
+import traceback
+import warnings
+from functools import partial
+from typing import Any, NoReturn
 
 from cyclopts import App, CycloptsError, UnknownOptionError
 
 from jointid import __version__
+from jointid.apps.cli import SIGNALLED, endings, streams
+from jointid.apps.cli.console import clear_bars, tell
 from jointid.apps.cli.data import convert, inspect
 from jointid.apps.cli.diagnose import intervals, loop, methods, sensors
-from jointid.apps.cli.drive import controller, tune
-from jointid.apps.cli.identify import identify
+from jointid.apps.cli.identify import controller, identify, tune
 from jointid.apps.cli.results import compare, export, report, validate
 from jointid.apps.cli.serve import serve
 from jointid.apps.cli.simulate import demo, reproduce, simulate
-from jointid.common.errors import JointidError
+from jointid.common.errors import JointidError, RecordError
 
-USERS_MISTAKE, OUR_FAILURE, INTERRUPTED = 2, 1, 130
+USERS_MISTAKE, OUR_FAILURE = 2, 1
 
 app = App(
     name="jointid",
     help="Identify a servo-driven joint from motor torque and the commanded reference alone.",
+    help_epilogue="Exit code: 0 it worked, 2 a mistake in the command, the joint file or the record (one sentence "
+    "each) or a result that cannot be written, 1 a fault of jointid's, 130 interrupted, 143 ended by SIGTERM. --debug, "
+    "with any command, also prints the traceback and the libraries' warnings; the exit code stays.",
     version=__version__,
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
@@ -44,8 +55,13 @@ for parent, commands in (
         parent.command(command)
 
 
-def main(arguments: list[str] | None = None) -> None:
-    """Run the program and exit; `arguments` are those of the command line when None."""
+def run(arguments: list[str] | None = None, *, signals: bool = False) -> NoReturn:
+    """Run the program and exit.
+
+    Args:
+        arguments: those of the command line when None.
+        signals: whether Ctrl-C and a request to end are this program's to answer.
+    """
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words
     # Matrices here are thousands of rows by ten columns: a second thread only waits for the first, and holds up others.
@@ -53,33 +69,78 @@ def main(arguments: list[str] | None = None) -> None:
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     # At its end Python would look through all that was loaded for what can be freed, which took 0.3 s of `identify`.
     atexit.register(gc.freeze)
-    sys.exit(_run([word for word in words if word != "--debug"], debug))
+    if arguments is None:
+        streams.prepare_outputs()
+    warnings.showwarning = partial(_show_warning, debug)
+    try:
+        if signals:
+            endings.listen_to_signals()
+        code = _run([word for word in words if word != "--debug"], debug)
+    except (KeyboardInterrupt, endings.EndedError):  # once more, while the first was being answered
+        code = _end(debug)
+    if signals:
+        endings.ignore_signals()
+    sys.exit(_finish(code))
 
 
 def _run(words: list[str], debug: bool) -> int:
     try:
         app(words, exit_on_error=False, print_error=False, result_action="return_value")
-    except JointidError as error:
-        if debug:
-            raise
+    except (KeyboardInterrupt, endings.EndedError):
+        return _end(debug)
+    except Exception as error:
+        if endings.received() is not None:  # a library made another exception of it
+            return _end(debug)
+        if debug and not isinstance(error, CycloptsError):
+            traceback.print_exc()
+        return _explain(error)
+    finally:
+        clear_bars()
+    return 0
+
+
+def _explain(error: Exception) -> int:
+    """Say what went wrong, and return the exit code."""
+    if isinstance(error, JointidError):
         return _say(str(error), USERS_MISTAKE)
-    except CycloptsError as error:
+    if isinstance(error, CycloptsError):
         setting = _setting(error) if isinstance(error, UnknownOptionError) else ""
         return _say(f"{error} {setting}See jointid --help.", USERS_MISTAKE)
-    except KeyboardInterrupt:
-        return _say("Interrupted; what was written so far is kept.", INTERRUPTED)
-    except BrokenPipeError:  # the reader of our output has gone: nothing is left to say
-        sys.stderr.close()
-        return 0
-    except Exception as error:
-        if debug:
-            raise
-        return _say(
-            f"jointid failed, which is a fault of ours ({type(error).__name__}: {error}); please report it with the "
-            "output of the same command and --debug.",
-            OUR_FAILURE,
-        )
-    return 0
+    if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:  # of any path that is looked at
+        return _explain(RecordError(f"{error.filename} is longer than the name of a file may be; name another file."))
+    return _say(
+        f"jointid failed, which is a fault of ours ({type(error).__name__}: {error}); please report it with the "
+        "output of the same command and --debug.",
+        OUR_FAILURE,
+    )
+
+
+def _end(debug: bool) -> int:
+    """Say by what the program is ended, and return the exit code."""
+    number = endings.received() or signal.SIGINT
+    if debug:
+        traceback.print_exc()
+    return _say(endings.describe(number), SIGNALLED + number)
+
+
+def _finish(code: int) -> int:
+    """Print what is still held back, and return the exit code; a reader that has gone is no fault."""
+    failure = streams.finish_outputs()
+    if failure is None or isinstance(failure, BrokenPipeError):
+        return code
+    reason = (failure.strerror or type(failure).__name__).lower()
+    _say(f"The answer could not be printed ({reason}); free space there, or print to another place.", code)
+    return code or USERS_MISTAKE
+
+
+def _show_warning(
+    debug: bool, message: Warning | str, category: type[Warning], filename: str, lineno: int, *_: Any
+) -> None:
+    """Print a warning on the compiler's cache as a sentence; a library's is for who looks for a fault of ours."""
+    if category.__name__ == "CacheWarning":  # its module would load the compiler
+        tell(f"Warning: {message}")
+    elif debug:
+        tell(warnings.formatwarning(message, category, filename, lineno).rstrip())
 
 
 def _setting(error: UnknownOptionError) -> str:
@@ -92,6 +153,7 @@ def _setting(error: UnknownOptionError) -> str:
 
 
 def _say(message: str, code: int) -> int:
+    clear_bars()
     for line in message.splitlines():
         print(f"jointid: {line}", file=sys.stderr)  # noqa: T201
     return code

@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from cyclopts import Parameter
 
-from jointid.common.errors import RecordError
-from jointid.common.progress import Progress, silent
+from jointid.apps.cli.places import NOTHING, Outputs
+from jointid.common.errors import JointidError, RecordError
+from jointid.common.messages import Progress, silent
 from jointid.common.text import printable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from jointid import Estimate, Record
+    from jointid.apps.cli.bars import Bars
     from jointid.config import JointFile
 
 Flag: TypeAlias = Annotated[bool, Parameter(negative=())]
@@ -52,11 +56,21 @@ class Inputs:
         """The listener to progress."""
         return listen(self.quiet)
 
-    def load(self, joint: Path, **choices: str | None) -> JointFile:
-        """Load the joint file with its changes; see `jointid.config.load`."""
+    def load(self, joint: Path, outputs: Outputs = NOTHING, **choices: str | None) -> JointFile:
+        """Load the joint file with its changes; see `jointid.config.load`.
+
+        Raises:
+            JointFileError: it cannot be loaded.
+            RecordError: it, or a record, would be written over.
+        """
         from jointid.config import load
 
-        return load(joint, self.changes, **choices)
+        outputs.spare("JOINT", joint)
+        outputs.spare("--record", self.record)
+        file = load(joint, self.changes, **choices)
+        if self.record is None:
+            outputs.spare_records(joint, file)
+        return file
 
     def identify(self, file: JointFile) -> tuple[Record, Estimate]:
         """Identify a joint from the record, as its file says, and return the record, too.
@@ -64,13 +78,18 @@ class Inputs:
         Raises:
             JointidError: the record cannot be read, or the joint cannot be identified from it.
         """
+        from jointid.diagnostics.find_causes import explain_failure
+
         record = file.record(self.record)
         ready(self.progress)
-        return record, file.identify(record, self.progress)
+        try:
+            return record, file.identify(record, self.progress)
+        except JointidError as error:
+            raise explain_failure(error, record, file.loop, self.progress, file.declared_numbers) from error
 
-    def identify_by_didim(self, joint: Path) -> tuple[Record, Estimate]:
+    def identify_by_didim(self, joint: Path, outputs: Outputs = NOTHING) -> tuple[Record, Estimate]:
         """Load the joint file, identify the joint by didim whatever the file says, and return the record, too."""
-        return self.identify(self.load(joint, method="didim"))
+        return self.identify(self.load(joint, outputs, method="didim"))
 
 
 @Parameter(name="*")
@@ -84,19 +103,23 @@ class Options(Inputs):
 
     json: Path | None = None
 
+    @property
+    def outputs(self) -> Outputs:
+        """The answer as a file, if it is one."""
+        return Outputs({"--json": self.json})
+
 
 DEFAULTS = Options()
 
 
 def show(result: object = "", *, details: bool = False) -> None:
-    """Print a result or a line; nothing that a name in a file may hold reaches the terminal as a command.
+    """Print a line or a result, in colour where the output is a terminal, with details all there is to say of it.
 
-    Args:
-        result: in colour where the output is a terminal and it becomes a document, else as plain text.
-        details: whether to print all there is to say of it.
+    Nothing that a name in a file may hold reaches the terminal as a command.
     """
     from jointid.common.document import Documented
 
+    clear_bars()
     if isinstance(result, Documented) and sys.stdout.isatty():
         from jointid.apps.cli.terminal import print_document
 
@@ -111,9 +134,24 @@ def tell(message: str) -> None:
     print(printable(message), file=sys.stderr, flush=True)  # noqa: T201
 
 
+@lru_cache(maxsize=1)
+def _bars() -> Bars:
+    from jointid.apps.cli.bars import Bars
+
+    return Bars()
+
+
 def listen(quiet: bool) -> Progress:
-    """Return who listens to progress."""
-    return silent if quiet else tell
+    """Return who listens to progress: bars on a terminal, else lines."""
+    if quiet:
+        return silent
+    return _bars() if sys.stderr.isatty() else tell
+
+
+def clear_bars() -> None:
+    """Take what is drawn of progress off the terminal, before something else is printed or the program ends."""
+    if _bars.cache_info().currsize:
+        _bars().clear()
 
 
 def deliver(
@@ -122,14 +160,7 @@ def deliver(
     *figures: tuple[Path | None, Callable[[Any], Figure]],
     details: bool = False,
 ) -> None:
-    """Print a result, and write it where it was asked for.
-
-    Args:
-        result: of any command.
-        json: file for the answer.
-        figures: a file, and what draws the result for it.
-        details: whether to print all there is to say of it.
-    """
+    """Print a result, and write it where it was asked for: as JSON, and as figures, each a file and what draws it."""
     from jointid.output import json as answers
 
     show(result, details=details)
@@ -137,24 +168,18 @@ def deliver(
         answers.write(answers.to_dict(result), json)
     for path, draw in figures:
         if path is not None:
-            from jointid.output.figures.figures import save
+            from jointid import figures as every
 
-            save(draw(result), path)
+            every.save(draw(result), path)
 
 
 def ready(listener: Progress, *, derivatives: bool = True) -> None:
-    """Load the compiled simulation; where it must be compiled first, say why that takes long.
-
-    Args:
-        listener: is told.
-        derivatives: whether its derivatives are needed, too.
-    """
+    """Load the compiled simulation, and its derivatives; where they must be compiled first, say why that takes long."""
     from jointid.simulation import closed_loop, sensitivities
 
     warm_up, takes = (sensitivities.warm_up, 20) if derivatives else (closed_loop.warm_up, 10)
-    timer = threading.Timer(
-        _PATIENCE, listener, [f"compiling the simulation for this machine; this happens once and takes some {takes} s"]
-    )
+    said = f"loading the simulation; the first time on a machine it is compiled, which takes some {takes} s"
+    timer = threading.Timer(_PATIENCE, listener, [said])
     timer.daemon = True
     timer.start()
     try:
@@ -163,31 +188,25 @@ def ready(listener: Progress, *, derivatives: bool = True) -> None:
         timer.cancel()
 
 
-def check_outputs(*files: Path | None, figures: tuple[Path | None, ...] = ()) -> None:
-    """Refuse, before anything runs, what could not be written after it.
+@contextlib.contextmanager
+def fresh_folder(folder: Path, option: str = "") -> Iterator[None]:
+    """Make a folder, and take it away again if it was not there and nothing has come into it in the end.
 
     Raises:
-        RecordError: a file's folder does not exist, the file is a folder, or a figure has no format.
+        RecordError: see `make_folder`.
     """
-    for path in (*figures, *files):
-        if path is not None and not path.absolute().parent.is_dir():
-            raise RecordError(f"{path} cannot be written, because there is no folder {path.parent}; make it first.")
-        if path is not None and path.is_dir():
-            raise RecordError(f"{path} cannot be written, because it is a folder; name a file in it.")
-    for path in figures:
-        if path is not None:
-            from jointid.output.figures.figures import require_format
-
-            require_format(path)
+    is_new = not folder.exists()
+    make_folder(folder, option)
+    try:
+        yield
+    finally:
+        if is_new:
+            with contextlib.suppress(OSError):  # it is not empty
+                folder.rmdir()
 
 
 def make_folder(folder: Path, option: str = "", mode: int = 0o777) -> None:
-    """Make a folder, unless it is there.
-
-    Args:
-        folder: to make.
-        option: that names it, if one does.
-        mode: of a new one: who may reach it.
+    """Make a folder, unless it is there; the mode says who may reach a new one, the option how to name another.
 
     Raises:
         RecordError: it cannot be made.

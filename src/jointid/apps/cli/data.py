@@ -7,7 +7,8 @@ from typing import Annotated, Any, Literal, TypeAlias
 
 from cyclopts import Parameter
 
-from jointid.apps.cli.console import Several, check_outputs, deliver, show
+from jointid.apps.cli.console import Several, deliver, show
+from jointid.apps.cli.places import Outputs
 
 Decimal: TypeAlias = Literal[".", ","]
 Header: TypeAlias = Annotated[bool | None, Parameter(negative="--no-header")]
@@ -35,11 +36,12 @@ def inspect(
         json: also write the answer as JSON to this file.
         figure: also save a picture of all channels, PNG, SVG or PDF by its suffix.
     """
+    from jointid import figures
     from jointid import inspect as look
-    from jointid.output.figures import channels_figure
 
-    check_outputs(json, figures=(figure,))
-    deliver(look(file, **_given(delimiter, decimal, header)), json, (figure, channels_figure))
+    outputs = Outputs({"--json": json}, {"--figure": figure})
+    outputs.spare("FILE", file)
+    deliver(look(file, **_given(delimiter, decimal, header)), json, (figure, figures.draw))
 
 
 def convert(
@@ -69,7 +71,9 @@ def convert(
     """
     from jointid import convert as turn
 
-    check_outputs(*([target] if target.suffix else []))
+    outputs = Outputs({"TARGET": target}) if target.suffix else Outputs(folders={"TARGET": target})
+    if source.is_dir():  # of a single file it is said by what converts it
+        outputs.spare("SOURCE", source)
     writing = {} if mat_version is None else {"version": mat_version}
     show(turn(source, target, columns, reading=_given(delimiter, decimal, header), writing=writing))
 

@@ -12,7 +12,6 @@ from jointid.apps.cli.console import (
     Inputs,
     Options,
     Several,
-    check_outputs,
     deliver,
     ready,
     show,
@@ -29,8 +28,7 @@ def methods(joint: Path, /, *, options: Options = DEFAULTS, filtering: Filtering
     """
     from jointid import DIDIM, FlexibleDIDIM, compare_methods
 
-    check_outputs(options.json)
-    file = options.load(joint, filtering=filtering)
+    file = options.load(joint, options.outputs, filtering=filtering)
     record = file.record(options.record)
     ready(options.progress)
     comparison = compare_methods(
@@ -86,8 +84,7 @@ def loop(joint: Path, /, *, options: Options = DEFAULTS) -> None:
     """
     from jointid import check_loop
 
-    check_outputs(options.json)
-    record, estimate = options.identify_by_didim(joint)
+    record, estimate = options.identify_by_didim(joint, options.outputs)
     deliver(check_loop(estimate, record), options.json)
 
 
@@ -111,7 +108,6 @@ def sensors(
     """
     from jointid import advise, design_stiffness_test
 
-    check_outputs(options.json)
-    record, estimate = options.identify_by_didim(joint)
+    record, estimate = options.identify_by_didim(joint, options.outputs)
     ask = design_stiffness_test if estimate.checks.bounds else advise
     deliver(ask(estimate, record, encoder_step=encoder_step, noise=noise, progress=options.progress), options.json)

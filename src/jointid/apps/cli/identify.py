@@ -1,4 +1,4 @@
-"""`jointid identify`: a joint file and one record, several, or a long log in, the table out."""
+"""What a record tells: the joint by `jointid identify`, the drive's law by `controller`, what to set by `tune`."""
 
 from __future__ import annotations
 
@@ -7,13 +7,26 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from jointid.apps.cli.console import Changes, FilteringName, Flag, Options, Quiet, check_outputs, deliver, ready, show
+from jointid.apps.cli.console import (
+    DEFAULTS,
+    Changes,
+    FilteringName,
+    Flag,
+    Options,
+    Quiet,
+    deliver,
+    ready,
+    show,
+)
+from jointid.apps.cli.places import Outputs
+from jointid.common.document import WIDTH
 from jointid.common.errors import MethodError
+from jointid.common.text import wrapped
 from jointid.estimation.methods.registry import MethodName
 
 if TYPE_CHECKING:
     from jointid import Estimate, Windowing
-    from jointid.common.progress import Progress
+    from jointid.common.messages import Progress
     from jointid.config import JointFile
 
 
@@ -54,14 +67,14 @@ def identify(
         details: print every verdict with all its reasons, the method's tests, effort and settings.
         quiet: say nothing of the progress.
     """
-    from jointid import Windowing, design_stiffness_test
+    from jointid import Windowing, design_stiffness_test, figures
     from jointid.diagnostics.check_loop import add_loop_verdict
-    from jointid.output.figures.figures import torque_figure
 
-    check_outputs(json, figures=(figure,))
+    outputs = Outputs({"--json": json}, {"--figure": figure})
     records = record or []
+    outputs.spare("--record", *records)
     options = Options(record=records[0] if records else None, changes=changes, json=json, quiet=quiet)
-    file = options.load(joint, method=method, filtering=filtering, friction=friction)
+    file = options.load(joint, outputs, method=method, filtering=filtering, friction=friction)
     logged = None
     if window is not None or settling is not None:
         estimate = _from_log(file, records, Windowing(window or Windowing().length, settling), options.progress)
@@ -70,10 +83,10 @@ def identify(
     else:
         logged, estimate = options.identify(file)
         if file.tells_of_its_loop:
-            estimate = add_loop_verdict(estimate, logged)
-    deliver(estimate, json, (figure, torque_figure), details=details)
+            estimate = add_loop_verdict(estimate, logged, options.progress, file.declared_numbers)
+    deliver(estimate, json, (figure, figures.torque), details=details)
     if logged is not None and estimate.checks.bounds:
-        show(f"\n{design_stiffness_test(estimate, logged)}")
+        show("\n" + wrapped(str(design_stiffness_test(estimate, logged)), WIDTH, below=2))
     if estimate.fit.interrupted:
         raise KeyboardInterrupt
 
@@ -117,3 +130,77 @@ def _from_log(file: JointFile, records: list[Path], windows: Windowing, listener
         log, file.loop, file.method, windows=windows, filtering=file.filtering, parameters=file.parameters,
         progress=listener,
     )  # fmt: skip
+
+
+def controller(joint: Path, /, *, options: Options = DEFAULTS, write: Path | None = None) -> None:
+    """Learn the controller from a record that has reference, motor position and torque.
+
+    How long it takes is said before it begins. Ctrl-C ends the search with the best law so far, which is printed and
+    written as at its end.
+
+    Args:
+        joint: the joint file (TOML); channels and drive are enough. Of its [controller], if it has one, the gain is
+            read, and what the record does not show of limit and delay.
+        options: those that most commands have.
+        write: also write the joint file, with the learned [controller] and the record that was named, to this file; all
+            else, comments too, stays as it is, but for the paths of records, which from another folder lead to the same
+            files.
+    """
+    from jointid.config import learned_text, load_to_learn, save_with_controller
+
+    outputs = Outputs({"--json": options.json, "--write": write})
+    outputs.spare("JOINT", joint)
+    outputs.spare("--record", options.record)
+    file = load_to_learn(joint, options.changes)
+    if options.record is None:
+        outputs.spare_records(joint, file)
+    learned = file.learn_controller(file.record(options.record), options.progress)
+    learned = learned.beside(file.drive_numbers(learned.controller))
+    deliver(learned, options.json)
+    show(f"\n{learned_text(file, learned.controller).rstrip()}")
+    if write is not None:
+        save_with_controller(file, learned.controller, write, options.record)
+        show(f"Written: {write}")
+    if learned.interrupted:
+        raise KeyboardInterrupt
+
+
+def tune(
+    joint: Path,
+    /,
+    *,
+    options: Options = DEFAULTS,
+    gain_margin: float = 2.0,
+    phase_margin: float = 45.0,
+    modulus: float = 0.5,
+    confidence: float = 0.95,
+    notch: bool = True,
+    false_alarm: float = 0.01,
+    power: float = 0.9,
+    figure: Path | None = None,
+) -> None:
+    """Identify a joint by didim, then say how far its loop is from instability, and what to set in the drive.
+
+    Args:
+        joint: the joint file (TOML).
+        options: those that most commands have.
+        gain_margin: that the proposed loop keeps in the worst case, a ratio; 2 is 6 dB.
+        phase_margin: likewise, degrees.
+        modulus: likewise, the smallest distance of the loop's response from -1; the inverse of the largest sensitivity.
+        confidence: with which the interval holds all parameters together.
+        notch: whether one may be proposed.
+        false_alarm: share of comparisons with a new record that may say a change where there is none.
+        power: share that are to say one where it is as large as stated.
+        figure: also save the responses of joint and loop, with the interval as a band, as PNG, SVG or PDF.
+    """
+    from jointid import Tuning, figures
+    from jointid import tune as run
+    from jointid.diagnostics.check_loop import add_loop_verdict
+
+    settings = Tuning(gain_margin, phase_margin, modulus, confidence, notch, false_alarm, power)
+    file = options.load(joint, Outputs({"--json": options.json}, {"--figure": figure}), method="didim")
+    record, estimate = options.identify(file)
+    if file.tells_of_its_loop:  # margins are of the loop as it is declared
+        estimate = add_loop_verdict(estimate, record, options.progress, file.declared_numbers)
+    tuned = run(estimate, settings, drive=file.drive, shown=file.declared_numbers, progress=options.progress)
+    deliver(tuned, options.json, (figure, figures.draw))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,12 +13,12 @@ from jointid.apps.cli.console import (
     FilteringName,
     Flag,
     Options,
-    check_outputs,
     deliver,
     ready,
     show,
 )
-from jointid.common.errors import RecordError
+from jointid.apps.cli.places import Outputs
+from jointid.common.parallel import Aside
 from jointid.estimation.methods.registry import MethodName
 
 Language = Literal["joint-file", "state-space", "matlab", "mjcf", "urdf", "modelica"]
@@ -34,6 +36,7 @@ def report(
     filtering: FilteringName | None = None,
     friction: str | None = None,
     no_profiles: Flag = False,
+    no_tuning: Flag = False,
 ) -> None:
     """Identify a joint from a record, and report it as one page: result, verdicts, figures, and how to repeat it.
 
@@ -46,24 +49,33 @@ def report(
         method: as for identify.
         filtering: as for identify.
         friction: as for identify.
-        no_profiles: do not follow the criterion along every parameter, which takes a few seconds.
+        no_profiles: do not follow the criterion along the parameters where it is no parabola.
+        no_tuning: leave out margins and gains, which a controller with a limit otherwise has.
     """
+    from jointid import Report
+    from jointid.output.report import repetition, require_page, tune_to_limit
     from jointid.output.report.page import require_extra
-    from jointid.output.report.report import report_file, require_page
-    from jointid.output.report.reproducibility import repetition
 
     page = html if html or markdown or figures else Path("report.html")
-    check_outputs(page, options.json)
+    outputs = Outputs({"--html": page, "--json": options.json}, folders={"--markdown": markdown, "--figures": figures})
     if page is not None:
         require_page(page)
         require_extra(plots=True)
     choices = {"method": method, "filtering": filtering, "friction": friction}
-    file = options.load(joint, **choices)
+    file = options.load(joint, outputs, **choices)
     source = Path(file.record_path(options.record))
     again = repetition(joint, source, choices, options.changes, "report.html" if page is None else page.name)
-    ready(options.progress)
-    profiles = () if no_profiles else None
-    told = report_file(file, source, repetition=again, profiles=profiles, progress=options.progress)
+    record, estimate = options.identify(file)
+    tuning = None if no_tuning else Aside(partial(tune_to_limit, estimate, file.drive, file.declared_numbers))
+    told = Report.of(
+        estimate, record, name=file.name or "", profiles=() if no_profiles else None, loop=file.tells_of_its_loop,
+        repetition=again, progress=options.progress,
+    )  # fmt: skip
+    tuned = None if tuning is None else tuning.result()
+    if isinstance(tuned, str):
+        show(f"Without margins and gains: {tuned}")
+    else:
+        told = replace(told, tuned=tuned)
     written = [] if page is None else [told.save(page)]
     written += [] if markdown is None else [told.save_markdown(markdown)[0]]
     written += [] if figures is None else [*told.save_figures(figures)]
@@ -81,7 +93,10 @@ def validate(
     figure: Path | None = None,
     residuals: Path | None = None,
 ) -> None:
-    """Compare an estimate with a record: the direct test on its own, the cross test on another.
+    """Say whether an estimate predicts a record, within what noise allows, and what to do if not.
+
+    That is the cross test, on another record than the one it came from; on its own, the direct test only says
+    what is left.
 
     Args:
         joint: the joint file (TOML).
@@ -90,17 +105,18 @@ def validate(
         figure: also save measured, simulated and error torque as PNG, SVG or PDF.
         residuals: also save the error against velocity and position, and its autocorrelation, likewise.
     """
+    from jointid import figures
     from jointid import validate as run
     from jointid.output import json as answers
-    from jointid.output.figures.figures import residual_figure, torque_figure
 
-    check_outputs(options.json, figures=(figure, residuals))
+    outputs = Outputs({"--json": options.json}, {"--figure": figure, "--residuals": residuals})
+    outputs.spare("--estimate", estimate)
     friction = answers.read_friction(estimate)
-    file = options.load(joint, friction=friction)
+    file = options.load(joint, outputs, friction=friction)
     identified = answers.read_identified(estimate, file.joint, file.loop)
     record = options.load(joint, friction=friction, method=identified.method).record(options.record)
     ready(options.progress)
-    deliver(run(identified, record), options.json, (figure, torque_figure), (residuals, residual_figure))
+    deliver(run(identified, record), options.json, (figure, figures.torque), (residuals, figures.residual))
 
 
 def compare(before: Path, after: Path, /, *, level: float = 0.05, json: Path | None = None) -> None:
@@ -115,7 +131,9 @@ def compare(before: Path, after: Path, /, *, level: float = 0.05, json: Path | N
     from jointid import compare_estimates
     from jointid.output import json as answers
 
-    check_outputs(json)
+    outputs = Outputs({"--json": json})
+    outputs.spare("BEFORE", before)
+    outputs.spare("AFTER", after)
     deliver(compare_estimates(answers.read_report(before), answers.read_report(after), level), json)
 
 
@@ -155,16 +173,15 @@ def export(
     from jointid.output.export import export as run
     from jointid.output.export import find_language, read_estimated
 
-    check_outputs(out)
-    if out.exists() and out.samefile(estimate):
-        raise RecordError(f"{out} is the estimate itself, which would be replaced; name another file.")
+    outputs = Outputs({"--out": out})
+    outputs.spare("--estimate", estimate)
     given = {"values": "fixed" if fixed else None, "period": period, "delay": delay, "timestep": timestep}
     settings: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
     language = find_language(format or out.suffix.lower()).name
-    file = Options(changes=changes).load(joint, friction=answers.read_friction(estimate))
+    file = Options(changes=changes).load(joint, outputs, friction=answers.read_friction(estimate))
     if language == "joint-file":
         settings |= {"file": file, "folder": out.parent}
     exported = run(read_estimated(estimate, file.joint, file.name), language, side=side, **settings)
     exported.save(out)
     show(exported)
-    show(f"written: {out}")
+    show(f"Written: {out}")

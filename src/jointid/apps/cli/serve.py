@@ -13,9 +13,9 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from jointid.apps.cli.console import make_folder, show, tell
+from jointid.apps.cli.places import Outputs
 from jointid.common.errors import JointidError, extra
 
-_GRACE = 2  # seconds that an open connection is given when the page ends
 _TOKEN = 24  # bytes that nobody guesses
 
 
@@ -62,35 +62,26 @@ def serve(
 
 
 def run_page(folder: Path, host: str, port: int, announce: Callable[[str], None]) -> None:
-    """Serve the page until it is interrupted.
+    """Serve the page until it is interrupted; a folder that is made for it may be read by its owner alone.
 
-    Args:
-        folder: in which everything is kept; it is made if it is not there, and then its owner alone may read it.
-        host: name or address to listen at.
-        port: 0 takes a free one.
-        announce: is told the page's address, which holds the token, as soon as it can be reached.
+    `announce` is told the page's address, which holds the token, as soon as it can be reached.
 
     Raises:
         ExtraError: a package of the page is not installed.
         JointidError: the folder cannot be made, or the address is taken.
     """
-    for module in ("starlette", "python_multipart", "jinja2", "bokeh"):
+    for module in ("uvicorn", "starlette", "python_multipart", "jinja2", "bokeh"):
         extra(module, "web", "The page")
-    uvicorn = extra("uvicorn", "web", "The page")
     from jointid.apps.web.application import build_application
+    from jointid.apps.web.serving import run
 
+    Outputs(folders={"--folder": folder})
     make_folder(folder, "--folder", mode=0o700)
     token = secrets.token_urlsafe(_TOKEN)
     with _listen(host, port) as listening:
-        config = uvicorn.Config(
-            build_application(folder, token, host),
-            log_level="warning",
-            timeout_graceful_shutdown=_GRACE,
-            server_header=False,
-        )
         shown = f"[{host}]" if ":" in host else host
         announce(f"http://{shown}:{listening.getsockname()[1]}/{token}/")
-        uvicorn.Server(config).run(sockets=[listening])
+        run(build_application(folder, token, host), listening)
 
 
 def _write_redirect(folder: Path, address: str) -> Path:

@@ -6,7 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from jointid.apps.cli.console import DEFAULTS, Flag, Options, Quiet, check_outputs, listen, make_folder, ready, show
+from jointid.apps.cli.console import DEFAULTS, Flag, Options, Quiet, fresh_folder, listen, ready, show
+from jointid.apps.cli.places import Outputs
 from jointid.common.errors import MethodError, RecordError
 
 if TYPE_CHECKING:
@@ -27,28 +28,27 @@ def demo(folder: Path = Path("jointid-demo"), /, *, seed: int = 1, quiet: Quiet 
         seed: of the noise.
         quiet: say nothing of the progress.
     """
-    from jointid import twin, write
+    from jointid import figures, twin, write
+    from jointid.common.files import write_whole
     from jointid.common.text import aligned, number
     from jointid.diagnostics.check_loop import add_loop_verdict
     from jointid.output import json as answers
-    from jointid.output.figures.figures import save, torque_figure
     from jointid.paper.twin import JOINT_FILE
 
+    Outputs(folders={"FOLDER": folder})
     options, listener, joint = Options(quiet=quiet), listen(quiet), folder / "joint.toml"
-    make_folder(folder)
-    listener("simulating 24 s of the paper's flexible axis, with an 8 % disturbance")
-    ready(listener)
-    axis = twin(seed=seed)
+    with fresh_folder(folder):
+        _require_own(folder)
+        listener("simulating 24 s of the paper's flexible axis, with an 8 % disturbance")
+        ready(listener)
+        axis = twin(seed=seed)
+        write_whole(joint, JOINT_FILE)
     write(axis.record, folder / "record.csv")
-    try:
-        joint.write_text(JOINT_FILE, encoding="utf-8")
-    except OSError as error:
-        raise RecordError(f"{joint} cannot be written ({error.strerror}); name another folder.") from None
     listener("identifying it from motor force and reference alone")
     record, estimate = options.identify(options.load(joint))
     estimate = add_loop_verdict(estimate, record)
     answers.write(answers.to_dict(estimate), folder / "estimate.json")
-    save(torque_figure(estimate), folder / "torque.png")
+    figures.save(figures.torque(estimate), folder / "torque.png")
     show(estimate)
     sums = {name: axis.truth[f"motor_{name}"] + axis.truth[f"load_{name}"] for name in ("viscous", "coulomb")}
     rows = []
@@ -62,6 +62,19 @@ def demo(folder: Path = Path("jointid-demo"), /, *, seed: int = 1, quiet: Quiet 
     show(f"Written to {folder}: record.csv, joint.toml, estimate.json, torque.png")
     show(f"All of it on one page: jointid report {joint} --html report.html")
     show(f"Change the joint file, then: jointid identify {joint}")
+
+
+def _require_own(folder: Path) -> None:
+    """Raise a `RecordError` if a folder holds files of others by the names that the demo writes."""
+    from jointid.paper.twin import JOINT_FILE
+
+    joint = folder / "joint.toml"
+    there = [name for name in ("joint.toml", "record.csv", "estimate.json", "torque.png") if (folder / name).exists()]
+    if there and not (joint.is_file() and joint.read_bytes() == JOINT_FILE.encode()):
+        raise RecordError(
+            f"{folder / there[0]} is there, and is not, or is no longer, what the demo writes; it would be replaced: "
+            "name another folder."
+        )
 
 
 def _found(estimate: Estimate, name: str) -> tuple[float, float, str, str]:
@@ -103,7 +116,8 @@ def simulate(
         noise: of the twin: a force inside the loop, white noise on the log, or none.
         seed: of the twin's noise.
     """
-    check_outputs(options.json, out)
+    outputs = Outputs({"--json": options.json, "--out": out})
+    outputs.spare("--estimate", estimate)
     if twin is not None:
         if (
             out is None
@@ -118,18 +132,19 @@ def simulate(
     elif joint is None:
         raise MethodError("A simulation needs a joint file; name one, or give --twin L19 for the paper's axis.")
     else:
-        _simulate_joint(joint, estimate, out, options)
+        _simulate_joint(joint, estimate, out, options, outputs)
 
 
-def _simulate_joint(joint: Path, estimate: Path | None, out: Path | None, options: Options) -> None:
+def _simulate_joint(joint: Path, estimate: Path | None, out: Path | None, options: Options, outputs: Outputs) -> None:
     from jointid import prepare
     from jointid import simulate as run
     from jointid.common.transmission import transmission_lines
+    from jointid.models.disturbances import EncoderOffset
     from jointid.output import json as answers
     from jointid.simulation.closed_loop import require_finished
 
     friction = None if estimate is None else answers.read_friction(estimate)
-    file = options.load(joint, friction=friction)
+    file = options.load(joint, outputs, friction=friction)
     if file.loop is None:
         raise MethodError("A simulation needs the controller; add a [controller] table to the joint file.")
     # What is written begins with its first sample, from where a position loop's offset will be counted.
@@ -139,7 +154,7 @@ def _simulate_joint(joint: Path, estimate: Path | None, out: Path | None, option
     else:
         identified = answers.read_identified(estimate, file.joint, file.loop)
         values = identified.values
-        if identified.effects:
+        if any(not isinstance(effect, EncoderOffset) for effect in identified.effects):
             options.progress("the estimate's ripple and drift are left out, which the simulated loop does not have")
     ready(options.progress, derivatives=False)
     simulation = require_finished(run(file.loop, prepare(file.loop, logged), values))
@@ -155,7 +170,7 @@ def _simulate_joint(joint: Path, estimate: Path | None, out: Path | None, option
 
         file.write(as_record(logged, simulation), out)
     if options.json is not None:
-        answer = answers.simulation_answer(simulation, file.joint, values, logged.name, logged.resampled)
+        answer = answers.simulation_answer(simulation, file.joint, values, logged)
         answers.write(answer, options.json)
 
 
@@ -172,23 +187,25 @@ def _simulate_twin(loop: Loop, added_mass: bool, noise: Noise, seed: int, out: P
 
 
 def reproduce(*, out: Path = Path("jointid-reproduction"), seed: int = 1, quiet: Quiet = False) -> None:
-    """Run the paper end to end on its digital twin and set every table beside its printed and recomputed self.
+    """Run the paper end to end on its digital twin; its tables show printed, recomputed and newly identified values.
 
     Args:
         out: folder for the HTML page, the Markdown page and the figures; it is made if it is not there.
         seed: of the noise; the same seed gives the same bytes.
         quiet: say nothing of the progress.
     """
-    from jointid.output.figures import torque_png
+    from jointid.output.figures import torque_chart
+    from jointid.output.figures.matplotlib_backend import png
     from jointid.output.report.page import require_extra, save
     from jointid.paper.reproduce import reproduce as run
     from jointid.paper.reproduce import reproduction_document
 
     require_extra(plots=False)
-    make_folder(out, "--out")
-    ready(listen(quiet))
-    found = run(seed, listen(quiet))
-    written = save(reproduction_document(found, torque_png), out, "reproduction")
+    Outputs(folders={"--out": out})
+    with fresh_folder(out, "--out"):
+        ready(listen(quiet))
+        found = run(seed, listen(quiet))
+        written = save(reproduction_document(found, lambda answer: png(torque_chart(answer), 100)), out, "reproduction")
     didim, best = found.first.didim, found.first.best
     for name in ("motor_inertia", "load_inertia", "stiffness"):
         value, std, truth = best.values[name], best[name].stderr or 0.0, found.first.axis.truth[name]

@@ -5,6 +5,7 @@ Every request and answer is guarded: by the token, the host's name, and the poli
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import ipaddress
 import secrets
@@ -17,15 +18,16 @@ from starlette.applications import Starlette
 from starlette.convertors import IntegerConvertor, register_url_convertor
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.middleware import Middleware
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from jointid.apps.web import pages, routes
-from jointid.apps.web.folder import LOOPBACK, Limits, PageError
-from jointid.apps.web.requests import AppState
+from jointid.apps.web.folder import LOOPBACK, Limits, refusal_of
+from jointid.apps.web.pages import AppState
+from jointid.common.errors import JointidError
 
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
@@ -43,6 +45,10 @@ _HEADERS = {
 }
 
 
+class _StalledError(Exception):
+    """A request of which nothing more came for too long."""
+
+
 class _Guard:
     """Refuse requests without the token, under a foreign name or from another site; bound what browsers may do.
 
@@ -50,8 +56,9 @@ class _Guard:
     address, under its own. It does not know the token; the header Host tells the name all the same.
     """
 
-    def __init__(self, app: ASGIApp, host: str, token: str) -> None:
+    def __init__(self, app: ASGIApp, host: str, token: str, idle: float) -> None:
         self._app = app
+        self._idle = idle
         self._token = token.encode()
         self._loopback = host in LOOPBACK
         self._names = {*LOOPBACK, host.lower(), socket.gethostname().lower()}
@@ -62,8 +69,22 @@ class _Guard:
             await self._app(scope, receive, send)
             return
 
+        begun, whole = False, False
+
+        async def receive_guarded() -> Message:
+            nonlocal whole
+            try:
+                async with asyncio.timeout(None if whole else self._idle):
+                    message = await receive()
+            except TimeoutError:
+                raise _StalledError from None
+            whole = not message.get("more_body", False)
+            return message
+
         async def send_guarded(message: Message) -> None:
+            nonlocal begun
             if message["type"] == "http.response.start":
+                begun = True
                 headers = MutableHeaders(scope=message)
                 for name, value in {**_HEADERS, "content-security-policy": POLICY}.items():
                     headers.setdefault(name, value)
@@ -71,14 +92,27 @@ class _Guard:
 
         refusal = self._refuse(scope["method"], scope["path"], Headers(scope=scope))
         app = self._app if refusal is None else PlainTextResponse(f"{refusal}\n", 403)
-        await app(scope, receive, send_guarded)
+        try:
+            await app(scope, receive_guarded, send_guarded)
+            return
+        except ClientDisconnect:  # whoever asked has gone
+            return
+        except _StalledError:
+            ended = PlainTextResponse("The request stood still on its way in; send it again.\n", 408)
+        except asyncio.CancelledError:
+            ended = PlainTextResponse("The page is ending.\n", 503)
+        if not begun:
+            ended.headers["connection"] = "close"
+            await ended(scope, receive, send_guarded)
 
     def _refuse(self, method: str, path: str, headers: Headers) -> str | None:
         """Return why a request is refused, None if it is not."""
         if not self._is_here(headers.get("host", "")):
             return "This page is not reached under that name; open the address that jointid serve printed."
-        if not secrets.compare_digest(path.split("/")[1].encode(errors="replace"), self._token):
+        if not secrets.compare_digest(path.removeprefix("/").partition("/")[0].encode(errors="replace"), self._token):
             return "The token is missing or wrong; open the whole address that jointid serve printed at its last start."
+        if "\0" in path:  # no file has such a name, and to look for one is an error
+            return "There is nothing at an address with a zero byte in it."
         if method not in ("GET", "HEAD") and headers.get("sec-fetch-site", "none") not in ("none", "same-origin"):
             return "This request comes from another site, and is refused; use the page itself."
         return None
@@ -109,18 +143,12 @@ register_url_convertor("number", _Number())
 
 
 def build_application(folder: Path, token: str, host: str = "127.0.0.1", limits: Limits | None = None) -> Starlette:
-    """Return the page as an ASGI application.
-
-    Args:
-        folder: in which everything is kept.
-        token: the first part of every address; requests without it are refused.
-        host: under which it is reached.
-        limits: of uploads and runs.
-    """
+    """Return the page as an ASGI application; the token is the first part of every address that it answers."""
     state = AppState(folder, token, limits or Limits())
 
     async def show_refusal(request: Request, error: Exception) -> Response:
-        return pages.show_message(state, 422, "That cannot be done", str(error))
+        assert isinstance(error, JointidError | OSError)
+        return pages.show_message(state, 422, "That cannot be done", str(refusal_of(error)))
 
     async def show_not_found(request: Request, error: Exception) -> Response:
         return pages.show_message(state, 404, "Not found", "There is nothing at this address.")
@@ -137,8 +165,14 @@ def build_application(folder: Path, token: str, host: str = "127.0.0.1", limits:
 
     application = Starlette(
         routes=[Mount(state.root, routes=_ROUTES)],
-        middleware=[Middleware(_Guard, host=host, token=token)],
-        exception_handlers={PageError: show_refusal, 404: show_not_found, 405: show_not_found, 500: show_failure},
+        middleware=[Middleware(_Guard, host=host, token=token, idle=state.limits.idle)],
+        exception_handlers={
+            JointidError: show_refusal,
+            OSError: show_refusal,
+            404: show_not_found,
+            405: show_not_found,
+            500: show_failure,
+        },
         lifespan=live,
     )
     application.state.page = state

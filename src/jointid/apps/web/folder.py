@@ -13,19 +13,40 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from jointid.common.errors import JointidError
+from jointid.common.errors import JointidError, RecordError
+from jointid.common.files import beside, is_full, write_whole
 from jointid.records.formats import format_of
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 """Addresses that only this machine reaches."""
 
-
 _OF_A_RUN = ("answer.txt", "learned.txt", "log.txt", "progress.txt")  # of ours, in a format of records
 _LONGEST = 255  # bytes of a file's name
+_UPLOAD = "upload-"
+
+DRAFT, PREVIEW, CHECKED = ".draft.json", ".preview.json", ".checked.json"
+"""What follows the name of a record's file in those of what belongs to it."""
 
 
 class PageError(JointidError):
     """A request that the page refuses, in a sentence."""
+
+
+FULL = "The disk on which this page keeps its files is full; free space there, and try again."
+"""What is said wherever that ends something."""
+
+
+def refusal_of(error: JointidError | OSError) -> JointidError:
+    """Return what the page says of an error.
+
+    Raises:
+        OSError: it is not for the person to mend.
+    """
+    if is_full(error):
+        return PageError(FULL)
+    if isinstance(error, OSError):
+        raise error
+    return error
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +60,9 @@ class Limits:
             Windows, not macOS); what the compiled simulation reserves is in it.
         seconds: after which an identification is stopped.
         reading: seconds after which the reading of a record is stopped.
+        form: seconds after which that of a joint file, or of a form, is.
+        idle: seconds after which a request that stands still on its way in is ended.
+        arriving: bytes of all files on their way in together, as they are declared.
     """
 
     upload: int = 256 * 2**20
@@ -46,6 +70,9 @@ class Limits:
     memory: int = 4 * 2**30
     seconds: float = 3600.0
     reading: float = 300.0
+    form: float = 20.0
+    idle: float = 20.0
+    arriving: int = 2**30
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,17 +92,44 @@ class Run:
 
         The times are seconds since the epoch.
         """
-        return read_json(self.folder / "run.json") or {"state": "gone", "sentence": "It has been removed."}
+        return read_json(self.folder / "run.json") or {
+            "state": "gone",
+            "sentence": "How it ended is not known: its folder was removed, or the disk is full.",
+        }
 
     @property
     def active(self) -> bool:
         """Whether it has not ended."""
         return bool(self.status["state"] == "running")
 
+    @property
+    def answered(self) -> bool:
+        """Whether its answer is there; its report may still be missing."""
+        return self.has("answer.json")
+
+    @property
+    def stamps(self) -> dict[str, str]:
+        """What tells each version of answer and report from those before; empty for one that is not there yet."""
+        return {
+            name: _stamp(self.folder / file) for name, file in (("answer", "answer.json"), ("report", "report.html"))
+        }
+
+    @property
+    def seconds(self) -> float:
+        """How long it has taken: to its answer, its end, or now."""
+        status = self.status
+        ended = status.get("ended") or time.time()
+        if self.answered:
+            ended = (self.folder / "answer.json").stat().st_mtime
+        return float(max(ended - (status.get("started") or ended), 0.0))
+
     def update(self, **values: object) -> None:
-        """Change its status, unless its folder has been removed."""
-        with contextlib.suppress(FileNotFoundError):
+        """Change its status; it has none from then on where it cannot be kept."""
+        try:
             write_json(self.folder / "run.json", self.status | values)
+        except RecordError:  # the folder has been removed, or the disk is full, and "running" would never end
+            with contextlib.suppress(OSError):
+                (self.folder / "run.json").unlink(missing_ok=True)
 
     def read_progress(self) -> list[str]:
         """Return the complete lines of progress printed so far."""
@@ -99,11 +153,11 @@ class Folder:
     @property
     def draft(self) -> dict[str, str]:
         """The entries of the form, by field."""
-        return read_json(self.path / "draft.json") or {}
+        return self._read(DRAFT) or {}
 
     def save_draft(self, draft: Mapping[str, str]) -> None:
         """Keep the entries of the form."""
-        write_json(self.path / "draft.json", draft)
+        write_json(self.path / f"{self._file}{DRAFT}", draft)
 
     @property
     def record(self) -> dict[str, Any] | None:
@@ -111,30 +165,44 @@ class Folder:
         return read_json(self.path / "record.json")
 
     def save_record(self, fresh: Path, name: str, draft: Mapping[str, str]) -> None:
-        """Put a file in the record's place.
+        """Put a file of this folder in the record's place, with the name it came with and its entries of the form.
 
-        Args:
-            fresh: the file, in this folder.
-            name: under which it came.
-            draft: entries of the form that go with it.
+        All that belongs to a record is called by its file, so that `record.json`, written last, is the one switch: on a
+        disk that is full the record before stays, with all that belongs to it.
         """
-        old = self.record
-        if old is not None:
-            (self.path / old["file"]).unlink(missing_ok=True)
-        path = fresh.replace(fresh.with_name(f"record{fresh.suffix}"))
-        (self.path / "checked.json").unlink(missing_ok=True)
-        size, kind = path.stat().st_size, format_of(path).name
-        write_json(self.path / "record.json", {"file": path.name, "name": name, "size": size, "format": kind})
-        self.save_draft(draft)
+        old = self._file
+        size, kind = fresh.stat().st_size, format_of(fresh).name
+        write_json(self.path / f"{fresh.name}{DRAFT}", draft)
+        write_json(self.path / "record.json", {"file": fresh.name, "name": name, "size": size, "format": kind})
+        self.discard(old)
+
+    def discard(self, file: str) -> None:
+        """Remove a file that was to be the record, and what belongs to it, unless it is the record."""
+        if file != self._file:
+            for of_it in (DRAFT, PREVIEW, CHECKED, *([""] if file else [])):
+                (self.path / f"{file}{of_it}").unlink(missing_ok=True)
 
     @property
     def preview(self) -> dict[str, Any] | None:
         """The columns of the record, see `jointid.apps.web.preview`; None if it could not be read yet."""
-        return read_json(self.path / "preview.json")
+        return self._read(PREVIEW)
+
+    @property
+    def checked(self) -> dict[str, Any] | None:
+        """What the record holds as it was read when its channels were checked; None if they were not."""
+        return self._read(CHECKED)
 
     def drop_preview(self) -> None:
-        """Remove the preview of a record that is to be read in another way."""
-        (self.path / "preview.json").unlink(missing_ok=True)
+        """Remove the preview of a record that cannot be read as the form says."""
+        (self.path / f"{self._file}{PREVIEW}").unlink(missing_ok=True)
+
+    @property
+    def _file(self) -> str:
+        """The name of the record's file here; empty where there is none, whose entries are kept as well."""
+        return str((self.record or {}).get("file", ""))
+
+    def _read(self, of_it: str) -> dict[str, Any] | None:
+        return read_json(self.path / f"{self._file}{of_it}")
 
     @property
     def runs(self) -> list[Run]:
@@ -147,24 +215,36 @@ class Folder:
         run = Run(self.path / "runs" / str(number))
         return run if run.folder.is_dir() else None
 
-    def new_run(self, file: str, name: str) -> Run:
-        """Make the folder of a further identification, which holds the record under the name that its joint file says.
+    def new_run(self, file: str, name: str, joint: str, *, learn: bool) -> Run:
+        """Make the folder of an identification that begins; the record has the name in it that its joint file says.
 
-        Args:
-            file: of the record, in this folder.
-            name: of the record in the other; see `name_in_run`.
+        Raises:
+            RecordError: it cannot be written; there is nothing of it then.
         """
         runs = self.runs
         run = Run(self.path / "runs" / str(runs[0].number + 1 if runs else 1))
-        run.folder.mkdir(parents=True)
-        try:  # without a copy where the disk can
-            os.link(self.path / file, run.folder / name)
-        except OSError:
-            shutil.copyfile(self.path / file, run.folder / name)
+        run.folder.parent.mkdir(exist_ok=True)
+        with beside(run.folder) as fresh:
+            fresh.mkdir()
+            try:  # without a copy where the disk can
+                os.link(self.path / file, fresh / name)
+            except OSError:
+                shutil.copyfile(self.path / file, fresh / name)
+            write_whole(fresh / "joint.toml", joint)
+            write_json(fresh / "work.json", {"file": name, "learn": learn})
+            write_json(fresh / "run.json", {"state": "running", "sentence": "", "started": time.time()})
         return run
 
+    def new_upload(self, suffix: str) -> Path:
+        """Return the path for a file that comes in; no word of a sentence is like its name."""
+        return self.path / f"{_UPLOAD}{secrets.token_hex(6)}{suffix}"
+
     def close_interrupted(self) -> None:
-        """Mark the run during which an earlier page was killed as ended."""
+        """Mark the run during which an earlier page was killed as ended, and remove what was on its way in."""
+        kept = self._file
+        for path in self.path.glob(f"{_UPLOAD}*"):
+            if not (kept and path.name.startswith(kept)):
+                path.unlink(missing_ok=True)
         for run in self.runs:
             if run.active:
                 sentence = "The page was stopped before this had ended; press Identify again."
@@ -177,6 +257,13 @@ def name_in_run(name: str) -> str:
     return f"record{Path(name).suffix}" if unfit else name
 
 
+def _stamp(path: Path) -> str:
+    try:
+        return str(path.stat().st_mtime_ns)
+    except OSError:
+        return ""
+
+
 def read_json(path: Path) -> dict[str, Any] | None:
     """Return a file of ours, None if it is not there."""
     try:
@@ -187,7 +274,9 @@ def read_json(path: Path) -> dict[str, Any] | None:
 
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:
-    """Write a file of ours at once: who reads it sees the old one or the new one."""
-    beside = path.with_name(f"{path.name}.{secrets.token_hex(4)}")
-    beside.write_text(json.dumps(value, ensure_ascii=False), encoding="utf-8")
-    beside.replace(path)
+    """Write a file of ours at once: who reads it sees the old one or the new one.
+
+    Raises:
+        RecordError: it cannot be written.
+    """
+    write_whole(path, json.dumps(value, ensure_ascii=False))

@@ -11,16 +11,18 @@ from typing import Any
 import tomli_w
 
 from jointid.apps.web.fields import EXTRA, EXTRA_LAW, FIELDS, LAWS, LEARN, NAMES, WITHOUT, Draft, Field, usual
+from jointid.apps.web.guesses import find_unit
 from jointid.common.errors import JointFileError
 from jointid.common.messages import dot_path
 from jointid.config import JointFile, dumps
 
 LONGEST = {EXTRA: 100_000}
 _LONGEST = 300  # characters of any other field
-_STAND_IN = {"law": "cascade", "kp": 1.0, "kv": 1.0}
+_STAND_IN = {"law": "cascade", "position_gain": 1.0, "velocity_gain": 1.0}
 """A law that stands where the real one is not known yet, to have the rest checked."""
 
 _LAW = "controller.law"
+_FILTER_KINDS = ("controller.velocity_filter.kind", "controller.torque_filters.0.kind")
 _SEVERAL = {"records": "[[records]]", "together": "[together]"}
 """Tables of a joint file that read other records than the one that was sent."""
 
@@ -41,19 +43,6 @@ class Faults:
         return bool(self.beside or self.general)
 
 
-@dataclass(frozen=True, slots=True)
-class Order:
-    """What is to be identified.
-
-    Attributes:
-        text: the joint file.
-        gain: of the controller that is to be learned first, in place of a stand-in; None where none is.
-    """
-
-    text: str
-    gain: float | None
-
-
 def clean_entries(sent: Iterable[tuple[str, str]]) -> dict[str, str]:
     """Return what a browser sent as a draft: known names, texts of bounded length without control characters."""
     draft = {}
@@ -67,10 +56,6 @@ def clean_entries(sent: Iterable[tuple[str, str]]) -> dict[str, str]:
 def make_tables(draft: Draft, file: str) -> dict[str, Any]:
     """Return the tables of the joint file that a form describes, not checked yet but for the further lines.
 
-    Args:
-        draft: of the form.
-        file: name of the record.
-
     Raises:
         JointFileError: the further lines are no TOML, name other records, or say again what a field says.
     """
@@ -79,12 +64,56 @@ def make_tables(draft: Draft, file: str) -> dict[str, Any]:
         value = one.read(draft)
         if value is not None and one.applies(draft) and _named(one, draft):
             _put(made, one.key.split("."), value)
-    if draft.get(_LAW) not in LAWS:
+    _as_written(made)
+    if draft.get(_LAW) == LEARN:
+        made["controller"] = {**made["controller"], **_STAND_IN}
+    elif draft.get(_LAW) not in LAWS:
         made.pop("controller", None)
     extra = _parse(draft.get(EXTRA, ""), EXTRA)
     if draft.get(_LAW) == WITHOUT and _at(extra, ["method", "name"]) is None:
         made.setdefault("method", {})["name"] = "idim"
     return _merge(made, extra)
+
+
+def require_answers(draft: Draft) -> None:
+    """Raise a `JointFileError` for each question of step 2 that decides the units and has no answer."""
+    faults = [
+        f"{one.key} is not chosen, and the column's name says none; choose that of its numbers."
+        for one in _open_units(draft)
+    ]
+    if not draft.get("joint.kind"):
+        faults.insert(0, "joint.kind is not chosen; say whether it turns or moves straight.")
+    if faults:
+        raise JointFileError(faults)
+
+
+def _open_units(draft: Draft) -> list[Field]:
+    """Return the units that a form leaves open.
+
+    None is open where a drive's profile knows it, where the load beyond a transmission moves otherwise, or where the
+    further lines say it; and what is injected has that of the torque.
+    """
+    extra = _parse(draft.get(EXTRA, ""), EXTRA)
+    if _at(extra, ["drive", "profile"]) is not None or _at(extra, ["transmission", "load"]) is not None:
+        return []
+    asked = [one for one in FIELDS if one.form == "unit" and one.applies(draft) and _named(one, draft)]
+    return [
+        one
+        for one in asked
+        if not draft.get(one.name) and ".injected." not in one.key and _at(extra, one.key.split(".")) is None
+    ]
+
+
+def with_units(draft: Draft) -> dict[str, str]:
+    """Return the draft of a joint file with the units said that it leaves open: as a column is named, or SI."""
+    said = dict(draft)
+    for one in _open_units(draft):
+        path = one.key.rpartition(".")[0]
+        plain = draft.get(f"{path}.gain", "").strip() in ("", "1", "1.0")  # a gain leads to another unit
+        known = [word for word, _ in one.choices if word]
+        named = find_unit(draft[f"{path}.column"], known) if plain else None
+        said[one.name] = named or known[0]
+    return said
 
 
 def make_reading_tables(draft: Draft, file: str) -> dict[str, Any]:
@@ -95,46 +124,38 @@ def make_reading_tables(draft: Draft, file: str) -> dict[str, Any]:
     """
     said = make_tables(draft, file)
     made: dict[str, Any] = {key: said[key] for key in ("transmission", "record", "drive") if key in said}
-    made["joint"] = {"kind": said["joint"]["kind"]}
+    joint = {"kind": "prismatic", **said.get("joint", {})}  # before the kind is known only columns are read
+    made["joint"] = {key: joint[key] for key in ("kind", "torque_constant") if key in joint}
     if "reference" not in _channels(made):
         return made | {"method": {"name": "idim"}}
     return made | {"method": {"name": "didim"}, "controller": _STAND_IN}
 
 
-def make_order(draft: Draft, file: str) -> Order:
-    """Return the joint file that a form describes, checked completely.
+def make_order(draft: Draft, file: str) -> tuple[str, bool]:
+    """Return the joint file that a form describes, checked completely, and whether its controller is to be learned.
+
+    One that is to be learned has gains of 1 in it, and the gain of the drive's chain where that is given.
 
     Raises:
         JointFileError: with a sentence for each fault.
     """
+    if not draft.get("joint.kind"):
+        raise JointFileError("joint.kind is not chosen; say in step 2 whether it turns or moves straight.")
     if not draft.get(_LAW):
         raise JointFileError("controller.law is not chosen; choose the law, or say that it is not known.")
     said = make_tables(draft, file)
-    if draft[_LAW] != LEARN:
-        return Order(dumps(JointFile.of(said)), None)
+    learn = draft[_LAW] == LEARN
     lacking = [name for name in ("torque", "reference", "motor_position") if name not in _channels(said)]
-    if lacking:
+    if learn and lacking:
         raise JointFileError(
             f"controller.law cannot be learned, because the record has no {' and no '.join(lacking)}; choose that "
             "column in step 2, or fill in the controller."
         )
-    said["controller"] = _STAND_IN
-    text = dumps(JointFile.of(said))
-    gain = _field("controller.gain").read(draft)
-    gain = 1.0 if gain is None else gain
-    if not isinstance(gain, float) or not 0 < gain < float("inf"):
-        raise JointFileError("controller.gain is no positive number; correct it, or leave it empty for 1.")
-    return Order(text, gain)
+    return dumps(JointFile.of(said)), learn
 
 
 def place_faults(error: Exception | None, draft: Draft, names: Collection[str]) -> Faults:
-    """Return what was refused, the faults of a joint file beside the fields they are about.
-
-    Args:
-        error: of the joint file, or of anything else, which is about no field; None where nothing was refused.
-        draft: of the form.
-        names: of the fields that are shown.
-    """
+    """Return the faults of a joint file beside the fields of these names that they are about; others are general."""
     if not isinstance(error, JointFileError):
         return Faults({}, () if error is None else tuple(str(error).splitlines()))
     shown = {one.key: one for one in FIELDS if one.name in names and one.applies(draft)}
@@ -144,7 +165,7 @@ def place_faults(error: Exception | None, draft: Draft, names: Collection[str]) 
         place = re.split(r"[ :]", sentence, maxsplit=1)[0]
         parts = place.split(".")
         keys = [".".join(parts[:n]) for n in range(len(parts), 0, -1)]
-        found = next((shown[k] for key in keys for k in (key, f"{key}.column") if k in shown), None)
+        found = next((shown[k] for key in keys for k in (key, f"{key}.column", f"{key}.kind") if k in shown), None)
         if found is not None:
             said = found.number_fault(draft) or sentence.replace(place, found.label, 1)
             beside.setdefault(found.name, []).append(said)
@@ -158,18 +179,16 @@ def place_faults(error: Exception | None, draft: Draft, names: Collection[str]) 
 def read_joint_file(text: str) -> dict[str, str]:
     """Return a joint file as a draft: what has a field in its field, everything else in the further lines.
 
-    Args:
-        text: of the joint file.
-
     Raises:
         JointFileError: it is no TOML, or of several records.
     """
     rest = _parse(text, "The joint file")
     draft: dict[str, str] = {}
     law = _at(rest, ["controller", "law"])
-    deciding = {name: _at(rest, name.split(".")) for name in ("joint.kind", "joint.model")}
+    _as_fields(rest)
+    deciding = {name: _at(rest, name.split(".")) for name in ("joint.kind", "joint.model", *_FILTER_KINDS)}
     known = {name: str(value or usual(name)) for name, value in deciding.items()} | {_LAW: str(law or WITHOUT)}
-    if law not in dict(_field(_LAW).choices):
+    if not isinstance(law, str) or law not in dict(_field(_LAW).choices):
         known[_LAW] = draft[_LAW] = WITHOUT if law is None else EXTRA_LAW
     _drop(rest, ["record", "file"])
     for one in FIELDS:
@@ -178,7 +197,48 @@ def read_joint_file(text: str) -> dict[str, str]:
             _drop(rest, one.key.split("."))
     if law is None and _at(rest, ["method", "name"]) == "idim":
         _drop(rest, ["method", "name"])
+    _as_written(rest)
     return draft | {EXTRA: tomli_w.dumps(_without_empty(rest))}
+
+
+def _as_fields(tables: dict[str, Any]) -> None:
+    """Say a controller as the fields do, which know one torque filter, the kind of each, and a time for a cascade."""
+    controller = _at(tables, ["controller"])
+    if not isinstance(controller, dict):
+        return
+    rows = controller.get("torque_filters")
+    if isinstance(rows, list) and len(rows) == 1:
+        controller["torque_filters"] = {"0": _with_kind(rows[0])}
+    if "velocity_filter" in controller:
+        controller["velocity_filter"] = _with_kind(controller["velocity_filter"])
+    gain = controller.get("integral_gain")
+    if controller.get("law") != "cascade" or "integral_time" in controller or isinstance(gain, bool):
+        return
+    if isinstance(gain, int | float) and 1e-9 < gain < 1e9 and 1 / (1 / gain) == gain:
+        controller["integral_time"] = 1 / controller.pop("integral_gain")
+
+
+def _with_kind(written: Any) -> Any:
+    """Return a filter with its kind, where its numbers are all it has."""
+    if isinstance(written, list):
+        return {"kind": "digital", "numerator": written}
+    return {"kind": "digital", **written} if isinstance(written, dict) and {*written} == {"numerator"} else written
+
+
+def _as_written(tables: dict[str, Any]) -> None:
+    """Say the filters of a controller as a joint file does: torque filters in a list, taps without a kind."""
+    controller = _at(tables, ["controller"])
+    if not isinstance(controller, dict):
+        return
+    rows = controller.get("torque_filters")
+    if isinstance(rows, dict):
+        controller["torque_filters"] = [one for one in rows.values() if one]
+    rows = controller.get("torque_filters")
+    for one in (controller.get("velocity_filter"), *(rows if isinstance(rows, list) else [])):
+        if isinstance(one, dict) and one.get("kind") == "digital" and "denominator" not in one:
+            del one["kind"]
+    if controller.get("torque_filters") == []:
+        del controller["torque_filters"]
 
 
 def _field(key: str) -> Field:
@@ -246,11 +306,7 @@ def _merge(made: dict[str, Any], extra: Mapping[str, Any], path: tuple[str, ...]
 
 
 def _parse(text: str, place: str) -> dict[str, Any]:
-    """Return the tables of a text.
-
-    Args:
-        text: of a joint file, or of some lines of one.
-        place: where it stands, which begins the sentence on a fault.
+    """Return the tables of a joint file, or of some lines of one; its place begins the sentence on a fault.
 
     Raises:
         JointFileError: it is no TOML, or says what this page does not do.

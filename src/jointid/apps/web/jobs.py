@@ -4,17 +4,25 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import errno
 import json
 import os
 import sys
+import tempfile
 import time
 from asyncio.subprocess import PIPE
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
-from jointid.apps.web.folder import Limits, PageError, Run
-from jointid.apps.web.worker import REFUSED
+from jointid.apps.web.folder import FULL, Limits, PageError, Run, read_json, write_json
+from jointid.apps.web.worker import NO_ROOM, REFUSED
+from jointid.common.errors import JointFileError, JointidError
+from jointid.common.files import is_full
 
+_LOADING = "loading the simulation; the first time on a machine it is compiled, which takes some 20 s"
 _LAST = 2000  # characters of what a failed process wrote
+_SIDE_BY_SIDE = 2  # processes that look at forms
 
 
 class FailedError(PageError):
@@ -28,10 +36,20 @@ class Jobs:
         self._limits = limits
         self._run: Run | None = None
         self._task: asyncio.Task[None] | None = None
+        self._preparing: asyncio.Task[None] | None = None
+        self._asking = asyncio.Semaphore(_SIDE_BY_SIDE)
 
-    def require_idle(self) -> None:
-        """Raise a `PageError` while an identification is running."""
+    def prepare(self) -> None:
+        """Have the simulation compiled while the person fills in the form: the first time that takes half a minute."""
+        if self._preparing is None:
+            self._preparing = asyncio.create_task(self._prepare())
+
+    async def require_idle(self) -> None:
+        """Raise a `PageError` while an identification is running; one that only lacks its report gives way."""
         if self._run is not None and self._task is not None and not self._task.done():
+            if self._run.answered:
+                await self.cancel(self._run, "Another identification was started before its report was written.")
+                return
             raise PageError(
                 f"Identification {self._run.number} is still running; wait for its end or cancel it in step 4, then "
                 "press Identify again."
@@ -39,7 +57,6 @@ class Jobs:
 
     def start(self, run: Run) -> None:
         """Start an identification."""
-        run.update(state="running", sentence="", started=time.time())
         self._run, self._task = run, asyncio.create_task(self._identify(run))
 
     async def cancel(self, run: Run, sentence: str = "You cancelled it.") -> None:
@@ -54,31 +71,65 @@ class Jobs:
         """Cancel what is running, as the page ends."""
         if self._run is not None:
             await self.cancel(self._run, "The page was stopped before this had ended; press Identify again.")
+        if self._preparing is not None:
+            self._preparing.cancel()
+            await asyncio.wait([self._preparing])
 
-    async def read(self, action: str, folder: Path) -> None:
-        """Have the record of a folder read, and wait for it.
+    async def read(self, action: str, folder: Path, file: str = "", name: str = "") -> None:
+        """Have the record of a folder read, and wait for it; sentences call its file by the name that it came with.
 
         Raises:
             PageError: it was refused; the sentences are the reader's.
+            JointFileError: the form was.
         """
-        await self._work(action, folder, self._limits.reading, "Reading this record")
+        (folder / "progress.txt").unlink(missing_ok=True)
+        try:
+            await self._work(action, folder, self._limits.reading, "Reading this record")
+        except PageError as error:
+            raise PageError(_renamed(str(error), folder / file, name) if file else str(error)) from None
+
+    async def ask(self, action: str, work: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+        """Have what stands in a form worked out, in a folder below this one, and return it.
+
+        A text that takes long holds up nobody else: its process is stopped.
+
+        Raises:
+            PageError: it took too long.
+            JointFileError: it was refused.
+        """
+        async with self._asking:
+            with tempfile.TemporaryDirectory(prefix="form-", dir=folder, ignore_cleanup_errors=True) as place:
+                write_json(Path(place) / "work.json", work)
+                await self._work(action, Path(place), self._limits.form, "Reading the joint file")
+                return read_json(Path(place) / "made.json") or {}
+
+    async def _prepare(self) -> None:
+        with (
+            contextlib.suppress(JointidError, OSError),
+            tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder,
+        ):
+            await self._work("prepare", Path(folder), self._limits.reading, "Compiling the simulation")
 
     async def _identify(self, run: Run) -> None:
         state, sentence = "done", ""
         try:
-            await self._work("identify", run.folder, self._limits.seconds, "It")
+            if self._preparing is not None and not self._preparing.done():
+                (run.folder / "progress.txt").write_text(f"{_LOADING}\n", encoding="utf-8", newline="\n")
+                await asyncio.wait([self._preparing])
+            await self._work("identify", run.folder, self._limits.seconds, "Identifying this record")
         except FailedError as error:
             state, sentence = "failed", str(error)
-        except PageError as error:
+        except (PageError, JointFileError) as error:
             state, sentence = "refused", str(error)
         except OSError as error:
-            state, sentence = "failed", f"Its process could not be started ({error})."
+            state = "failed"
+            sentence = FULL if is_full(error) else f"Its process could not be started ({error.strerror or error})."
         run.update(state=state, sentence=sentence, ended=time.time())
 
     async def _work(self, action: str, folder: Path, seconds: float, subject: str) -> None:
         """Run a worker to its end; what leaves this early, as a cancellation does, ends it."""
         (folder / "fault.json").unlink(missing_ok=True)
-        with (folder / "progress.txt").open("wb") as progress, (folder / "log.txt").open("wb") as log:
+        with (folder / "progress.txt").open("ab") as progress, (folder / "log.txt").open("wb") as log:
             process = await asyncio.create_subprocess_exec(
                 *(sys.executable, "-m", "jointid.apps.web.worker"),
                 *(action, str(folder.absolute()), str(self._limits.memory)),
@@ -93,7 +144,7 @@ class Jobs:
                 code = await process.wait()
         except TimeoutError:
             raise FailedError(
-                f"{subject} took longer than {seconds / 60:.0f} minutes and was stopped; use a shorter record."
+                f"{subject} took longer than {_say_time(seconds)} and was stopped; use a shorter one."
             ) from None
         finally:
             if process.returncode is None:
@@ -103,12 +154,25 @@ class Jobs:
             _raise_fault(code, folder)
 
 
+def _say_time(seconds: float) -> str:
+    return f"{seconds:g} s" if seconds < 120 else f"{seconds / 60:.0f} minutes"
+
+
+def _renamed(sentences: str, path: Path, name: str) -> str:
+    """Return sentences about a file of ours with the name that it came with."""
+    for ours, theirs in ((str(path.absolute()), name), (path.name, name), (path.stem, Path(name).stem)):
+        sentences = sentences.replace(ours, theirs)
+    return sentences
+
+
 def _raise_fault(code: int, folder: Path) -> None:
     """Raise why a worker ended: its own sentences, or what its exit code says."""
+    if code == NO_ROOM:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     if code == REFUSED:
         with contextlib.suppress(OSError, ValueError):
-            lines = json.loads((folder / "fault.json").read_text(encoding="utf-8"))
-            raise PageError("\n".join(map(str, lines)))
+            said = json.loads((folder / "fault.json").read_text(encoding="utf-8"))
+            raise JointFileError(said["faults"]) if said["of_form"] else PageError("\n".join(said["faults"]))
     if code < 0:
         raise FailedError(
             f"It was ended from outside (signal {-code}), as the system does when memory runs out; use a shorter "

@@ -1,24 +1,172 @@
-"""The pages as HTML: templates of our own, every text that comes in escaped."""
+"""What comes from the browser, and what it is shown.
+
+Forms and files come in bounded and under names of ours; pages go out as HTML from templates of our own, every text that
+came in escaped. `AppState` is what all addresses share.
+"""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Mapping
+import asyncio
+import re
+import shutil
+from collections.abc import AsyncIterator, Collection, Mapping
+from contextlib import asynccontextmanager
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from starlette.responses import HTMLResponse, Response
+from python_multipart.exceptions import FormParserError
+from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import UploadFile
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, RedirectResponse, Response
+from starlette.types import Message as Sent
 
 from jointid import __version__
 from jointid.apps.web import fields
-from jointid.apps.web.folder import Run, read_json
-from jointid.apps.web.form import place_faults
-from jointid.apps.web.requests import AppState, format_size
-from jointid.common.text import number
+from jointid.apps.web.folder import Folder, Limits, PageError, Run, read_json
+from jointid.apps.web.form import clean_entries, place_faults
+from jointid.apps.web.jobs import Jobs
+from jointid.common.messages import Message
+from jointid.common.text import interval, number, signed
+from jointid.common.typography import typeset
+from jointid.common.units import COUNTS, SHARE, units_of
+from jointid.estimation.result.answer import is_another_law, sum_changes
+from jointid.estimation.result.legend import SHOWN_SHIFT
 from jointid.records.formats import FORMATS
+from jointid.uncertainty.verdict import Subject
 
 if TYPE_CHECKING:
     from jinja2 import Environment
+
+_FORM = 512 * 2**10  # bytes of a form without a file
+_AROUND = 2**16  # bytes of a form around its file
+_LONGEST = 80  # characters of a name
+_ORDER = ["failed", "unknown", "passed"]  # of the checks, on the page
+_DAMAGED = (HTTPException, FormParserError)  # of a form that cannot be parsed; older versions of Starlette pass it on
+_OTHER = re.compile(r"[^\w .()+-]")
+
+
+class AppState:
+    """The state of one page.
+
+    Attributes:
+        folder: in which everything is kept.
+        root: begins every address of the page; it holds the token.
+        limits: of uploads and runs.
+        jobs: the processes at work.
+        files: held by a request while it replaces or reads the record, so that one from another tab waits.
+    """
+
+    def __init__(self, folder: Path, token: str, limits: Limits) -> None:
+        self.folder = Folder(folder)
+        self.root = f"/{token}"
+        self.limits = limits
+        self.jobs = Jobs(limits)
+        self.files = asyncio.Lock()
+        self._arriving = 0
+
+    @classmethod
+    def of(cls, request: Request) -> AppState:
+        """Return the state of the page that a request is for."""
+        found = request.app.state.page
+        assert isinstance(found, cls)
+        return found
+
+    def redirect(self, path: str) -> Response:
+        """Lead the browser to another address of the page, such as "/channels"."""
+        return RedirectResponse(f"{self.root}{path}", 303)
+
+    @asynccontextmanager
+    async def reserve(self, request: Request, bound: int) -> AsyncIterator[None]:
+        """Keep room for a file while it comes in: of the size that is declared, or of the bound where none is.
+
+        Raises:
+            PageError: files that are on their way in have taken it.
+        """
+        declared = request.headers.get("content-length", "")
+        size = min(int(declared), bound) if re.fullmatch("[0-9]{1,18}", declared) else bound
+        if self._arriving + size > self.limits.arriving:
+            raise PageError("Other files are on their way in, and leave no room for this one; send it again later.")
+        self._arriving += size
+        try:
+            yield
+        finally:
+            self._arriving -= size
+
+    async def save_form(self, request: Request) -> dict[str, str]:
+        """Keep the entries of a form without a file, and return the draft with them.
+
+        Raises:
+            PageError: the form is too large, or damaged.
+        """
+        try:
+            async with bound_body(request, _FORM, "The form is larger than any of this page.").form() as sent:
+                entries = clean_entries((name, value) for name, value in sent.multi_items() if isinstance(value, str))
+        except _DAMAGED:
+            raise PageError("The form did not arrive whole; load the page again, and send it once more.") from None
+        draft = {**self.folder.draft, **entries}
+        self.folder.save_draft(draft)
+        return draft
+
+
+def format_size(size: float) -> str:
+    """Return a size in bytes as a sentence says it."""
+    return f"{size / 2**20:.0f} MB" if size >= 2**20 else f"{size / 2**10:.0f} kB"
+
+
+def clean_name(raw: str) -> str:
+    """Return the last part of a path without any character that has a meaning; fit to be shown and for an archive."""
+    name = _OTHER.sub("_", re.split(r"[/\\]", raw)[-1])
+    return name[-_LONGEST:].strip(" .") or "record"
+
+
+def bound_body(request: Request, bound: int, sentence: str) -> Request:
+    """Return a request whose body raises a `PageError` with this sentence beyond so many bytes."""
+    sent = 0
+
+    async def receive() -> Sent:
+        nonlocal sent
+        message = await request.receive()
+        sent += len(message.get("body", b""))
+        if sent > bound:
+            raise PageError(sentence)
+        return message
+
+    return Request(request.scope, receive)
+
+
+async def receive_file(request: Request, state: AppState, bound: int, suffixes: Collection[str]) -> tuple[Path, str]:
+    """Write the file of a form to the page's folder, under a name of ours; return its path and the name it came with.
+
+    Raises:
+        PageError: the form has no file, one of more bytes than the bound or of another suffix, or is damaged.
+    """
+    sentence = (
+        f"The file is larger than {format_size(bound)}, which is the most this page takes; cut it, or log it slower."
+    )
+    try:
+        body = bound_body(request, bound + _AROUND, sentence)
+        async with state.reserve(request, bound), body.form(max_files=1) as form:
+            file = form.get("file")
+            if not isinstance(file, UploadFile) or not file.filename:
+                raise PageError("No file arrived; choose one, and send it again.")
+            name = clean_name(file.filename)
+            suffix = Path(name).suffix.lower()
+            if suffix not in suffixes:
+                fact = f'the suffix "{suffix}"' if suffix else "no suffix"
+                raise PageError(f"{name} has {fact}; expected one of {', '.join(suffixes)}: rename it.")
+            path = state.folder.new_upload(suffix)
+            try:
+                with path.open("wb") as place:
+                    await run_in_threadpool(shutil.copyfileobj, file.file, place)
+            except OSError:
+                path.unlink(missing_ok=True)
+                raise
+    except _DAMAGED:
+        raise PageError("The file did not arrive whole; send it again.") from None
+    return path, name
 
 
 def list_suffixes() -> list[str]:
@@ -36,13 +184,15 @@ def show_record(state: AppState, refusal: Exception | None = None) -> Response:
 
 
 def show_channels(state: AppState, refusal: Exception | None = None) -> Response:
-    """Show step 2: what each column is, and what was refused of it."""
-    preview, draft = state.folder.preview or {"columns": [], "roles": {}, "more": 0}, state.folder.draft
+    """Show step 2: what each column is, and what was refused of it; step 1 where there is no column."""
+    preview, draft = state.folder.preview, state.folder.draft
+    if preview is None or state.folder.record is None:
+        return show_record(state, refusal)
     faults = place_faults(refusal, draft, {one.name for one in fields.CHANNEL_STEP})
     always = ("torque", "reference", "motor_position")
     return _render(
         "channels", state, 422 if faults else 200, step=2, faults=faults, draft=draft, preview=preview,
-        kind=fields.KIND, clock=fields.CLOCK, drive=fields.DRIVE,
+        own_units=units_of("current", COUNTS, SHARE), kind=fields.KIND, clock=fields.CLOCK, drive=fields.DRIVE,
         channels=[(name, one, name in always) for name, one in fields.CHANNEL_FIELDS.items()],
         places={one["name"]: i for i, one in enumerate(preview["columns"]) if one["outline"] is not None},
     )  # fmt: skip
@@ -55,19 +205,20 @@ def show_joint(state: AppState, refusal: Exception | None = None, imported: str 
     return _render(
         "joint", state, 422 if faults else 200, step=3, faults=faults, draft=draft, joint=fields.JOINT,
         law=fields.LAW, controller=fields.CONTROLLER, method=fields.METHOD, extra=fields.EXTRA, imported=imported,
-        checked=read_json(state.folder.path / "checked.json"),
+        checked=state.folder.checked,
     )  # fmt: skip
 
 
 def show_run(state: AppState, run: Run) -> Response:
-    """Show steps 4 and 5: progress, then the answer."""
+    """Show steps 4 and 5: progress, then the answer, while its report is written and after."""
     status = run.status
-    answer = read_json(run.folder / "answer.json") if status["state"] == "done" else None
+    answer = read_json(run.folder / "answer.json")
     texts = {name: run.folder / f"{name}.txt" for name in ("answer", "learned")}
     return _render(
         "run", state, step=4 if answer is None else 5, run=run, status=status, lines=run.read_progress(), answer=answer,
-        elapsed=round((status.get("ended") or time.time()) - (status.get("started") or time.time())),
-        rows=[] if answer is None else _build_rows(answer), runs=[(one, one.status) for one in state.folder.runs],
+        elapsed=round(run.seconds), stamps=run.stamps, rows=[] if answer is None else _build_rows(answer),
+        checks=[] if answer is None else _build_checks(answer),
+        runs=[(one, one.status) for one in state.folder.runs],
         texts={name: path.read_text(encoding="utf-8") if path.is_file() else "" for name, path in texts.items()},
     )  # fmt: skip
 
@@ -89,6 +240,25 @@ def _render(template: str, state: AppState, code: int = 200, **values: object) -
     return HTMLResponse(_load_templates().get_template(f"{template}.html").render(common | values), code)
 
 
+def find_fields(sentence: str) -> list[dict[str, str]]:
+    """Return the fields whose keys a sentence names, each with its label and where it stands on the page."""
+    found = []
+    for one in fields.FIELDS:
+        last = one.key.rpartition(".")[2]
+        key = one.key if "_" not in last else rf"(?:{re.escape(one.key)}|{last})"
+        if one.key.startswith("record.channels.") and last != "column":
+            key = re.escape(one.key)
+        if one.variant in ("", "prismatic") and re.search(rf"(?<![\w.]){key}(?![\w.]*\w)", sentence):
+            step = "/channels" if one in fields.CHANNEL_STEP else "/joint"
+            found.append({"path": f"{step}#{field_id(one.name)}", "label": one.label})
+    return found
+
+
+def field_id(name: str) -> str:
+    """Return the id of a field in the page."""
+    return name.replace(".", "-").replace("@", "-")
+
+
 def label_end(preview: Mapping[str, Any], draft: Mapping[str, str], column: Mapping[str, Any]) -> str:
     """Return the label at the right end of a plot's time axis: a duration, or a number of rows."""
     times = [one for one in preview["columns"] if one["name"] == draft.get("record.time") and one["low"] is not None]
@@ -99,16 +269,54 @@ def label_end(preview: Mapping[str, Any], draft: Mapping[str, str], column: Mapp
 
 
 def _build_rows(answer: Mapping[str, Any]) -> list[dict[str, str]]:
-    """Return the rows of the table of parameters."""
-    rows = []
-    for name, p in answer["parameters"].items():
-        value = number(p["value"]) if p["value"] is not None else "cannot be told"
-        if p["value"] is None and p["lower_bound"] is not None:
-            value = f"> {number(p['lower_bound'])}"
-        spread = "fixed" if not p["free"] else "-" if p["std"] is None else number(2 * p["std"], 2)
-        words = name.replace("_", " ")
-        rows.append({"symbol": p["symbol"], "name": words, "value": value, "spread": spread, "unit": p["unit"]})
-    return rows
+    """Return the rows of the table of parameters, with what each is on the other side of a transmission.
+
+    Of a parameter that a fault of the loop moves, it is said by how much; and of one at its bound, that it is.
+    """
+    reasons = [Message(one["code"], one["words"], one["values"]) for one in _loop_reasons(answer)]
+    moved, when = sum_changes(reasons), "under the other law" if is_another_law(reasons) else "once corrected"
+    there = {} if answer["other_side"] is None else answer["other_side"]["parameters"]
+    return [
+        {
+            "symbol": p["symbol"],
+            "name": name.replace("_", " "),
+            "value": _tell_value(p),
+            "other": _tell_value(there[name]) if name in there else "",
+            "note": "at its bound"
+            if p.get("at_bound") is not None
+            else f"{signed(moved[name], 2)} {p['unit']} {when}"
+            if abs(moved.get(name, 0.0)) > SHOWN_SHIFT * (p["std"] or 0.0)
+            else "",
+        }
+        for name, p in answer["parameters"].items()
+    ]
+
+
+def _loop_reasons(answer: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the reasons of the check of controller and log; none where there is no such check."""
+    return next((one["reasons"] for one in answer["verdicts"] if one["subject"] == Subject.LOOP), [])
+
+
+def _tell_value(p: Mapping[str, Any]) -> str:
+    """Return what is known of a parameter, with its unit."""
+    if p["value"] is None:
+        return "cannot be told" if p["lower_bound"] is None else f"> {number(p['lower_bound'])} {p['unit']}"
+    if p["std"] is None:
+        return f"{number(p['value'])} {p['unit']}, {'-' if p['free'] else 'fixed'}"
+    return f"{interval(p['value'], 2 * p['std'])} {p['unit']}"
+
+
+def _build_checks(answer: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the checks, those that did not pass first."""
+    checks = [
+        {
+            "question": Subject(verdict["subject"]).question,
+            "status": verdict["status"],
+            "reasons": [reason["words"] for reason in verdict["reasons"]],
+        }
+        for verdict in answer["verdicts"]
+    ]
+    return sorted(checks, key=lambda check: _ORDER.index(check["status"]))
 
 
 @cache
@@ -121,4 +329,8 @@ def _load_templates() -> Environment:
     )  # fmt: skip
     made.filters["sentences"] = lambda text: str(text).splitlines()
     made.filters["size"] = format_size
+    made.filters["fields"] = find_fields
+    made.filters["id"] = field_id
+    made.filters["typeset"] = typeset
+    made.tests["with_unit"] = lambda text: re.search(r"\d\s*[^\d\s.,;eE+-]", text) is not None
     return made

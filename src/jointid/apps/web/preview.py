@@ -1,4 +1,4 @@
-"""A record as it is shown: the names, ranges and outlines of its columns, what each probably is, and its picture.
+"""A record as it is shown: the names, ranges and outlines of its columns, and the picture of each.
 
 A picture is SVG, which a browser shows without running anything.
 """
@@ -6,8 +6,7 @@ A picture is SVG, which a browser shows without running anything.
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 from itertools import groupby
 from typing import Any
@@ -16,10 +15,8 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.text import number
-from jointid.records.drives.drive import load_profile, profile_names
 from jointid.records.formats import Table
 from jointid.records.inspection import OutlineBuilder
-from jointid.records.record import CHANNELS
 
 _DRAWN = 64  # columns whose outline is kept; the others are listed by name
 _LISTED = 2000  # names
@@ -30,40 +27,17 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 74, 8, 10, 24
 _LINE = "#0072B2"  # that of what is measured, in all our figures
 _THINNEST = 1.2  # px: a flat stretch still shows
 
-_PROFILE_FIRST = "generic"
-
-_USUAL = {
-    "time": ("t", "time", "timestamp", "time s", "zeit"),
-    "torque": ("vir", "trq", "tq", "torque", "force", "tau", "i q", "iq", "current", "torque cmd", "cmd torque"),
-    "reference": (
-        "qg", "q ref", "ref", "x ref", "pos ref", "position reference", "pos cmd", "cmd pos", "command", "setpoint",
-        "set point", "pos set", "reference", "q cmd", "q d", "qd", "target",
-    ),
-    "motor_position": (
-        "qm", "q m", "q", "pos", "pos act", "act pos", "position", "enc", "encoder", "q motor", "motor position",
-        "pos fbk", "phi m",
-    ),
-    "load_position": ("ql", "q l", "q load", "load position", "pos load", "load encoder", "phi l"),
-    "injected": ("injected", "pulses", "excitation", "pulses n"),
-}  # fmt: skip
-"""What engineers call these signals where no drive named them: the EMPS record and its like."""
-
-_HUMP = re.compile(r"(?<=[a-z])(?=[A-Z])")
-_WORD = re.compile(r"[a-z0-9]+")
-_BRACKETS = re.compile(r"\s*[\[(][^\[\]()]*[\])]\s*$")
-
 
 def build_preview(table: Table) -> dict[str, Any]:
     """Return the columns of a table as JSON has them.
 
     Its keys: `columns`, a list of `name`, `samples`, `low`, `high` and `outline`, the lowest and the highest
-    value of up to 400 stretches of equal length, null where a stretch has no number; `more`, how many columns are not
-    listed; and `roles`, the column that each channel probably is.
+    value of up to 400 stretches of equal length, null where a stretch has no number; and `more`, how many columns are
+    not listed.
     """
     names = list(table.columns)
     columns = [_describe_column(name, table.columns[name], drawn=i < _DRAWN) for i, name in enumerate(names[:_LISTED])]
-    roles = guess_roles(names[:_LISTED])
-    return {"columns": columns, "more": max(len(names) - _LISTED, 0), "roles": roles}
+    return {"columns": columns, "more": max(len(names) - _LISTED, 0)}
 
 
 def _describe_column(name: str, values: FloatArray, *, drawn: bool) -> dict[str, Any]:
@@ -87,50 +61,8 @@ def _round_number(value: float | None) -> float | None:
     return None if value is None or math.isnan(value) else float(f"{value:.6g}")
 
 
-def guess_roles(columns: Iterable[str]) -> dict[str, str]:
-    """Return the column of each channel, and of "time", as far as exactly one of them is called so.
-
-    Args:
-        columns: names of the columns.
-    """
-    names = list(columns)
-    found: dict[str, str] = {}
-    for role in ("time", *CHANNELS):
-        free = [name for name in names if name not in found.values()]
-        column = _find_by_usage(role, free) or (None if role == "time" else _find_by_profile(role, free))
-        if column is not None:
-            found[role] = column
-    return found
-
-
-def _find_by_usage(role: str, names: list[str]) -> str | None:
-    for usual in _USUAL.get(role, ()):
-        called = [name for name in names if _normalise(name) == usual]
-        if len(called) == 1:
-            return called[0]
-    return None
-
-
-def _find_by_profile(channel: str, names: list[str]) -> str | None:
-    rest = [name for name in profile_names() if name != _PROFILE_FIRST]
-    for profile in map(load_profile, (_PROFILE_FIRST, *rest)):
-        called = [name for name in names if profile.signals(channel, name, None) or profile.signals(channel, name, 1)]
-        if len(called) == 1:
-            return called[0]
-    return None
-
-
-def _normalise(name: str) -> str:
-    return " ".join(_WORD.findall(_HUMP.sub(" ", _BRACKETS.sub("", name)).casefold()))
-
-
 def draw_svg(column: Mapping[str, Any], end: str) -> str:
-    """Return a column as SVG.
-
-    Args:
-        column: of a preview.
-        end: the label at the right end of the time axis, such as "24.8 s".
-    """
+    """Return a column of a preview as SVG; `end` is the label at the right of its time axis, such as "24.8 s"."""
     low, high = column["low"], column["high"]
     body = '<text x="320" y="80" text-anchor="middle">no numbers</text>'
     if column["outline"] is not None and low is not None:

@@ -18,12 +18,13 @@ from starlette.responses import FileResponse, Response, StreamingResponse
 
 from jointid.apps.web import pages
 from jointid.apps.web.fields import TEXT
-from jointid.apps.web.folder import PageError, Run, name_in_run, read_json, write_json
-from jointid.apps.web.form import make_order, make_reading_tables, read_joint_file
+from jointid.apps.web.folder import PREVIEW, PageError, Run, name_in_run, read_json, refusal_of, write_json
+from jointid.apps.web.form import make_reading_tables, read_joint_file, with_units
+from jointid.apps.web.guesses import guess_draft
+from jointid.apps.web.pages import AppState, clean_name, receive_file
 from jointid.apps.web.preview import draw_svg
-from jointid.apps.web.requests import AppState, clean_name, receive_file
 from jointid.common.errors import JointidError
-from jointid.config import JointFile
+from jointid.common.files import beside
 from jointid.records.formats import format_of
 
 _WITH_OPTIONS = "CSV"  # the format whose files may need to be read in another way
@@ -59,8 +60,8 @@ def _refusing(show: Callable[[AppState, Exception], Response]) -> Callable[[_Act
             state = AppState.of(request)
             try:
                 return await action(request, state)
-            except JointidError as error:
-                return show(state, error)
+            except (JointidError, OSError) as error:
+                return show(state, refusal_of(error))
 
         return answer
 
@@ -75,9 +76,9 @@ async def show_record(request: Request) -> Response:
 @_refusing(pages.show_record)
 async def take_record(request: Request, state: AppState) -> Response:
     """Take a record in place of the one before."""
+    path, name = await receive_file(request, state, state.limits.upload, pages.list_suffixes())
     async with state.files:
-        path, name = await receive_file(request, state.folder.path, state.limits.upload, pages.list_suffixes())
-        kept = {key: value for key, value in state.folder.draft.items() if not key.startswith("record.")}
+        kept = {key: value for key, value in state.folder.draft.items() if value and not key.startswith("record.")}
         await _replace_record(state, path, name, kept)
     return state.redirect("/channels")
 
@@ -89,8 +90,9 @@ async def make_example(_: Request, state: AppState) -> Response:
 
     async with state.files:
         await state.jobs.read("simulate", state.folder.path)
-        path = state.folder.path / "example.csv"
-        await _replace_record(state, path, path.name, read_joint_file(JOINT_FILE))
+        fresh = (state.folder.path / "example.csv").rename(state.folder.new_upload(".csv"))
+        example = JOINT_FILE.replace(", optional = true", "")  # for other records; this one has all of them
+        await _replace_record(state, fresh, "example.csv", with_units(read_joint_file(example)))
     return state.redirect("/channels")
 
 
@@ -102,8 +104,11 @@ async def read_again(request: Request, state: AppState) -> Response:
         record = state.folder.record
         if record is None:
             return state.redirect("/")
-        state.folder.drop_preview()
-        await _read_columns(state, state.folder.path / record["file"], draft)
+        try:
+            await _read_columns(state, state.folder.path / record["file"], record["name"], draft)
+        except PageError:  # the preview is of what the form no longer says
+            state.folder.drop_preview()
+            raise
     return state.redirect("/channels")
 
 
@@ -121,10 +126,9 @@ async def check_channels(request: Request, state: AppState) -> Response:
         record = state.folder.record
         if record is None:
             return state.redirect("/")
-        tables = await run_in_threadpool(make_reading_tables, draft, record["file"])
-        await run_in_threadpool(JointFile.of, tables)
-        write_json(state.folder.path / "work.json", {"file": record["file"], "tables": tables})
-        await state.jobs.read("check", state.folder.path)
+        write_json(state.folder.path / "work.json", {"file": record["file"], "draft": draft})
+        await state.jobs.read("check", state.folder.path, record["file"], record["name"])
+    state.jobs.prepare()
     return state.redirect("/joint")
 
 
@@ -142,28 +146,28 @@ async def draw_column(request: Request) -> Response:
 async def _replace_record(state: AppState, fresh: Path, name: str, draft: Mapping[str, str]) -> None:
     """Put a file in the record's place if it can be read, and guess the channels from the names of its columns.
 
-    A text file that cannot is kept as well: an option may be all that is missing.
+    A text file that cannot is kept as well: an option may be all that is missing. Where the disk is full the record
+    before stays as it was.
     """
     try:
-        await _read_columns(state, fresh, {})
-    except PageError:
-        if format_of(fresh).name == _WITH_OPTIONS:
-            state.folder.save_record(fresh, name, draft)
-            state.folder.drop_preview()
-        fresh.unlink(missing_ok=True)
-        raise
-    roles = (state.folder.preview or {}).get("roles", {})
-    guessed = {
-        "record.time" if role == "time" else f"record.channels.{role}.column": column for role, column in roles.items()
-    }
-    state.folder.save_record(fresh, name, {**guessed, **draft})
+        try:
+            await _read_columns(state, fresh, name, {})
+        except PageError:
+            if format_of(fresh).name == _WITH_OPTIONS:
+                state.folder.save_record(fresh, name, draft)
+            raise
+        preview = read_json(state.folder.path / f"{fresh.name}{PREVIEW}") or {"columns": []}
+        columns = [column["name"] for column in preview["columns"]]
+        state.folder.save_record(fresh, name, {**guess_draft(columns), **draft})
+    finally:
+        state.folder.discard(fresh.name)
 
 
-async def _read_columns(state: AppState, path: Path, draft: Mapping[str, str]) -> None:
+async def _read_columns(state: AppState, path: Path, name: str, draft: Mapping[str, str]) -> None:
     options = make_reading_tables({one.name: draft.get(one.name, "") for one in TEXT}, path.name)["record"]
     chosen = {key: value for key, value in options.items() if key != "file"}
     write_json(state.folder.path / "work.json", {"file": path.name, "options": chosen})
-    await state.jobs.read("preview", state.folder.path)
+    await state.jobs.read("preview", state.folder.path, path.name, name)
 
 
 async def show_joint(request: Request) -> Response:
@@ -178,13 +182,14 @@ async def show_joint(request: Request) -> Response:
 @_refusing(pages.show_joint)
 async def import_joint_file(request: Request, state: AppState) -> Response:
     """Fill in the form from a joint file."""
+    path, name = await receive_file(request, state, state.limits.joint_file, [".toml"])
     try:
-        path, name = await receive_file(request, state.folder.path, state.limits.joint_file, [".toml"])
-        state.folder.save_draft(await run_in_threadpool(read_joint_file, path.read_text(encoding="utf-8-sig")))
+        text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
-        raise PageError("The joint file is not text in UTF-8; save it so.") from None
+        raise PageError(f"{name} is not text in UTF-8; save it so.") from None
     finally:
-        (state.folder.path / "incoming.toml").unlink(missing_ok=True)
+        path.unlink(missing_ok=True)
+    state.folder.save_draft(await state.jobs.ask("fill_in", {"text": text}, state.folder.path))
     return state.redirect(f"/joint?imported={quote(name)}")
 
 
@@ -192,16 +197,16 @@ async def import_joint_file(request: Request, state: AppState) -> Response:
 async def identify(request: Request, state: AppState) -> Response:
     """Check everything, and start the identification, in a folder of its own that holds all it takes."""
     draft = await state.save_form(request)
+    record = state.folder.record
+    if record is None:
+        return state.redirect("/")
+    name = name_in_run(record["name"])
+    made = await state.jobs.ask("order", {"draft": draft, "file": name}, state.folder.path)
     async with state.files:
-        record = state.folder.record
-        if record is None:
-            return state.redirect("/")
-        name = name_in_run(record["name"])
-        order = await run_in_threadpool(make_order, draft, name)
-        state.jobs.require_idle()
-        run = state.folder.new_run(record["file"], name)
-    (run.folder / "joint.toml").write_text(order.text, encoding="utf-8", newline="\n")
-    write_json(run.folder / "work.json", {"file": name, "gain": order.gain})
+        if state.folder.record != record:
+            raise PageError("Another record was sent meanwhile; look at its channels first.")
+        await state.jobs.require_idle()
+        run = state.folder.new_run(record["file"], name, made["text"], learn=made["learn"])
     state.jobs.start(run)
     return state.redirect(f"/runs/{run.number}")
 
@@ -254,10 +259,14 @@ def _find_run(request: Request) -> Run:
 
 
 async def _events(run: Run, begin: int) -> AsyncIterator[str]:
-    """Yield the lines of an identification's progress from a number on, and its end."""
-    sent, looks = begin, 0
+    """Yield the lines of an identification's progress from a number on, each version of answer and report, its end."""
+    sent, looks, told = begin, 0, {"answer": "", "report": ""}
     while True:
         status = run.status  # before the lines: none that came before the end is left out
+        stamps = run.stamps
+        for name in (name for name in stamps if stamps[name] != told[name]):
+            yield f"event: {name}\ndata: {json.dumps(stamps[name])}\n\n"
+        told = stamps
         lines = run.read_progress()
         for number in range(sent, len(lines)):
             yield f"id: {number}\ndata: {json.dumps(lines[number])}\n\n"
@@ -273,12 +282,10 @@ async def _events(run: Run, begin: int) -> AsyncIterator[str]:
 def _bundle(run: Run) -> tuple[Path, str]:
     """Return an archive of the answer and the stem of its record; in it `jointid identify joint.toml` repeats it."""
     work = read_json(run.folder / "work.json") or {}
-    path = run.folder / BUNDLE
-    if not path.exists():
-        beside = run.folder / "bundle.part"
-        with zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED) as archive:
-            for name in (name for name in FILES if run.has(name)):
-                archive.write(run.folder / name, name)
+    path, files = run.folder / BUNDLE, [run.folder / name for name in FILES if run.has(name)]
+    if not path.exists() or path.stat().st_mtime_ns <= max(file.stat().st_mtime_ns for file in files):
+        with beside(path) as fresh, zipfile.ZipFile(fresh, "w", zipfile.ZIP_DEFLATED) as archive:
+            for file in files:
+                archive.write(file, file.name)
             archive.write(run.folder / work["file"], work["file"])
-        beside.replace(path)
     return path, Path(work["file"]).stem

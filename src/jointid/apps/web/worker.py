@@ -2,23 +2,35 @@
 
 A file may be damaged and a fit may take hours: whatever becomes of the process, the page stays up, and its memory is
 bounded. It prints its progress, a line each, and leaves its answer in the folder; exit code 2 and `fault.json` for what
-the person can mend. It ends when the page does, whose end it hears on its standard input.
+the person can mend, 3 for a disk that is full. It ends when the page does, whose end it hears on its standard input.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import sys
 import threading
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from jointid.common.errors import FaultsError, JointidError
+from jointid.apps.web.folder import CHECKED, PREVIEW
+from jointid.common.errors import JointFileError, JointidError
+from jointid.common.files import is_full, write_whole
 
-REFUSED = 2
+if TYPE_CHECKING:
+    from jointid import Estimate, Record
+    from jointid.config import JointFile
+    from jointid.diagnostics.loop_findings import LoopCheck
+
+REFUSED, NO_ROOM = 2, 3
+
+_MOMENT = 3.0  # seconds that the first report waits for what belongs into it
+_FOLLOWS = "It is still being computed, and follows in this place."
 
 _TOO_LARGE = (
     "The record, or what is asked of it, is too large for the memory that this page gives one run; cut the record or "
@@ -28,7 +40,7 @@ _TOO_LARGE = (
 
 
 def preview(folder: Path) -> None:
-    """Read the record of `work.json`, and write `preview.json`."""
+    """Read the record of `work.json`, and write its preview."""
     from jointid.apps.web.preview import build_preview
     from jointid.records.formats import read_table
 
@@ -36,7 +48,7 @@ def preview(folder: Path) -> None:
     table = read_table(folder / work["file"], **work["options"])
     if not table.columns:
         raise JointidError("The file holds no column with more than one number; choose another file.")
-    _write(folder / "preview.json", json.dumps(build_preview(table), allow_nan=False))
+    write_whole(folder / f"{work['file']}{PREVIEW}", json.dumps(build_preview(table), allow_nan=False))
 
 
 def simulate(folder: Path) -> None:
@@ -47,54 +59,118 @@ def simulate(folder: Path) -> None:
 
 
 def check(folder: Path) -> None:
-    """Read the record as the tables of `work.json` say, and write what it holds to `checked.json`."""
+    """Read the record as the entries of the form in `work.json` say, and write what it holds."""
+    from jointid.apps.web.form import make_reading_tables, require_answers
     from jointid.config import JointFile
 
     work = _read_work(folder)
-    record = JointFile.of(work["tables"]).record(folder / work["file"])
+    require_answers(work["draft"])
+    tables = make_reading_tables(work["draft"], work["file"])
+    record = JointFile.of(tables).record(folder / work["file"])
     torque = record.torque
     assert torque is not None
     size = {"samples": len(torque), "sample_time": torque.sample_time, "duration": torque.duration}
-    _write(folder / "checked.json", json.dumps({**size, "unit": torque.unit}))
+    write_whole(folder / f"{work['file']}{CHECKED}", json.dumps({**size, "unit": torque.unit}))
+
+
+def fill_in(folder: Path) -> None:
+    """Write the entries of the form that the joint file in `work.json` makes to `made.json`."""
+    from jointid.apps.web.form import read_joint_file, with_units
+
+    write_whole(folder / "made.json", json.dumps(with_units(read_joint_file(_read_work(folder)["text"]))))
+
+
+def order(folder: Path) -> None:
+    """Write the joint file that the entries of the form in `work.json` make, and whether to learn, to `made.json`."""
+    from jointid.apps.web.form import make_order
+
+    work = _read_work(folder)
+    text, to_learn = make_order(work["draft"], work["file"])
+    write_whole(folder / "made.json", json.dumps({"text": text, "learn": to_learn}))
+
+
+def prepare(_: Path) -> None:
+    """Compile the simulation where this machine has not yet, so that an identification finds it compiled."""
+    from jointid.simulation import sensitivities
+
+    sensitivities.warm_up()
 
 
 def identify(folder: Path) -> None:
-    """Identify as the joint file says, its controller learned first if `work.json` has its gain; write all answers."""
+    """Identify as the joint file says, its controller learned first if `work.json` says so.
+
+    The answer is written as soon as it is known and checked, and the page shows it; the report follows.
+    """
     from jointid.config import load
-    from jointid.output import json as answers
-    from jointid.output.report.report import report_estimate
-    from jointid.output.report.reproducibility import repetition
+    from jointid.diagnostics.check_loop import add_loop_check
+    from jointid.diagnostics.find_causes import explain_failure
     from jointid.simulation import sensitivities
+    from jointid.uncertainty.verdict import Subject, not_tested
 
     work = _read_work(folder)
-    if work["gain"] is not None:
-        _learn(folder, work)
+    if work["learn"]:
+        learn(folder, work)
     file = load(folder / "joint.toml")
     _tell("reading the record")
     record = file.record(folder / work["file"])
-    _tell("preparing the simulation; the first time on a machine this takes some 20 s")
+    _tell("preparing the simulation")
     sensitivities.warm_up()
     _tell("identifying")
-    estimate = file.identify(record, _tell)
-    told = report_estimate(estimate, record, name=file.name or "", loop=file.tells_of_its_loop, progress=_tell)
-    again = repetition(folder / "joint.toml", folder / work["file"], {})
+    try:
+        estimate = file.identify(record, _tell)
+    except JointidError as error:
+        raise explain_failure(error, record, file.loop, _tell, file.declared_numbers) from error
+    check = None
+    if file.tells_of_its_loop:
+        unchecked = not_tested(Subject.LOOP, "not checked yet")
+        _write_answer(folder, estimate.amended(checks={"verdicts": (*estimate.checks.verdicts, unchecked)}))
+        _tell("checking loop and log")
+        estimate, check = add_loop_check(estimate, record, _tell, file.declared_numbers)
+    _write_answer(folder, estimate)
+    _tell("writing the report")
+    _write_report(folder, file, estimate, record, check)
+
+
+def _write_report(folder: Path, file: JointFile, estimate: Estimate, record: Record, check: LoopCheck | None) -> None:
+    """Write the report, first without profiles and tuning where these take longer than a moment."""
+    from jointid import Report
+    from jointid.common.parallel import Aside
+    from jointid.output.report import repetition, tune_to_limit
+
+    again = repetition(folder / "joint.toml", Path(file.record_path()), {})
     again = replace(again, command="jointid report joint.toml --html report.html")
-    _write(folder / "report.html", replace(told, repetition=again).html())
-    _write(folder / "answer.txt", f"{told.estimate}\n")
-    answers.write(answers.to_dict(told.estimate), folder / "answer.json")
+    loop = False if check is None else check
+    tell = partial(Report.of, estimate, record, name=file.name or "", loop=loop, repetition=again, progress=_tell)
+
+    def tell_all() -> Report:
+        tuned = tune_to_limit(estimate, file.drive, file.declared_numbers)
+        return tell(tuned=None if isinstance(tuned, str) else tuned)
+
+    whole = Aside(tell_all)
+    if not whole.is_done(within=_MOMENT):
+        first = tell(profiles=())
+        first.dossier.absent["profiles"] = first.dossier.absent["tuning"] = _FOLLOWS
+        write_whole(folder / "report.html", first.html())
+    write_whole(folder / "report.html", whole.result().html())
 
 
-def _learn(folder: Path, work: dict[str, Any]) -> None:
+def _write_answer(folder: Path, estimate: Estimate) -> None:
+    """Write an estimate as text and as JSON, this at once, since the page looks when it was written."""
+    from jointid.output import json as answers
+
+    write_whole(folder / "answer.txt", f"{estimate}\n")
+    answers.write(answers.to_dict(estimate), folder / "answer.json")
+
+
+def learn(folder: Path, work: dict[str, Any]) -> None:
     """Learn the controller, and put it into the joint file in place of the stand-in."""
-    from jointid import learn_loop
     from jointid.config import load, save_with_controller
 
     _tell("learning the controller")
     file = load(folder / "joint.toml")
-    record = file.record(folder / work["file"])
-    learned = learn_loop(record, gain=work["gain"], transmission=file.joint.transmission, progress=_tell)
+    learned = file.learn_controller(file.record(folder / work["file"]), _tell)
     save_with_controller(file, learned.controller, folder / "joint.toml")
-    _write(folder / "learned.txt", f"{learned}\n")
+    write_whole(folder / "learned.txt", f"{learned}\n")
 
 
 def _read_work(folder: Path) -> dict[str, Any]:
@@ -102,18 +178,19 @@ def _read_work(folder: Path) -> dict[str, Any]:
     return found
 
 
-def _write(path: Path, text: str) -> None:
-    path.write_text(text, encoding="utf-8", newline="\n")
-
-
 def _tell(message: str) -> None:
-    print(message.replace("\n", " "), flush=True)  # noqa: T201
+    line = message.replace("\n", " ")
+    with contextlib.suppress(OSError):  # a disk that is full loses what is told, and the work goes on
+        os.write(1, f"{line}\n".encode())
 
 
 ACTIONS: dict[str, Callable[[Path], None]] = {
     "preview": preview,
     "simulate": simulate,
     "check": check,
+    "fill_in": fill_in,
+    "order": order,
+    "prepare": prepare,
     "identify": identify,
 }
 
@@ -138,14 +215,19 @@ def _bound_memory(memory: int) -> None:
 def main(action: str, folder: Path) -> int:
     """Do one piece of work, and return the exit code."""
     try:
-        ACTIONS[action](folder)
-    except JointidError as error:
-        faults = error.faults if isinstance(error, FaultsError) else (str(error),)
-        _write(folder / "fault.json", json.dumps(faults))
-        return REFUSED
-    except MemoryError:
-        _write(folder / "fault.json", json.dumps([_TOO_LARGE]))
-        return REFUSED
+        try:
+            ACTIONS[action](folder)
+        except (JointidError, MemoryError) as error:
+            if is_full(error):
+                raise
+            faults = (_TOO_LARGE,) if isinstance(error, MemoryError) else getattr(error, "faults", (str(error),))
+            fault = {"faults": faults, "of_form": isinstance(error, JointFileError)}
+            write_whole(folder / "fault.json", json.dumps(fault))
+            return REFUSED
+    except (JointidError, OSError) as error:
+        if is_full(error):
+            return NO_ROOM
+        raise
     return 0
 
 

@@ -21,13 +21,12 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.progress import Progress
+from jointid.common.messages import Progress
+from jointid.common.parameters import Parameter
 from jointid.estimation.problems.prescribed import DriveSideProblem
-from jointid.models.parameters import Parameter
 from jointid.records.record import Record
-from jointid.records.signals.filtering import decimate
-from jointid.simulation.drive_side import LOAD_STATE, PARTS, prescribed_motion
-from jointid.solvers.instrumental_variables import InstrumentalSolution, InstrumentalVariables, projection
+from jointid.simulation.prescribed import LOAD_STATE, PARTS, prescribed_motion
+from jointid.solvers.regression import InstrumentalSolution, InstrumentalVariables, projection
 from jointid.solvers.solve import Solution, solve
 from jointid.uncertainty.covariance import Covariance, bandwidth, bartlett_sum, sandwich, with_bands
 
@@ -152,7 +151,7 @@ def known_motions(record: Record, problem: DriveSideProblem) -> tuple[FloatArray
     """Return the motor position that reference and injected signal explain, (samples,): by each half's responses."""
     position, sample_time = problem.motion.position[::PARTS], problem.sample_time
     base, W = _past(record, problem, position)
-    seen = decimate(np.column_stack([position - base, W])[problem.inside], problem.filtering, sample_time)
+    seen = problem.filtering.decimate(np.column_stack([position - base, W])[problem.inside], sample_time)
     norms = np.maximum(np.linalg.norm(seen[:, 1:], axis=0), 1e-300)
     middle = len(seen) // 2
     responses = [

@@ -20,19 +20,20 @@ from typing import Literal
 import numpy as np
 
 from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.parameters import Parameter
 from jointid.common.settings import documented, setting
+from jointid.estimation.methods.flexible_search import by_least_squares, or_moving, rigid_estimate, simplex_start
+from jointid.estimation.methods.force_in_loop import widened_for_force
 from jointid.estimation.methods.registry import SURROUNDINGS, Method, Task
+from jointid.estimation.methods.search import History, Solved, free_more, least_squares
+from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
-from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE
 from jointid.estimation.result.build_estimate import build_closed_loop_estimate
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.stiffness_identifiability import Visibility, visible
-from jointid.estimation.search.flexible_search import by_least_squares, or_moving, rigid_estimate, simplex_start
-from jointid.estimation.search.history import History, Solved, free_more, least_squares
-from jointid.models.joints import FlexibleJoint, acts_on_whole
-from jointid.models.parameters import Parameter
+from jointid.models.joints import ClosedLoop, FlexibleJoint, acts_on_whole
 from jointid.records.record import Record
-from jointid.simulation.loop_input import ClosedLoop
 from jointid.solvers.nelder_mead import NelderMead, sizes_of
 from jointid.solvers.solve import Counted, Solver, solve
 from jointid.uncertainty.covariance import Covariance
@@ -98,6 +99,11 @@ class FlexibleDIDIM(Method):
         """
         return cls("nelder-mead", frequency, None, 1e-4, 6000, 1, "inverse-model")
 
+    @property
+    def tells_of_its_loop(self) -> bool:
+        """True by least squares: the paper's search need not end there, and its loop would be blamed for that."""
+        return self.minimiser == "least-squares"
+
     def identify(self, task: Task) -> Estimate:
         """Identify a flexible joint from torque and reference; its mode must lie below the cut-off.
 
@@ -107,11 +113,10 @@ class FlexibleDIDIM(Method):
         """
         record, loop, progress = task.record, task.loop, task.progress
         assert loop is not None
-        rigid = rigid_estimate(record, loop, self.rigid_cutoff, progress)
         problem = torque_problem(record, loop, task.filtering, task.parameters, _at_rest(record, self))
         problem = problem if loop.joint.gravity is None else _hanging(problem)
         history = History(progress)
-        solved, simulations = _searched(problem, task, rigid, self, history)
+        solved, simulations = _searched(problem, task, self, history)
         starts = solved.solution.starts
         if self.free:
             tolerance = stopping_tolerance(self)
@@ -137,6 +142,8 @@ class FlexibleDIDIM(Method):
             spring = visible(problem, x, known, starts, progress)
             history.tally.evaluations += spring.simulations
             end = (stop, converged)
+            if spring.shown:  # what is refused has no interval to widen
+                known = widened_for_force(known, problem, x, J, history)
             found = build_closed_loop_estimate(record, problem, x, run, end, known, J, spring.rigid_error)
             found = found.amended(checks={"verdicts": (*found.checks.verdicts, spring.verdict)})
             found = found if spring.shown else refused(found, spring)
@@ -152,21 +159,41 @@ def stopping_tolerance(settings: FlexibleDIDIM) -> float:
     return settings.tolerance or (_TOLERANCE if settings.minimiser == "least-squares" else _SIMPLEX_TOLERANCE)
 
 
-def _searched(
-    problem: ClosedLoopProblem, task: Task, rigid: Estimate, settings: FlexibleDIDIM, history: History
-) -> tuple[Solved, int]:
-    """Return where the search ends, from a rough rigid joint or lower ones, and the simulations that these took."""
+def _searched(problem: ClosedLoopProblem, task: Task, settings: FlexibleDIDIM, history: History) -> tuple[Solved, int]:
+    """Return where the search ends, from a rough rigid joint or lower ones, and the simulations that these took.
+
+    Raises:
+        MethodError: the loop cannot be simulated at any start.
+    """
     paper, tolerance = settings.minimiser == "nelder-mead", stopping_tolerance(settings)
+    assert task.loop is not None
+    try:
+        rigid = rigid_estimate(task.record, task.loop, settings.rigid_cutoff, history.progress)
+    except MethodError as error:
+        if paper:
+            raise
+        # A mode inside the loop's bandwidth makes the joint look like no rigid one at any frequency.
+        history.progress(f"without a rigid joint to begin with: {error}")
+        try:
+            return by_least_squares(problem, task.filtering, None, settings.frequency, tolerance, history), 0
+        except MethodError:
+            raise error from None
 
-    def solved_from(rigid: Estimate) -> tuple[Solved, Solver[Counted]]:
-        if not paper:
+    def solved_from(rigid: Estimate) -> Solved:
+        if paper:
+            start = simplex_start(problem, rigid, settings.frequency, history)
+            solver: Solver[Counted] = NelderMead(
+                tolerance, settings.simulations, settings.restarts, sizes_of(start), problem.size
+            )
+            found = history.solve(problem, solver, start)
+        else:
             found = by_least_squares(problem, task.filtering, rigid, settings.frequency, tolerance, history)
-            return found, least_squares(found.problem, tolerance)
-        start = simplex_start(problem, rigid, settings.frequency, history)
-        simplex = NelderMead(tolerance, settings.simulations, settings.restarts, sizes_of(start), problem.size)
-        return history.solve(problem, simplex, start), simplex
+            solver = least_squares(found.problem, tolerance)
+        # Below its resonance the axis seemed to move at the first sample.
+        moves = rigid["initial_velocity"].free
+        return or_moving(found, rigid, not paper, solver, history) if moves else found
 
-    solved, solver = solved_from(rigid)
+    solved = solved_from(rigid)
     assert rigid.settings.filtering.cutoff is not None
     edge, simulations = rigid.settings.filtering.cutoff, rigid.fit.simulations
     for lower in () if paper or settings.rigid_cutoff else _LOWER:
@@ -175,12 +202,13 @@ def _searched(
             break
         # A mode near the cut-off of the rigid start makes it a poor one, and all that is explored from it.
         history.progress("the search ended where the model explains little; beginning again, below a lower frequency")
-        assert task.loop is not None
-        rigid = rigid_estimate(task.record, task.loop, edge / lower, history.progress)
+        try:
+            rigid = rigid_estimate(task.record, task.loop, edge / lower, history.progress)
+        except MethodError as error:  # a short record shows too little there
+            history.progress(f"not below {edge / lower:.3g} Hz: {error}")
+            break
         simulations += rigid.fit.simulations
-        solved, solver = solved_from(rigid)
-    if rigid["initial_velocity"].free:  # below its resonance the axis seemed to move at the first sample
-        solved = or_moving(solved, rigid, not paper, solver, history)
+        solved = solved_from(rigid)
     return solved, simulations
 
 

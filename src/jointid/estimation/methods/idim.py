@@ -2,12 +2,19 @@
 
 Torque and columns are those of `inverse_model`; the estimators, ordinary, weighted or robust least squares or
 instruments from a simulated loop, those of `linear`.
+
+The period of a ripple that is not known is searched for in the record. The residual of least squares has one narrow
+valley at each period the torque repeats with, as wide as the axis has travelled periods. So spatial frequencies are
+tried in steps of a quarter of that width, from two periods on the way to those that pass at the median speed with the
+filter's cut-off; the best is refined by Brent's method. From then on the derivative of the force by the period is a
+column like the others, so that the period has a deviation, and the other parameters' deviations know that it is not
+sure.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Literal, TypeAlias
 
@@ -15,8 +22,9 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.common.parameters import Parameter, Quantity
 from jointid.common.settings import documented, setting
-from jointid.estimation.methods.harmonic_period import PeriodColumn, is_searched, moved, with_periods
+from jointid.common.transmission import Side
 from jointid.estimation.methods.linear import (
     Rows,
     Solution,
@@ -28,18 +36,24 @@ from jointid.estimation.methods.linear import (
 )
 from jointid.estimation.methods.registry import Method, Task
 from jointid.estimation.problems.closed_loop import require_free
-from jointid.estimation.problems.inverse_model import InverseModel, idim_channels, motion_of
+from jointid.estimation.problems.inverse_model import InverseModel, idim_channels, motion_of, through_window
+from jointid.estimation.problems.rest import SAID
 from jointid.estimation.result.build_estimate import build_data, build_rows, poor_fit
 from jointid.estimation.result.estimate import Estimate, relative_error
-from jointid.estimation.result.params import Params
-from jointid.estimation.result.parts import Checks, Fit, Settings
+from jointid.estimation.result.parts import Checks, Fit, Params, Settings
 from jointid.models.controllers import Controller
-from jointid.models.disturbances import Effect, effect_parameters, require_effects
-from jointid.models.joints import Joint, acts_on_whole
-from jointid.models.parameters import Parameter
+from jointid.models.disturbances import (
+    Effect,
+    EncoderOffset,
+    PositionHarmonics,
+    effect_columns,
+    effect_parameters,
+    require_effects,
+)
+from jointid.models.joints import Joint, Motion, acts_on_whole
 from jointid.records.record import Record, Timing
 from jointid.records.signals.filtering import Filtering
-from jointid.uncertainty.covariance import words
+from jointid.uncertainty.covariance import band_words, words
 
 Estimator: TypeAlias = Literal["ols", "weighted", "robust", "iv"]
 
@@ -51,7 +65,14 @@ _VARIANTS = {
 }
 _LINEARISATIONS = 10  # of the force by a period, at most
 _SETTLED = 1e-3  # deviations of the period
+_SHOWN = 4.0  # deviations: a smaller difference of two encoders' zeros is none
 _ALIKE = 0.99  # a correlation that says two forces are known only together
+
+# Of a period that is searched for
+_PERIODS = 2.0  # on the way, at least
+_STEPS = 4.0  # to the width of a valley
+_MOVING = 0.1  # of the top speed: slower is not moving
+_FOUND = 1e-9  # relative, of the period
 
 
 @documented
@@ -70,6 +91,11 @@ class IDIM(Method):
         "needed",
     )
     effects: tuple[Effect, ...] = ()
+    encoders: Literal["as_logged", "same_zero"] = setting(
+        "as_logged",
+        "whether the encoders of motor and load may count from different zeros, whose difference is then estimated, or "
+        "are known to have the same",
+    )
 
     @classmethod
     def called(cls, model: str) -> str:
@@ -123,14 +149,19 @@ class IDIM(Method):
             columns = simulated_instruments(record, loop, made.model, made.parameters, filtering, effects)
             return _Found(made, by_instruments(made.rows, columns, made.kept, made.free), effects)
 
-        unknown = [is_searched(effect) for effect in self.effects]
-        if not any(unknown):
-            found = solved(self.effects)
-        else:
-            whole = regression(tuple(effect for effect in self.effects if not is_searched(effect)))
-            begun = with_periods(self.effects, whole.model, whole.rows, filtering, sample_time)
-            found = _with_periods(begun, unknown, solved)
-        return _answer(task, self, filtering, delay, found)
+        own = self.effects
+        told = any(isinstance(effect, EncoderOffset) for effect in own)
+        if joint.model == "flexible" and self.encoders == "as_logged" and not told and _zeros_differ(solved):
+            own = (*own, EncoderOffset())
+        unknown = [e for e in own if isinstance(e, PositionHarmonics) and e.period is None]
+        if not unknown:
+            return _answer(task, self, filtering, delay, solved(own))
+        whole = regression(tuple(effect for effect in own if effect not in unknown))
+        begun: dict[Effect, PositionHarmonics] = {
+            ripple: _searched(ripple, whole, filtering, sample_time) for ripple in unknown
+        }
+        effects = tuple(begun.get(effect, effect) for effect in own)
+        return _answer(task, self, filtering, delay, _with_periods(effects, list(begun.values()), solved))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,21 +211,32 @@ class _Found:
     periods: dict[str, float] = field(default_factory=dict)
 
 
+def _zeros_differ(solved: Callable[[tuple[Effect, ...]], _Found]) -> bool:
+    """Return True if a record shows that its two encoders count from different zeros."""
+    offset = EncoderOffset()
+    try:
+        found = solved((offset,))
+    except MethodError:  # nothing tells it from the other forces
+        return False
+    at = found.regression.rows.names.index(offset.parameters[0].name)
+    return abs(float(found.solution.fit.values[at])) > _SHOWN * float(found.solution.covariance.std[at])
+
+
 def _with_periods(
-    effects: tuple[Effect, ...], unknown: list[bool], solved: Callable[[tuple[Effect, ...]], _Found]
+    effects: tuple[Effect, ...], ripples: Sequence[PositionHarmonics], solved: Callable[[tuple[Effect, ...]], _Found]
 ) -> _Found:
-    """Return the solution with the periods that were unknown estimated like the other parameters."""
+    """Return the solution with the periods of the ripples, which are among the effects, estimated like the others."""
     found, periods = solved(effects), dict[str, float]()
     for _ in range(_LINEARISATIONS):
-        names, solution = found.regression.rows.names, found.solution
-        values = dict(zip(names, solution.fit.values, strict=True))
-        tangents = [PeriodColumn.of(effect, values) for effect, was in zip(effects, unknown, strict=True) if was]
+        values = dict(zip(found.regression.rows.names, found.solution.fit.values, strict=True))
+        tangents = [PeriodColumn(r, np.array([values[p.name] for p in r.parameters])) for r in ripples]
         found = solved((*effects, *tangents))
         names, solution = found.regression.rows.names, found.solution
         change = dict(zip(names, solution.fit.values, strict=True))
         std = dict(zip(names, solution.covariance.std, strict=True))
-        effects = moved(effects, tangents, change)
         periods = {tangent.name: float(tangent.period + change[tangent.name]) for tangent in tangents}
+        moved: dict[Effect, PositionHarmonics] = {t.ripple: replace(t.ripple, period=periods[t.name]) for t in tangents}
+        effects, ripples = tuple(moved.get(effect, effect) for effect in effects), tuple(moved.values())
         if all(abs(change[name]) <= _SETTLED * std[name] for name in periods):
             break
     return _Found(found.regression, found.solution, effects, periods)
@@ -216,7 +258,8 @@ def _answer(task: Task, settings: IDIM, filtering: Filtering, delay: float, foun
             build_rows(regression.parameters, named, std, joint.unit, named.keys() - found.periods.keys()),
             regression.rows.names,
             solution.covariance.correlation,
-            f"of the regression, {words(solution.covariance)}",
+            f"of the regression, {words(solution.covariance)}"
+            + (f", {band_words()} in the load's equation" if joint.model == "flexible" else ""),
         ),
         fit=Fit(
             measured=measured,
@@ -234,6 +277,7 @@ def _answer(task: Task, settings: IDIM, filtering: Filtering, delay: float, foun
         ),
         checks=Checks(
             warnings=(
+                *_of_rest(regression.model),
                 *_warnings(record, filtering, solution.fit.relative_error),
                 *_like_gravity(regression.rows.names, solution.covariance.correlation),
             ),
@@ -265,6 +309,16 @@ def _stop(settings: IDIM, solution: Solution) -> str:
     return f"{solution.steps} reweightings until nothing changes{without}"
 
 
+def _of_rest(model: InverseModel) -> tuple[str, ...]:
+    """Return a sentence on a record in which the motor rests."""
+    if model.resting <= SAID:
+        return ()
+    return (
+        f"the motor rests in {100 * model.resting:.0f} % of the record, where friction takes what it must and the "
+        "torque says nothing of it: these rows are left out",
+    )
+
+
 def _like_gravity(names: tuple[str, ...], correlation: FloatArray) -> tuple[str, ...]:
     """Return a sentence on each two of the forces on the load, and the offset, that a short travel makes alike."""
     forces = [i for i, name in enumerate(names) if acts_on_whole(name)]
@@ -285,3 +339,81 @@ def _warnings(record: Record, filtering: Filtering, error: float) -> tuple[str, 
             'results were; timing = "respected" is right'
         )
     return (*found, *poor_fit(error))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PeriodColumn:
+    """The derivative of a ripple by its period, as one more effect; its parameter is the change of the period."""
+
+    ripple: PositionHarmonics
+    amplitudes: FloatArray
+
+    @property
+    def name(self) -> str:
+        """Of its parameter."""
+        return self.parameters[0].name
+
+    @property
+    def period(self) -> float:
+        """The ripple's."""
+        assert self.ripple.period is not None
+        return self.ripple.period
+
+    @property
+    def side(self) -> Side:
+        """The ripple's."""
+        return self.ripple.side
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The period."""
+        prefix, index = ("", "") if self.side == "motor" else ("load_", "2")
+        return (Parameter(f"{prefix}period", f"period{index}", Quantity.POSITION),)
+
+    def columns(self, motion: Motion, time: FloatArray) -> FloatArray:
+        """Return the derivative, (samples, 1)."""
+        return self.ripple.period_column(motion, self.amplitudes)[:, np.newaxis]
+
+
+def _searched(
+    effect: PositionHarmonics, whole: _Regression, filtering: Filtering, sample_time: float
+) -> PositionHarmonics:
+    """Return a ripple with the period that explains most of what the effects that are whole leave (see the module)."""
+    from scipy.optimize import minimize_scalar
+
+    model, rows = whole.model, whole.rows
+    side = model.motor if effect.side == "motor" else model.load
+    assert side is not None
+    low, high, step = _range(side, effect, filtering)
+    basis, _ = np.linalg.qr(rows.W / np.linalg.norm(rows.W, axis=0))
+    left = rows.Y - basis @ (basis.T @ rows.Y)
+
+    def remaining(frequency: float) -> float:
+        tried = replace(effect, period=1 / frequency)
+        columns = effect_columns([tried], model.motor, model.load, sample_time, rows.equations)
+        seen = model.thinned(through_window(columns, filtering), filtering, sample_time)
+        seen -= basis @ (basis.T @ seen)
+        error = left - seen @ np.linalg.lstsq(seen, left, rcond=None)[0]
+        return float(error @ error)
+
+    tried = np.arange(low, high + step, step)
+    best = tried[int(np.argmin([remaining(frequency) for frequency in tried]))]
+    around = (max(best - step, 0.5 * low), best + step)
+    fine = minimize_scalar(remaining, bounds=around, method="bounded", options={"xatol": _FOUND * best})
+    return replace(effect, period=float(1 / fine.x))
+
+
+def _range(side: Motion, effect: PositionHarmonics, filtering: Filtering) -> tuple[float, float, float]:
+    """Return lowest and highest spatial frequency to try, and the step between, in periods per m or rad."""
+    assert filtering.cutoff is not None
+    travel, speed = float(np.ptp(side.position)), np.abs(side.velocity)
+    moving = speed[speed > _MOVING * speed.max()]
+    low = _PERIODS / travel if travel > 0 else np.inf
+    high = filtering.cutoff / float(np.median(moving)) / effect.harmonics if moving.size else 0.0
+    if not low < high:
+        raise MethodError(
+            f"No period can be searched for: at this record's speed the filter's cut-off of {filtering.cutoff:g} Hz "
+            f"leaves none that fits {_PERIODS:g} times into its travel; give the period, or a record that travels "
+            "farther."
+        )
+    return low, high, 1 / (_STEPS * effect.harmonics * travel)

@@ -28,16 +28,17 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.common.parameters import Parameter
 from jointid.estimation.problems.inverse_model import InverseModel, inverse_model
 from jointid.estimation.result.parts import Iteration
 from jointid.models.disturbances import Effect
-from jointid.models.parameters import Parameter
+from jointid.models.joints import ClosedLoop
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Initial, Outcome, simulate
-from jointid.simulation.loop_input import ClosedLoop, prepare
+from jointid.simulation.loop_input import prepare
 from jointid.solvers.regression import Fit, least_squares
-from jointid.uncertainty.covariance import Covariance, sandwich
+from jointid.uncertainty.covariance import Covariance, sandwich, with_bands
 from jointid.uncertainty.model_tests import ChiSquareTest, durbin_wu_hausman
 
 _PULL = 10.0  # deviations in units of which the pull of a homogeneous equation stays below one
@@ -101,10 +102,22 @@ class Solution:
     test: ChiSquareTest | None = None
 
 
+def _covariance(Z: FloatArray, J: FloatArray, error: FloatArray, equations: int) -> Covariance:
+    """Return the covariance over rows, and of the load's equation over bands of frequency, where that is larger.
+
+    That equation has no torque, and so hardly any noise: what it leaves is what the model lacks, and repeats.
+    """
+    found = sandwich(Z, J, error, equations)
+    if equations == 1:
+        return found
+    of_load = np.concatenate([np.zeros(error.size // 2), error[error.size // 2 :]])
+    return with_bands(found, Z, J, of_load, equations)
+
+
 def ordinary(rows: Rows) -> Solution:
     """Return ordinary least squares."""
     fit = least_squares(rows.W, rows.Y, rows.names)
-    covariance = sandwich(rows.W, rows.W, fit.residual, rows.equations)
+    covariance = _covariance(rows.W, rows.W, fit.residual, rows.equations)
     return Solution(fit, covariance, np.ones(rows.Y.size), 1)
 
 
@@ -156,7 +169,7 @@ def instrumental(rows: Rows, Z: FloatArray, values: FloatArray) -> Solution:
         ) from None
     norms = np.linalg.norm(Zs, axis=0)
     found = np.linalg.solve((Zs / norms).T @ (Ws / norms), (Zs / norms).T @ Ys) / norms
-    covariance = sandwich(Zs, Ws, Ys - Ws @ found, rows.equations)
+    covariance = _covariance(Zs, Ws, Ys - Ws @ found, rows.equations)
     return Solution(_plain_fit(rows, found, Ws), covariance, np.ones(rows.Y.size), 1)
 
 
@@ -192,6 +205,7 @@ def simulated_instruments(
         positions = (run.motor_position, *(() if run.load_position is None else (run.load_position,)))
         whole = tuple(np.pad(position[:size], (0, max(size - position.size, 0)), "edge") for position in positions)
         moved = inverse_model(loop.joint, torque, whole, filtering, effects=effects)
+        moved = replace(moved, moving=model.moving)  # of the same rows
         return moved.thinned(moved.columns, filtering, sample_time)
 
     return columns
@@ -266,7 +280,7 @@ def _reweighted(
             break
     error = (rows.Y - rows.W @ values) / scale
     Z = rows.W / scale[:, np.newaxis]
-    covariance = sandwich(Z, Z * slope(error)[:, np.newaxis], error * share(error), rows.equations)
+    covariance = _covariance(Z, Z * slope(error)[:, np.newaxis], error * share(error), rows.equations)
     return Solution(_plain_fit(rows, values, Z), covariance, share(error), steps)
 
 

@@ -1,7 +1,7 @@
 """The registry of the identification methods: their names, and what each says of itself.
 
-A method is a frozen dataclass of its settings that is a `Method`, in a file of its own, and a line in `METHODS`. All
-that knows methods asks here: identification, the joint file with its checks, the command line, the comparison.
+A method is a frozen dataclass of its settings that is a `Method`, and a line in `METHODS`. All that knows methods asks
+here: identification, the joint file with its checks, the command line, the comparison.
 
 The line holds a name and an address, so that the command line can list the methods without loading them.
 """
@@ -18,21 +18,20 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, TypeAlias
 from jointid.common.settings import check_settings
 
 if TYPE_CHECKING:
-    from jointid.common.progress import Progress
+    from jointid.common.messages import Progress
+    from jointid.common.parameters import Parameter
     from jointid.estimation.result.estimate import Estimate
     from jointid.models.controllers import Controller
-    from jointid.models.joints import Joint
-    from jointid.models.parameters import Parameter
+    from jointid.models.joints import ClosedLoop, Joint
     from jointid.records.record import Record
     from jointid.records.signals.filtering import Filtering
-    from jointid.simulation.loop_input import ClosedLoop
 
 METHODS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "didim": ("didim.DIDIM", "flexible.FlexibleDIDIM"),
         "idim": ("idim.IDIM",),
-        "drive_side": ("drive_side.DriveSideFit",),
-        "open_loop": ("open_loop.OpenLoopFit",),
+        "drive_side": ("prescribed.DriveSideFit",),
+        "open_loop": ("prescribed.OpenLoopFit",),
     }
 )
 """Module and class of every method by its name; several classes are one method with settings for each joint model.
@@ -52,7 +51,8 @@ MODELS = ("rigid", "flexible")
 
 SURROUNDINGS = (
     "what surrounds the joint and is identified with it, by least squares from where DIDIM ends, from what is "
-    'declared: a number of the law such as "kp", "delay" or "torque_filters.0.frequency", or "log_gain", "log_delay"'
+    'declared: a number of the law such as "position_gain", "delay" or "torque_filters.0.frequency", or "log_gain", '
+    '"log_delay"'
 )
 """What the methods that simulate the loop say of their setting ``free``."""
 
@@ -114,6 +114,11 @@ class Method(Protocol):
     def compared(cls, model: str) -> tuple[tuple[str, Method], ...]:
         """Return label and settings of each of its runs in a comparison of methods; the first is the usual one."""
         return ((cls.title, cls()),) if cls.needs_controller else ()
+
+    @property
+    def tells_of_its_loop(self) -> bool:
+        """True if a check of the loop may begin at its estimate."""
+        return True
 
     def identify(self, task: Task) -> Estimate:
         """Identify a joint from a record."""

@@ -1,7 +1,7 @@
 """The problem an estimator solves: a vector of free parameters in, the filtered torque error and its slopes out.
 
 It owns the record, what closes the loop around the joint, the filter that torque and Jacobian go through alike, and
-which parameters are free: those of the joint, then those of what surrounds it (`nuisance_parameters`).
+which parameters are free: those of the joint, then those of what surrounds it (`problems.base`).
 """
 
 from __future__ import annotations
@@ -15,21 +15,22 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
-from jointid.estimation.problems.base import FAILED, RecordProblem
-from jointid.estimation.problems.nuisance_parameters import (
+from jointid.common.parameters import Parameter
+from jointid.estimation.problems.base import (
     DRIVE_AND_LOG,
+    FAILED,
     INITIAL_STATE,
     INITIAL_TORQUE,
+    RecordProblem,
     of_law,
     surrounding,
 )
-from jointid.models.controllers import POSITION, REFERENCE, number, with_numbers
-from jointid.models.joints import Joint, RigidJoint
-from jointid.models.parameters import Parameter
+from jointid.models.controllers import POSITION, REFERENCE, SampledLaw, number, with_numbers
+from jointid.models.joints import ClosedLoop, Joint, RigidJoint
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, decimate_all
 from jointid.simulation.closed_loop import Initial, Outcome, Response, Simulation, simulate, simulate_torque
-from jointid.simulation.loop_input import ClosedLoop, LoopInput, prepare
+from jointid.simulation.loop_input import LoopInput, prepare
 from jointid.simulation.sensitivities import Sensitivities, simulate_sensitivities
 from jointid.uncertainty.position_dependent_error import Cells, cells
 
@@ -101,6 +102,10 @@ class ClosedLoopProblem(RecordProblem):
     def loop_at(self, x: FloatArray) -> ClosedLoop:
         """Return the loop with the controller's numbers that these parameters say."""
         return self._candidate(x).loop
+
+    def law_at(self, x: FloatArray) -> SampledLaw:
+        """Return the controller's law with the numbers that these parameters say."""
+        return self._candidate(x).experiment.law
 
     def torque(self, x: FloatArray, driven: Callable[[LoopInput], LoopInput] | None = None) -> FloatArray:
         """Return the torque the log should show, raw, (samples,).

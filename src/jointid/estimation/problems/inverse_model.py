@@ -10,20 +10,21 @@ is compared with the motion it made. The published pipeline reads it as sampled 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
+from jointid.estimation.problems.rest import moving_weights
 from jointid.models.disturbances import Effect, effect_columns
 from jointid.models.joints import Joint, Motion
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing, require_units
 from jointid.records.signals.filtering import (
     Filtering,
     apply_window,
-    decimate,
     decimate_all,
     differentiate,
     differentiate_twice,
@@ -31,6 +32,10 @@ from jointid.records.signals.filtering import (
     thin_channel,
     window_torque,
 )
+
+_LONG = 20  # samples in a row that are a rest: reversals stay, where the friction shows
+_SMEAR = 0.4  # of the position filter's period: how far it smears a rest
+_TOLD = 0.05  # of a row's weight: what holds less is of rest
 
 
 def idim_channels(model: str) -> tuple[str, ...]:
@@ -47,6 +52,7 @@ class InverseModel:
         columns: (equations, samples, parameters) all of the joint's, then those of its effects.
         inside: the samples that the position filter's ends do not reach.
         motor, load: their motion, filtered; the load's is None for a rigid joint.
+        moving: (equations, samples) 0 where the equation's mass rests, else 1; None where all samples count.
     """
 
     torque: FloatArray
@@ -54,6 +60,12 @@ class InverseModel:
     inside: slice
     motor: Motion
     load: Motion | None = None
+    moving: FloatArray | None = None
+
+    @property
+    def resting(self) -> float:
+        """Share of the record in which the motor rests."""
+        return 0.0 if self.moving is None else 1.0 - float(np.mean(self.moving[0]))
 
     def decimated(
         self, filtering: Filtering, sample_time: float, values: FloatArray, *, compiled: bool = False
@@ -67,11 +79,20 @@ class InverseModel:
     def thinned(
         self, columns: FloatArray, filtering: Filtering, sample_time: float, *, compiled: bool = False
     ) -> FloatArray:
-        """Return columns, (equations, samples, parameters), filtered and decimated; equations stacked."""
+        """Return columns, (equations, samples, parameters), filtered and decimated; equations stacked.
+
+        Samples at rest weigh nothing on both sides of an equation, and rows that hold little else are left out.
+        """
         inside = columns[:, self.inside]
         if compiled:
             return np.concatenate(decimate_all(list(inside), filtering, sample_time))
-        return np.concatenate([decimate(equation, filtering, sample_time) for equation in inside])
+        if self.moving is None:
+            return np.concatenate([filtering.decimate(equation, sample_time) for equation in inside])
+        weights = self.moving[:, self.inside]
+        weighted = inside * weights[..., np.newaxis]
+        share = np.array([filtering.decimate(one, sample_time) for one in weights])
+        told = np.any(share > _TOLD, axis=0)
+        return np.concatenate([filtering.decimate(equation, sample_time)[told] for equation in weighted])
 
 
 def inverse_model(
@@ -133,8 +154,36 @@ def motor_torque(record: Record) -> Channel:
             f"they have {added.channel.sample_time:g} s and {torque.sample_time:g} s."
         )
     size = min(len(torque), len(added.channel))
-    whole = torque.values[:size] + added.channel.values[:size]
-    return Channel(whole, torque.unit, torque.sample_time, torque.timing, torque.source)
+    return replace(torque, values=torque.values[:size] + added.channel.values[:size])
+
+
+def torque_and_positions(
+    record: Record, joint: Joint, names: Sequence[str], method: str
+) -> tuple[Channel, tuple[FloatArray, ...]]:
+    """Return the torque on the motor, and positions of as many samples, (samples,) each.
+
+    Args:
+        record: with all of them.
+        joint: whose units they have.
+        names: of the positions.
+        method: as an error names it.
+
+    Raises:
+        RecordError: a channel is missing, in another unit, not sampled, or at another rate.
+    """
+    record.require(("torque", *names), method)
+    require_units(record, joint.kind, joint.torque_unit)
+    torque = motor_torque(record)
+    positions = [thin_channel(getattr(record, name), torque.sample_time) for name in names]
+    for name, position in zip(names, positions, strict=True):
+        if position.timing is not Timing.SAMPLED or abs(position.sample_time / torque.sample_time - 1.0) > 1e-9:
+            raise RecordError(
+                f"{method} needs a sampled {name} at the torque's rate; this one is {position.timing.value} every "
+                f"{position.sample_time:g} s, and the torque comes every {torque.sample_time:g} s: resample it, or use "
+                "DIDIM, which needs no position."
+            )
+    size = min(map(len, (torque, *positions)))
+    return replace(torque, values=torque.values[:size]), tuple(position.values[:size] for position in positions)
 
 
 def motion_of(
@@ -145,25 +194,16 @@ def motion_of(
     Raises:
         RecordError: a channel is missing, not sampled, or at another rate.
     """
-    needed = idim_channels(joint.model)
-    require_units(record, joint.kind, joint.torque_unit)
-    record.require(needed, "IDIM of a flexible joint" if joint.model == "flexible" else "IDIM")
-    torque = motor_torque(record)
-    positions = []
-    for name in needed[1:]:
-        position = thin_channel(getattr(record, name), torque.sample_time)
-        if position.timing is not Timing.SAMPLED:
-            raise RecordError(f"IDIM needs a sampled {name}; this one is {position.timing.value}.")
-        if abs(position.sample_time / torque.sample_time - 1.0) > 1e-9:
-            raise RecordError(
-                f"IDIM needs torque and {name} at one rate; they have sample times of {torque.sample_time:g} s "
-                f"and {position.sample_time:g} s. DIDIM needs no position."
-            )
-        positions.append(position.values[: len(torque)])
-    size = min(len(torque), *(len(position) for position in positions))
-    cut = Channel(torque.values[:size], torque.unit, torque.sample_time, torque.timing, torque.source)
-    late = _late(record, delay, torque.sample_time)
-    return inverse_model(joint, cut, tuple(position[:size] for position in positions), filtering, late, effects)
+    method = "IDIM of a flexible joint" if joint.model == "flexible" else "IDIM"
+    torque, positions = torque_and_positions(record, joint, idim_channels(joint.model)[1:], method)
+    model = inverse_model(joint, torque, positions, filtering, _late(record, delay, torque.sample_time), effects)
+    if filtering.timing != "respected":  # the published pipeline takes all rows
+        return model
+    assert filtering.position_cutoff is not None
+    smear = math.ceil(_SMEAR / (filtering.position_cutoff * torque.sample_time))
+    sides = [model.motor, *([] if model.load is None else [model.load])]
+    moving = np.array([moving_weights(side.velocity, max(_LONG, 4 * smear), smear) for side in sides])
+    return model if np.all(moving) else replace(model, moving=moving)
 
 
 def _late(record: Record, delay: float, period: float) -> float:

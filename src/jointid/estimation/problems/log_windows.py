@@ -27,19 +27,20 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.progress import Progress, silent
+from jointid.common.messages import Progress, follow, silent
+from jointid.common.parameters import Parameter
+from jointid.estimation.problems.base import INITIAL_STATE, INITIAL_TORQUE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
-from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE, INITIAL_TORQUE
 from jointid.models.controllers import REFERENCE
-from jointid.models.parameters import Parameter
+from jointid.models.joints import ClosedLoop
 from jointid.records.chunks import Chunk, LongRecord
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Outcome
-from jointid.simulation.loop_input import ClosedLoop, prepare
+from jointid.simulation.loop_input import prepare
 from jointid.solvers.solve import Tally
-from jointid.uncertainty.jackknife import Sums, root_of, total
 from jointid.uncertainty.position_dependent_error import Repeatable, cells
+from jointid.uncertainty.resampling import Sums, root_of, total
 
 FEW = 8
 """Windows: with fewer a part of a log says too little."""
@@ -213,6 +214,7 @@ class LogProblem:
     places: Places
     progress: Progress = silent
     tally: Tally = field(default_factory=Tally)
+    _windows: list[int] = field(default_factory=list)  # of the log, as the last pass to its end has counted
 
     @property
     def free(self) -> tuple[Parameter, ...]:
@@ -237,9 +239,14 @@ class LogProblem:
         values = dict(zip((p.name for p in self.free), map(float, x), strict=True))
         windows: list[Window] = []
         places: dict[int, Place] = {}
-        still, ended = 0, True
+        still, read, ended = 0, 0, True
+        pieces: Iterable[Chunk] = self.source.chunks(self.length, 2 * self.settling, every)
+        # How many there are the first pass finds out.
+        total = -(-self._windows[-1] // every) if self._windows else math.inf
+        pieces = follow(pieces, self.progress, "passing over the log", total, "windows")
         try:
-            for piece in self.source.chunks(self.length, 2 * self.settling, every):
+            for piece in pieces:
+                read += 1
                 if not moves(piece.record):
                     still += 1
                     continue
@@ -253,6 +260,7 @@ class LogProblem:
                 windows.append(window)
                 if every == 1:
                     self._tell(windows)
+            self._windows.append(read * every)
         except KeyboardInterrupt:
             ended = False
         return Pass(tuple(windows), places, still, ended)

@@ -1,7 +1,7 @@
 """The problems of a prescribed motion, whose torque is compared, and of a prescribed torque, whose motion is.
 
 The drive side: the motor's motion comes from the record, filtered; the torque it takes is predicted
-(`simulation.drive_side`) and seen as the log saw it: late by ``log_delay``, and a first-order ``current_lag`` away,
+(`simulation.prescribed`) and seen as the log saw it: late by ``log_delay``, and a first-order ``current_lag`` away,
 where these are free. Both act on the prediction. On the measurement they would let a fit shrink both sides to nothing.
 While the motor rests, its friction takes what it must and the torque says nothing; these samples weigh nothing, on
 both sides alike and before the filter, which would smear them.
@@ -18,33 +18,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import RecordError
-from jointid.estimation.problems.base import FAILED, RecordProblem
+from jointid.common.parameters import Parameter, Quantity
+from jointid.estimation.problems.base import FAILED, INITIAL_STATE, LOG_DELAY, RecordProblem, log_delay
 from jointid.estimation.problems.closed_loop import require_free
-from jointid.estimation.problems.inverse_model import motor_torque
-from jointid.estimation.problems.nuisance_parameters import INITIAL_STATE, LOG_DELAY, log_delay
+from jointid.estimation.problems.inverse_model import torque_and_positions
+from jointid.estimation.problems.rest import moving_weights
 from jointid.models.joints import Joint
-from jointid.models.parameters import Parameter, Quantity
-from jointid.records.record import Channel, Record, Tap, Timing, require_units
-from jointid.records.signals.filtering import (
-    Filtering,
-    decimate,
-    differentiate,
-    lowpass,
-    thin_channel,
-    window_parts,
-    window_torque,
-)
-from jointid.simulation.drive_side import (
+from jointid.records.record import Channel, Record, Tap
+from jointid.records.signals.filtering import Filtering, differentiate, lowpass, window_parts, window_torque
+from jointid.simulation.prescribed import (
     LOAD_STATE,
     PARTS,
     DriveSide,
     DriveSideRun,
+    OpenLoop,
     PrescribedMotion,
     prescribed_motion,
     simulate_drive_side,
+    simulate_open_loop,
 )
-from jointid.simulation.open_loop import OpenLoop, simulate_open_loop
 
 CURRENT_LAG = Parameter("current_lag", "T i", Quantity.TIME, free=False, start=0.0, lower=0.0)
 """Time constant between the log and the torque, beside the delay: a command is logged before the current loop that
@@ -54,10 +46,6 @@ _LOAD_PARAMETERS = (
     Parameter(LOAD_STATE[0], "dq12(0)", Quantity.POSITION),
     Parameter(LOAD_STATE[1], "dv12(0)", Quantity.VELOCITY),
 )
-_REST = 0.02  # of the root mean square speed: a motor slower than that ...
-_LONG = 3  # ... for so many samples rests, or sticks as it turns round: there friction takes what it must
-_REACH = 3  # samples on each side that the window smears a rest over
-
 _DRIFT = 0.03  # of the cut-off: positions slower than that are drift
 _ORDER = 4  # of the filter that takes it off, each way
 _STILL = 0.01  # of the root mean square speed: a motor slower than that at the first sample rests
@@ -130,7 +118,7 @@ class DriveSideProblem(PrescribedProblem):
     def filtered(self, columns: FloatArray) -> FloatArray:
         """Return signals, (samples,) or (samples, columns), weighted, through the problem's own filter."""
         weights = self.weights if columns.ndim == 1 else self.weights[:, np.newaxis]
-        return decimate((weights * columns)[self.inside], self.filtering, self.sample_time)
+        return self.filtering.decimate((weights * columns)[self.inside], self.sample_time)
 
     def simulated(self, x: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, bool]:
         """Return the torque that `measured` should show, (samples,), its derivatives, and whether they hold."""
@@ -194,18 +182,18 @@ def motion_problem(
         RecordError: a channel is missing, or at another rate.
         MethodError: no parameter of the joint is free.
     """
-    torque, position = torque_and_position(record, closing, parameters, "Drive-side identification")
-    sample_time, size = torque.sample_time, min(len(torque), len(position))
+    require_free(parameters)
+    torque, (position,) = torque_and_positions(record, closing.joint, ("motor_position",), "Drive-side identification")
+    sample_time = torque.sample_time
     filtering = filtering.resolved(sample_time, closing.joint.model)
     assert filtering.position_cutoff is not None
-    smooth = lowpass(position.values[:size], filtering.position_cutoff, sample_time)
+    smooth = lowpass(position, filtering.position_cutoff, sample_time)
     motion = _from_rest(prescribed_motion(smooth, sample_time))
     given = {p.name: p for p in surroundings}
     around = tuple(given.get(p.name, p) for p in (LOG_DELAY, CURRENT_LAG))
-    measured = window_torque(replace(torque, values=torque.values[:size]))
     return DriveSideProblem(
         (*parameters, *_load_state(closing.joint, motion), *around),
-        measured,
+        window_torque(torque),
         filtering,
         closing.joint,
         motion,
@@ -215,45 +203,9 @@ def motion_problem(
     )
 
 
-def torque_and_position(
-    record: Record, closing: DriveSide | OpenLoop, parameters: tuple[Parameter, ...], method: str
-) -> tuple[Channel, Channel]:
-    """Return the torque on the motor and its position, once both are sampled at one rate and a parameter is free.
-
-    Args:
-        record: with both.
-        closing: the joint, and the channels it needs.
-        parameters: of the joint.
-        method: as an error names it.
-
-    Raises:
-        RecordError: a channel is missing, in another unit, or at another rate.
-        MethodError: no parameter of the joint is free.
-    """
-    record.require(closing.channels, method)
-    require_units(record, closing.joint.kind, closing.joint.torque_unit)
-    require_free(parameters)
-    torque, position = motor_torque(record), record.motor_position
-    assert position is not None
-    position = thin_channel(position, torque.sample_time)
-    if position.timing is not Timing.SAMPLED or abs(position.sample_time / torque.sample_time - 1.0) > 1e-9:
-        raise RecordError(
-            f"{method} needs a sampled motor_position at the torque's rate; this one is {position.timing.value} every "
-            f"{position.sample_time:g} s, and the torque comes every {torque.sample_time:g} s: resample it."
-        )
-    return torque, position
-
-
 def weights_of(motion: PrescribedMotion) -> FloatArray:
     """Return 0 for the samples at which the motor rests, and 1 for the others (see the module)."""
-    speed = np.abs(motion.velocity[::PARTS])
-    slow = speed < _REST * float(np.sqrt(np.mean(speed**2)))
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], slow, [False]])))
-    weights = np.ones(speed.size)
-    for start, end in zip(edges[::2], edges[1::2], strict=True):
-        if end - start >= _LONG:
-            weights[max(start - _REACH, 0) : end + _REACH] = 0.0
-    return weights
+    return moving_weights(motion.velocity[::PARTS])
 
 
 def _from_rest(motion: PrescribedMotion) -> PrescribedMotion:
@@ -299,7 +251,7 @@ class OpenLoopProblem(PrescribedProblem):
 
     def filtered(self, columns: FloatArray) -> FloatArray:
         """Return positions without drift through the problem's own filter, decimated."""
-        return decimate(columns[self.inside], self.filtering, self.sample_time)
+        return self.filtering.decimate(columns[self.inside], self.sample_time)
 
     def simulated(self, x: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, bool]:
         """Return the position that `measured` should show, (samples,), its derivatives, and whether they hold."""
@@ -341,8 +293,9 @@ def position_problem(
         RecordError: a channel is missing, or at another rate.
         MethodError: no parameter of the joint is free.
     """
-    torque, position = torque_and_position(record, closing, parameters, "Open-loop identification")
-    size, period = min(len(torque), len(position)), torque.sample_time
+    require_free(parameters)
+    torque, (position,) = torque_and_positions(record, closing.joint, ("motor_position",), "Open-loop identification")
+    period = torque.sample_time
     filtering = filtering.resolved(period, closing.joint.model)
     assert filtering.cutoff is not None
     highpass = highpass or _DRIFT * filtering.cutoff
@@ -353,13 +306,13 @@ def position_problem(
         for p in parameters
     )
     return OpenLoopProblem(
-        (*parameters, *_first_state(position.values[:size], filtering, period), log_delay(delay, period)),
-        _fast(position.values[:size], highpass, period),
+        (*parameters, *_first_state(position, filtering, period), log_delay(delay, period)),
+        _fast(position, highpass, period),
         filtering,
         closing.joint,
-        replace(torque, values=torque.values[:size]),
+        torque,
         highpass,
-        float(np.ptp(position.values[:size])),
+        float(np.ptp(position)),
     )
 
 

@@ -16,12 +16,10 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.estimation.problems.base import RecordProblem, SumProblem, filter_rows
+from jointid.common.parameters import TORQUE_UNIT, Parameter, Quantity, unit_of
+from jointid.estimation.problems.base import INITIAL, RecordProblem, SumProblem, filter_rows, of_law
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.estimation.problems.nuisance_parameters import INITIAL, of_law
-from jointid.models.joints import Joint
-from jointid.models.parameters import TORQUE_UNIT, Parameter, Quantity, unit_of
-from jointid.simulation.loop_input import ClosedLoop
+from jointid.models.joints import ClosedLoop, Joint
 
 _WHITE = 0.01  # of a residual's variance
 
@@ -37,7 +35,7 @@ class SeveralRecords:
         own: for each record, names of parameters of its own, which the others do not share: friction, say, which a
             load changes. The motor's state at the first sample is always its own.
         free: names of nuisance parameters to identify too: "drive_gain", the torque that acts over the torque in the
-            log, which needs an added inertia; "kp", "log_delay", ...
+            log, which needs an added inertia; "position_gain", "log_delay", ...
         weighting: of the rows: by the "spectrum" of each record's residual, unless it repeats with the motion, or by
             its "level" alone.
 

@@ -7,28 +7,29 @@ torque is explained, and what its reader must be warned of.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.estimation.problems.base import RecordProblem
+from jointid.common.parameters import Bounds, Parameter, Quantity
+from jointid.estimation.problems.base import LOG_DELAY, RecordProblem
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of
-from jointid.estimation.problems.nuisance_parameters import LOG_DELAY
 from jointid.estimation.problems.prescribed import DriveSideProblem, OpenLoopProblem
 from jointid.estimation.result.estimate import Estimate, fingerprint, relative_error
-from jointid.estimation.result.params import EstimatedParameter, Params
-from jointid.estimation.result.parts import Checks, Data, Fit, Iteration, Settings
-from jointid.models.parameters import Parameter, Quantity
+from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Iteration, Params, Settings
+from jointid.models.controllers import Cascade, Controller
+from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.record import Record
 from jointid.simulation.closed_loop import Simulation
-from jointid.simulation.drive_side import LOAD_STATE
-from jointid.simulation.loop_input import ClosedLoop
-from jointid.solvers.solve import Bounds, Solution
+from jointid.simulation.prescribed import LOAD_STATE
+from jointid.solvers.solve import Solution
 from jointid.uncertainty.covariance import Covariance, band_words, words
 from jointid.uncertainty.identifiability import identifiability
 from jointid.uncertainty.position_dependent_error import Uncertainty
 from jointid.uncertainty.residual_tests import residual_report
 from jointid.uncertainty.verdict import (
+    POOR_FIT,
     bounds_verdict,
     fit_verdict,
     identifiability_verdict,
@@ -37,12 +38,12 @@ from jointid.uncertainty.verdict import (
 )
 
 NOT_CONVERGED = "the search did not converge; the values are where it stopped"
+NOT_SIMULATED = "with these values nothing can be simulated, so nothing is known of them; give other starts"
 
 _PHYSICAL = (Quantity.INERTIA, Quantity.STIFFNESS)  # what no joint has none of
 _AT_LIMIT = 0.01  # of the periods: more is said
 _INSEPARABLE = 0.95  # a correlation that says two parameters are known only together
-_NEAR = 1e-6  # of a value: how near to a bound is at it
-_POOR = 0.15  # of the filtered torque: the EMPS axis leaves 0.045, the paper's 0.08
+_NEAR = 1e-6  # of a parameter's size: how near to a bound is at it
 
 
 def build_estimate(
@@ -57,6 +58,7 @@ def build_estimate(
     data: Data,
     shown: Sequence[Parameter] | None = None,
     lost: Collection[str] = (),
+    held: Collection[str] = (),
     loop: ClosedLoop | None = None,
     delay: float = 0.0,
 ) -> Estimate:
@@ -73,6 +75,7 @@ def build_estimate(
         data: see `build_data`.
         shown: the parameters in the table; all of them when None.
         lost: names of free ones that the record does not determine.
+        held: names of those at a bound.
         loop: that was simulated.
         delay: seconds from the logged torque to the torque that acts.
     """
@@ -80,7 +83,7 @@ def build_estimate(
     spread = dict(zip(names, map(float, covariance.std), strict=True))
     rows = build_rows(
         problem.parameters if shown is None else shown, problem.values(x), spread, lambda p: units[p.name],
-        {p.name for p in joint.parameters}, lost,
+        {p.name for p in joint.parameters}, lost, held,
     )  # fmt: skip
     return Estimate(
         params=Params(rows, names, covariance.correlation, basis),
@@ -122,6 +125,7 @@ def build_rows(
     unit: Callable[[Parameter], str],
     of_joint: Collection[str],
     lost: Collection[str] = (),
+    held: Collection[str] = (),
 ) -> tuple[EstimatedParameter, ...]:
     """Return the table of an estimate; one of several records' own parameters, ``name@2``, is under its plain name.
 
@@ -132,6 +136,7 @@ def build_rows(
         unit: of a parameter.
         of_joint: names of those that belong to the joint, and not to what surrounds it.
         lost: names of free ones that the record does not determine.
+        held: names of those at a bound.
     """
     return tuple(
         EstimatedParameter(
@@ -143,6 +148,7 @@ def build_rows(
             p.free,
             p.free and p.name not in lost,
             of_joint=p.name.partition("@")[0] in of_joint,
+            at_bound=min(p.lower, p.upper, key=lambda b: abs(values[p.name] - b)) if p.name in held else None,
         )
         for p in parameters
     )
@@ -193,19 +199,20 @@ def build_closed_loop_estimate(
     )  # fmt: skip
     told = identifiability(problem.free, problem.units, x, J, known.covariance)
     fit = build_fit(problem, run.torque, error, stop, converged=converged)
+    held = find_at_bound(problem.free, x, error, J)
     warnings = (
         *([] if converged else [NOT_CONVERGED]),
         *warn_of_limit(run.at_limit),
-        *map(str, known.warnings),
         *problem.filtering.warnings(problem.sample_time),
         *poor_fit(fit.filtered_error),
+        *ask_of_gains(problem.loop.controller, problem.loop.joint, values, problem.sample_time),
     )
     verdicts = (
         solver_verdict(stop, converged),
         fit_verdict(report),
         *residual_verdicts(report),
         identifiability_verdict(told),
-        bounds_verdict(find_at_bound(problem.free, x)),
+        bounds_verdict(held),
     )
     found = build_estimate(
         problem,
@@ -214,8 +221,9 @@ def build_closed_loop_estimate(
         f"from the output sensitivities, {known.basis}",
         ("didim", "DIDIM"),
         fit=fit,
-        checks=Checks(warnings=warnings, verdicts=verdicts, known=told),
+        checks=Checks(warnings=warnings, notes=tuple(map(str, known.warnings)), verdicts=verdicts, known=told),
         data=build_data(record, list_loop_channels(problem.loop, record), problem.sample_time),
+        held=held,
         loop=problem.loop_at(x),
         delay=values.get("delay", problem.experiment.law.delay),
     )
@@ -252,18 +260,21 @@ def build_prescribed_estimate(
     lost = find_lost(problem.free, x, covariance.std)
     fit = build_fit(problem, problem.predicted(x), problem.residual(x), solution.message, converged=solution.converged)
     names = [p.name for p in problem.free]
-    columns = np.linalg.norm(solution.jacobian, axis=0).clip(1e-300)
-    near = _NEAR * np.maximum(np.abs(x), np.linalg.norm(solution.residual) / columns)
+    # What moves nothing has no deviation, which is no deviation of 0; where nothing can be simulated, all of it.
+    idle = tuple(name for name, column in zip(names, solution.jacobian.T, strict=True) if not column.any())
+    simulated = len(idle) < len(names)
+    held = find_at_bound(problem.free, x, solution.residual, solution.jacobian)
     warnings = (
         *before,
         *warn_of_lost(lost),
         *([] if solution.converged else [NOT_CONVERGED]),
+        *([] if simulated else [NOT_SIMULATED]),
         *(
             f"{p.name} is not told by this record: it may be anything within its bounds"
             for p, std in zip(problem.free, covariance.std, strict=True)
-            if 2 * std > p.upper - p.lower
+            if simulated and (p.name in idle or 2 * std > p.upper - p.lower)
         ),
-        *warn_of_bounds(find_at_bound(problem.free, x, near)),
+        *warn_of_bounds(held),
         *warn_of_inseparable(names, covariance.correlation, [i for i, n in enumerate(names) if n not in LOAD_STATE]),
         *problem.filtering.warnings(problem.sample_time),
         *after,
@@ -278,11 +289,14 @@ def build_prescribed_estimate(
         fit=fit,
         checks=Checks(warnings=warnings),
         data=build_data(record, channels, problem.sample_time),
-        lost=lost,
+        lost=(*lost, *idle),
+        held=held,
         delay=-problem.values(x)[LOG_DELAY.name],
     )
+    rows = tuple(replace(p, stderr=None) if p.name in idle else p for p in found.params)
     return found.amended(
-        fit={"trace": _trace(problem, solution), "simulations": solution.evaluations, "compared": compared}
+        params={"rows": rows},
+        fit={"trace": _trace(problem, solution), "simulations": solution.evaluations, "compared": compared},
     )
 
 
@@ -310,9 +324,21 @@ def find_lost(free: Sequence[Parameter], x: FloatArray, std: FloatArray) -> tupl
     return tuple(p.name for p, value, spread in found if p.quantity in _PHYSICAL and value <= 2 * spread)
 
 
-def find_at_bound(free: Sequence[Parameter], x: FloatArray, near: FloatArray | None = None) -> tuple[str, ...]:
-    """Return the names of the free parameters that a bound holds, within `near` of it; a millionth of their value."""
-    held = Bounds.of(free).reached(x, _NEAR * np.abs(x) if near is None else near)
+def find_at_bound(free: Sequence[Parameter], x: FloatArray, error: FloatArray, J: FloatArray) -> tuple[str, ...]:
+    """Return the names of the free parameters that a bound holds.
+
+    A descent ends a little inside of a bound. So near is a millionth of the value, or, since a bound may be 0, of the
+    change that would move the residual by all of its size, where that is more.
+
+    Args:
+        free: the parameters.
+        x: (free,) what was found for them.
+        error: (rows,) residual there.
+        J: (rows, free) its derivatives, of either sign.
+    """
+    norms = np.linalg.norm(J, axis=0)
+    size = np.maximum(np.abs(x), np.linalg.norm(error) / np.where(norms > 0, norms, np.inf))
+    held = Bounds.of(free).reached(x, _NEAR * size)
     return tuple(p.name for p, at in zip(free, held, strict=True) if at)
 
 
@@ -357,9 +383,47 @@ def warn_of_inseparable(
 
 def poor_fit(filtered_error: float) -> tuple[str, ...]:
     """Return a warning where a model leaves more of the torque unexplained than friction laws and noise usually do."""
-    if filtered_error <= _POOR:
+    if filtered_error <= POOR_FIT:
         return ()
     return (
         f"the model leaves {100 * filtered_error:.0f} % of the filtered torque unexplained, which is more than a right "
         "model does; check signs, units, the controller and its limit, and whether the joint is what it is said to be",
+    )
+
+
+_FASTEST = 1.0  # of a velocity loop, rad per period: at 2 its difference equation is unstable without any delay
+_SLOWEST = 0.5  # of a velocity loop, of the position gain: the loop's damping is then 0.35
+
+
+def ask_of_gains(
+    controller: Controller, joint: Joint, values: Mapping[str, float], sample_time: float
+) -> tuple[str, ...]:
+    """Return the question whether two gains are exchanged; none where they can be as they are, or no better so.
+
+    A velocity loop of rate ``velocity_gain x gain / inertia`` carries a position loop that is slower than itself, and
+    is itself slower than its sampling.
+
+    Args:
+        controller: of the joint; only a cascade has two gains in a row.
+        joint: whose inertia is that of all it moves.
+        values: of its parameters.
+        sample_time: of the log [s].
+    """
+    inertia = sum(values[p.name] for p in joint.parameters if p.name in ("inertia", "motor_inertia", "load_inertia"))
+    if not isinstance(controller, Cascade) or inertia <= 0:
+        return ()
+    per_gain = controller.gain * controller.ratio**2 / inertia
+    period = controller.period or sample_time
+
+    def possible(position: float, velocity: float) -> bool:
+        return _SLOWEST * position <= velocity * per_gain <= _FASTEST / period
+
+    position, velocity = controller.position_gain, controller.velocity_gain
+    if possible(position, velocity) or not possible(velocity, position):
+        return ()
+    return (
+        f"a velocity loop of {velocity * per_gain:.3g} rad/s beside a position gain of {position:.3g} 1/s, sampled "
+        f"every {period:.3g} s; exchanged, they were {position * per_gain:.3g} rad/s and {velocity:.3g} 1/s, as loops "
+        "are: are position_gain and velocity_gain exchanged? (Kv of a drive is position_gain, Kp of its speed loop "
+        "velocity_gain.)",
     )

@@ -11,16 +11,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.document import Document, Documented
-from jointid.common.errors import MethodError, RecordError, extra
-from jointid.common.json_file import write
-from jointid.estimation.result.params import EstimatedParameter, Params, on_other_side
-from jointid.estimation.result.parts import Checks, Data, Fit, Settings
+from jointid.common.document import Document, Documented, data_frame, write
+from jointid.common.errors import MethodError, RecordError
+from jointid.common.transmission import OtherSide, other_side
+from jointid.estimation.result.answer import Answer, answer_of
+from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Params, Settings, on_other_side
 from jointid.models.disturbances import Effect
-from jointid.models.joints import Joint
-from jointid.models.refer import OtherSide, other_side
+from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.loop_input import ClosedLoop
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -62,7 +60,7 @@ class IdentifiedJoint:
     effects: tuple[Effect, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Estimate(Documented):
     """The result of an identification.
 
@@ -75,8 +73,8 @@ class Estimate(Documented):
 
     Example:
         >>> import jointid as ji
-        >>> loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(kp=100.0, kv=2000.0))
-        >>> reference = ji.trapezoids(speeds=(0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
+        >>> loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0))
+        >>> reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
         >>> truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
         >>> estimate = ji.identify(ji.simulated_record(loop, reference, truth, sample_time=1e-3), loop)
         >>> round(estimate.params["inertia"].value, 6), estimate.success
@@ -95,6 +93,16 @@ class Estimate(Documented):
         return self.fit.converged and all(p.value is not None for p in self.params if p.of_joint)
 
     @property
+    def answer(self) -> Answer:
+        """The first line: value, 2-sigma interval and unit, and whether to rely on it; see `Answer`."""
+        return answer_of(self)
+
+    @property
+    def sentence(self) -> str:
+        """The answer as a line."""
+        return str(self.answer)
+
+    @property
     def covariance(self) -> FloatArray:
         """Covariance of the errors of the free parameters, in the order of `params.names`."""
         return self.params.covariance
@@ -103,6 +111,10 @@ class Estimate(Documented):
     def values(self) -> dict[str, float]:
         """The parameters of joint and effects by name, fixed ones included; a refused one is missing."""
         return {p.name: p.value for p in self.params if p.of_joint and p.value is not None}
+
+    def __repr__(self) -> str:
+        """Return model, method and answer: one line, or two."""
+        return f"<Estimate of a {self.settings.joint.model} joint by {self.settings.method}: {self.answer}>"
 
     def __getitem__(self, name: str) -> EstimatedParameter:
         """Return a parameter by its name or symbol; ``name@2`` is the second record's own."""
@@ -158,7 +170,6 @@ class Estimate(Documented):
         Raises:
             ExtraError: pandas is not installed.
         """
-        pandas = extra("pandas", "dataframe", "A data frame")
         rows = {}
         for p in self.params:
             lower, upper = p.interval or (None, None)
@@ -172,8 +183,7 @@ class Estimate(Documented):
                 "free": p.free,
                 "identifiable": p.identifiable,
             }
-        frame: DataFrame = pandas.DataFrame.from_dict(rows, orient="index").rename_axis("parameter")
-        return frame.astype(dict.fromkeys(("value", "stderr", "lower", "upper"), float))
+        return data_frame(rows, "parameter").astype(dict.fromkeys(("value", "stderr", "lower", "upper"), float))
 
     # What follows is a shorter way to public functions, which stand above this room and are found by their public
     # names, as in a user's program.
@@ -199,7 +209,7 @@ class Estimate(Documented):
         return Plots(self)
 
     def report(self, record: Record, *, name: str = "", profiles: Sequence[str] | None = None) -> jointid.Report:
-        """Return the report: one page with figures, see `jointid.report_estimate`.
+        """Return the report: one page with figures, see `jointid.Report.of`.
 
         Args:
             record: that it was identified from.
@@ -208,7 +218,7 @@ class Estimate(Documented):
         """
         import jointid
 
-        return jointid.report_estimate(self, record, name=name, profiles=profiles)
+        return jointid.Report.of(self, record, name=name, profiles=profiles)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -217,11 +227,15 @@ class Plots:
 
     estimate: Estimate
 
+    def __call__(self) -> Figure:
+        """Return the first of them, `torque`."""
+        return self.torque()
+
     def torque(self) -> Figure:
         """Return measured, simulated and error torque over time."""
         import jointid
 
-        return jointid.torque_figure(self.estimate)
+        return jointid.figures.torque(self.estimate)
 
     def residual(self, record: Record) -> Figure:
         """Return the torque error against velocity and position, and its autocorrelation.
@@ -231,7 +245,7 @@ class Plots:
         """
         import jointid
 
-        return jointid.residual_figure(jointid.validate(self.estimate, record))
+        return jointid.figures.residual(jointid.validate(self.estimate, record))
 
 
 def fingerprint(torque: FloatArray) -> str:

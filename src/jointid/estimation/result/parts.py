@@ -1,27 +1,197 @@
-"""The parts of an estimate: its fit, its checks, the data it is from, and the settings it was made with."""
+"""The parts of an estimate: its parameters, fit, checks, the data it is from, and the settings it was made with."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, overload
+
+import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.estimation.result.agreement import Agreement
-from jointid.estimation.result.drift import DriftTest
-from jointid.estimation.result.params import EstimatedParameter
+from jointid.common.errors import UnknownName
+from jointid.common.messages import suggest
+from jointid.common.transmission import OtherSide
+from jointid.estimation.result.agreement import Agreement, DriftTest
 from jointid.models.disturbances import Effect
-from jointid.models.joints import Joint
+from jointid.models.joints import ClosedLoop, Joint
+from jointid.records.checks import EncoderLag
 from jointid.records.record import Resampled
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Initial
-from jointid.simulation.loop_input import ClosedLoop
 from jointid.solvers.regression import Conditioning
-from jointid.uncertainty.identifiability import Identifiability
+from jointid.uncertainty.identifiability import Identifiability, Known
 from jointid.uncertainty.model_tests import ChiSquareTest
 from jointid.uncertainty.position_dependent_error import Repeatable
 from jointid.uncertainty.residual_tests import ResidualReport
 from jointid.uncertainty.verdict import StiffnessBound, Verdict
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatedParameter:
+    """One line of the table.
+
+    Attributes:
+        name, symbol, unit: what it is.
+        value: the estimate; None when it is refused.
+        stderr: its standard error; None for a parameter that was kept fixed, or refused.
+        free: whether it was identified.
+        identifiable: whether the record determines it; a fixed parameter does not say.
+        lower_bound: what the record supports when the value is refused.
+        of_joint: False for what surrounds the joint (the initial state).
+        at_bound: the bound that holds it, where it does not follow the record; None where none does.
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    value: float | None
+    stderr: float | None
+    free: bool
+    identifiable: bool
+    lower_bound: float | None = None
+    of_joint: bool = True
+    at_bound: float | None = None
+
+    @property
+    def interval(self) -> tuple[float, float] | None:
+        """Lower and upper end of the value with two standard errors; None where there is no standard error."""
+        if self.value is None or self.stderr is None:
+            return None
+        return self.value - 2 * self.stderr, self.value + 2 * self.stderr
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Params(Sequence[EstimatedParameter]):
+    """The parameters of an estimate: a sequence, and by name or symbol: ``params["stiffness"]``, ``params["K12"]``.
+
+    Attributes:
+        rows: in the order of the model, then those of what surrounds it.
+        names: of the free parameters, in the order of `correlation`; ``name@2`` is the second record's own.
+        correlation: of the errors of the free parameters, all of them, or the joint's, which come first; empty where it
+            is not known.
+        basis: how the standard errors were obtained, in a sentence.
+        own: of several records, the parameters that are each record's own, by their plain names.
+    """
+
+    rows: tuple[EstimatedParameter, ...]
+    names: tuple[str, ...]
+    correlation: FloatArray
+    basis: str
+    own: tuple[tuple[EstimatedParameter, ...], ...] = ()
+
+    @overload
+    def __getitem__(self, at: str | int) -> EstimatedParameter: ...
+
+    @overload
+    def __getitem__(self, at: slice) -> tuple[EstimatedParameter, ...]: ...
+
+    def __getitem__(self, at: str | int | slice) -> EstimatedParameter | tuple[EstimatedParameter, ...]:
+        """Return a parameter by its name or symbol, ``name@2`` the second record's own, or by its place.
+
+        Raises:
+            UnknownName: there is none of this name; the sentence has the nearest one.
+        """
+        if not isinstance(at, str):
+            return self.rows[at]
+        named = self._named
+        if at not in named:
+            near = suggest(at, named, "choose one of them")
+            raise UnknownName(f'"{at}" is no parameter of this estimate; it has {", ".join(self._own_names)}: {near}')
+        return named[at]
+
+    @property
+    def _named(self) -> dict[str, EstimatedParameter]:
+        """Every parameter by its name and by its symbol."""
+        own = [(f"@{k}", p) for k, rows in enumerate(self.own, 1) for p in rows]
+        every = [*(("", p) for p in self.rows), *own]
+        return {p.symbol + of: p for of, p in every} | {p.name + of: p for of, p in every}
+
+    @property
+    def _own_names(self) -> list[str]:
+        return [*(p.name for p in self.rows), *(f"{p.name}@{k}" for k, rows in enumerate(self.own, 1) for p in rows)]
+
+    def __len__(self) -> int:
+        """Number of parameters, without the records' own."""
+        return len(self.rows)
+
+    @property
+    def stderr(self) -> FloatArray:
+        """Standard errors of the free parameters, (free,), in the order of `names`; NaN of a refused one."""
+        return np.array([np.nan if (s := self[name].stderr) is None else s for name in self.names])
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance of the errors of the free parameters as far as their correlation is known, in that order."""
+        stderr = self.stderr[: len(self.correlation)]
+        return np.asarray(self.correlation * np.outer(stderr, stderr))
+
+    def correlation_of(self, names: Sequence[str]) -> FloatArray:
+        """Return the correlation of the errors of some free parameters, (names, names); none where it is not known."""
+        at = [self.names.index(name) for name in names]
+        known = max(at, default=0) < len(self.correlation)
+        return np.asarray(self.correlation[np.ix_(at, at)] if known else np.eye(len(at)))
+
+    def total(self, names: Sequence[str]) -> tuple[float, float]:
+        """Return a sum of parameters, by name or symbol, and its standard error, with their correlation."""
+        found = [self[name] for name in names]
+        uncertain = [p for p in found if p.stderr is not None]
+        stderr = np.array([p.stderr for p in uncertain], dtype=np.float64)
+        together = self.correlation_of([p.name for p in uncertain])
+        total = sum(p.value for p in found if p.value is not None)
+        return total, float(np.sqrt(max(float(stderr @ together @ stderr), 0.0)))
+
+
+def on_other_side(parameters: Sequence[EstimatedParameter], side: OtherSide | None) -> tuple[EstimatedParameter, ...]:
+    """Return parameters as they are on the other side of a transmission, in the same order; none without one."""
+    if side is None:
+        return ()
+    here = {p.name: p for p in parameters}
+    return tuple(_refer(p, here.get(side.name(p.name), p), side) for p in parameters)
+
+
+def _refer(p: EstimatedParameter, here: EstimatedParameter, side: OtherSide) -> EstimatedParameter:
+    """Return a parameter with the values that another one, the same but for the direction, has on this side."""
+    factor = side.factor(p.name, p.unit)
+
+    def scaled(value: float | None) -> float | None:
+        return None if value is None else factor * value + 0.0  # of 0 there is no negative
+
+    return replace(
+        here,
+        name=p.name,
+        symbol=p.symbol,
+        unit=side.unit(p.unit),
+        value=scaled(here.value),
+        stderr=None if here.stderr is None else abs(factor) * here.stderr,
+        lower_bound=scaled(here.lower_bound),
+    )
+
+
+def known_on_other_side(known: Sequence[Known], side: OtherSide | None) -> tuple[Known, ...]:
+    """Return the sums and differences of one unit as they are on the other side, in the same order; none without."""
+    if side is None:
+        return ()
+    here = {frozenset(k.combination.weights.items()): k for k in known}
+    found = []
+    for k in known:
+        weights = k.combination.weights
+        same = here.get(frozenset((side.name(name), weight) for name, weight in weights.items()), k)
+        factor = side.factor(next(iter(weights)), k.combination.unit)
+        there = replace(k.combination, unit=side.unit(k.combination.unit))
+        found.append(Known(there, factor * same.value, abs(factor) * same.std, same.relative))
+    return tuple(found)
+
+
+def bounds_on_other_side(bounds: Sequence[StiffnessBound], side: OtherSide | None) -> tuple[StiffnessBound, ...]:
+    """Return bounds of a stiffness as they are on the other side, in the same order; none without one."""
+    if side is None:
+        return ()
+    factor = side.ratio**2
+    return tuple(replace(b, stiffness=None if b.stiffness is None else factor * b.stiffness) for b in bounds)
+
+
+# The other parts
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +277,9 @@ class Checks:
         repeatable: the part of the residual that repeats with the motion, in a long log.
         agreement: whether several records, each by itself, agree.
         drift: whether the segments of a long log agree.
+        encoder_lag: that hides the spring between both encoders, where they were read.
         warnings: one sentence each.
+        notes: on how the intervals were obtained, one sentence each.
     """
 
     verdicts: tuple[Verdict, ...] = ()
@@ -117,7 +289,9 @@ class Checks:
     repeatable: Repeatable | None = None
     agreement: Agreement | None = None
     drift: DriftTest | None = None
+    encoder_lag: EncoderLag | None = None
     warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -194,6 +368,8 @@ class Data:
         resampled: how the samples were brought to a uniform clock, None where they were logged so.
         records: each of several records by itself; empty for one record.
         windows: how a long log was cut; None for a record.
+        torque_constant: with its unit, where log and controller were both taken to torque by it, so that every value
+            is proportional to it; else empty.
     """
 
     record: str
@@ -204,6 +380,7 @@ class Data:
     resampled: Resampled | None = None
     records: tuple[RecordFit, ...] = ()
     windows: Windows | None = None
+    torque_constant: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

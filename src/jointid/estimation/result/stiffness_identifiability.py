@@ -6,16 +6,13 @@ A search always ends somewhere, and its end has a stiffness. That number is repo
   cannot be negative (`uncertainty.model_tests`);
 - what it explains is more than the error that repeats with the motion and remains: a model that lacks more than the
   spring gives may as well have made the spring up;
-- inertias and stiffness are told from 0, and the mode is one that a log of this rate can follow;
+- inertias and stiffness are told from 0, and the mode is one that swings and that a log of this rate can follow;
 - starts apart led to the same end;
+- where the spring explains little, no joint with a mode elsewhere explains the torque as well, and none that is rigid;
 - the profile of the compliance 1/K12 is bounded on both sides.
 
 Otherwise the record says only how soft the spring may be. Low frequencies bound ZZ2^2/K12, and a mode in the band would
-ring, so the bound is a function of the load's share of the inertia, which is not known either. For one such share
-joints from soft to stiff are tried, with inertia, friction and offset fitted anew, until one is as good as the best but
-for what the noise allows. The bounds are for a lightly damped mode (a heavily damped one would look rigid, too) and for
-friction on the motor's side: friction on the load's, behind a spring, only lags at reversals, as real friction does
-without any spring.
+ring, so the bound is a function of the load's share of the inertia, which is not known either: see `stiffness_bounds`.
 """
 
 from __future__ import annotations
@@ -28,27 +25,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.messages import Message
-from jointid.common.progress import Progress, silent
+from jointid.common.messages import Message, Progress, silent
+from jointid.estimation.methods.flexible_search import FASTEST, frequency_of
+from jointid.estimation.methods.search import History, least_squares
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.build_estimate import find_lost
-from jointid.estimation.search.flexible_search import FASTEST, crossover, frequency_of
-from jointid.estimation.search.history import History, least_squares
-from jointid.models.joints import FlexibleJoint, split_by_mode
-from jointid.models.parameters import Parameter, Quantity
-from jointid.records.signals.filtering import Filtering
+from jointid.estimation.result.stiffness_bounds import (
+    SHARES,
+    ModeProfile,
+    bound_all,
+    damping_ratio,
+    profile_modes,
+    spring,
+)
+from jointid.models.joints import ClosedLoop, FlexibleJoint, split_by_mode
 from jointid.simulation.closed_loop import in_threads
-from jointid.simulation.loop_input import ClosedLoop
-from jointid.solvers.solve import Bounds, Solution, solve
-from jointid.solvers.trust_region import TrustRegion
-from jointid.uncertainty.covariance import robust, white
-from jointid.uncertainty.model_tests import flexible_against_rigid
-from jointid.uncertainty.position_dependent_error import Uncertainty, uncertainty
-from jointid.uncertainty.profile import profile_compliance
+from jointid.solvers.solve import Solution
+from jointid.uncertainty.model_tests import BoundaryTest, flexible_against_rigid
+from jointid.uncertainty.position_dependent_error import Cells, Uncertainty, uncertainty
+from jointid.uncertainty.profile import Profiling, profile_compliance
 from jointid.uncertainty.verdict import Reason, Status, StiffnessBound, Subject, Verdict
-
-SHARES = (0.05, 0.1, 0.2, 0.33, 0.5)
-"""Of the load in the inertia, for which a bound is given."""
 
 _TEST_SHARES = (0.1, 0.33, 0.6)
 # Times the cut-off, with each of those shares: the best counts, in every draw of the test as in the record. A mode
@@ -57,13 +53,11 @@ _TEST_MODES = (*(0.3 * 1.08**i for i in range(16)), 2.5)
 _FAR = 0.5  # of the rigid joint's sum of squares: what chance cannot make of it with a few parameters more
 _TIGHT = 0.2  # of the stiffness: a 2-sigma interval this narrow needs no profile
 
-# Of the bounds
-_BAND = 0.15  # of the sampling frequency, in which a bound is looked for: modes above the fitted band show there
-_SOFTEST, _STIFFEST = 0.5, 6.0  # modes that are tried, times the crossover of the loop and the fitted band
-_STEPS = 10  # between them
-_HALVINGS = 3  # of the last step
-_SOLVER = TrustRegion(1e-4, evaluations=6, cost_tolerance=1e-5, eager=False)
-_QUANTILE = 2.706  # of chi-square with one degree of freedom, at 90 %: one side of it is passed by one in twenty
+_BOUNDED = Profiling(points=5, evaluations=15, tolerance=1e-4)  # asks whether there is an end, not where it is
+_LITTLE = 0.3  # of the rigid joint's sum of squares: a spring that explains less may be another one
+_SAME = 0.2  # of a stiffness: springs that the profile, on a band of its own, does not tell apart
+_APART = 3.0  # deviations: stiffnesses that are not the same
+_BOTH_SIDES = 1.42  # times a bound's threshold is an interval's at 95 %: 3.841 / 2.706
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,35 +106,80 @@ def visible(
     rigid, at = _fit_rigid(problem, problem.values(x))
     error, J = rigid.linearised(at.x)
     where = rigid.cells(rigid.simulate(at.x))
-    remains = problem.residual(x)
-    left = float(remains @ remains)
-    # Where every spring on the rigid joint makes the loop unstable, the one that was found is the one to test.
-    springs = _springs(problem, rigid.values(at.x), error) or [(remains - error)[:, np.newaxis]]
-    # So far from the rigid joint a linear step towards the spring finds nothing; what the fit itself gained counts.
-    fitted = left if left < _FAR * float(error @ error) else None
-    test = flexible_against_rigid(error, J, springs, where, fitted)
-    runs = at.evaluations + 4 + len(_TEST_SHARES) * len(_TEST_MODES)
-    reasons = [] if test.significant else [str(test)]
-    reasons += _doubts(problem, x, known, error, together)
+    values, found, runs = rigid.values(at.x), problem.values(x), at.evaluations + 4
+    reasons, said, made = _doubts(problem, x, known, error, together), "", None
+    if not reasons:
+        test = _test_spring(problem, x, rigid, at.x, error, J, where)
+        runs += len(_TEST_SHARES) * len(_TEST_MODES)
+        reasons, said = [] if test.significant else [str(test)], str(test)
+        if not reasons and test.gained < _LITTLE:
+            made = profile_modes(problem, values, found, thorough=True)
+            reasons = _other_springs(made, found["stiffness"], known, [p.name for p in problem.free])
     if not reasons:
         used, reasons = _follow_compliance(problem, x, known)
         runs += used
-    values, bounds = rigid.values(at.x), list[StiffnessBound]()
+    bounds: tuple[StiffnessBound, ...] = ()
     if reasons:
         progress("the record does not show the spring; looking how soft it may be")
-        for share in shares:
-            bound, used = _bound(problem, values, share, frequency_of(problem.values(x)))
-            bounds.append(bound)
-            runs += used
+        made = made or profile_modes(problem, values, found, thorough=False)
+        bounds = bound_all(made, shares)
         reasons[0] = f"not identifiable from this record: {reasons[0]}"
         refused = tuple(Message(Reason.STIFFNESS_NOT_SHOWN, reason) for reason in reasons)
         verdict = Verdict(Subject.STIFFNESS, Status.FAILED, refused)
     else:
-        verdict = Verdict(Subject.STIFFNESS, Status.PASSED, (Message(Reason.STIFFNESS_SHOWN, str(test)),))
+        verdict = Verdict(Subject.STIFFNESS, Status.PASSED, (Message(Reason.STIFFNESS_SHOWN, said),))
+    runs += 0 if made is None else made.simulations
     names = [p.name for p in rigid.free]
     judged = uncertainty(J, J, error, where, names)
     std = dict(zip(names, map(float, judged.covariance.std), strict=True))
-    return Visibility(verdict, values, std, error, tuple(bounds), runs)
+    return Visibility(verdict, values, std, error, bounds, runs)
+
+
+def _test_spring(
+    problem: ClosedLoopProblem,
+    x: FloatArray,
+    rigid: ClosedLoopProblem,
+    at: FloatArray,
+    error: FloatArray,
+    J: FloatArray,
+    where: Cells,
+) -> BoundaryTest:
+    """Return the test of the flexible joint against the rigid one.
+
+    Args:
+        problem: of the flexible joint.
+        x: its free parameters.
+        rigid: the problem of the rigid joint.
+        at: its free parameters.
+        error: (rows,) what it leaves.
+        J: (rows, free) its derivatives.
+        where: the cells of its rows.
+    """
+    remains = problem.residual(x)
+    left = float(remains @ remains)
+    # Where every spring on the rigid joint makes the loop unstable, the one that was found is the one to test.
+    springs = _springs(problem, rigid.values(at), error) or [(remains - error)[:, np.newaxis]]
+    # So far from the rigid joint a linear step towards the spring finds nothing; what the fit itself gained counts.
+    fitted = left if left < _FAR * float(error @ error) else None
+    return flexible_against_rigid(error, J, springs, where, fitted)
+
+
+def _other_springs(made: ModeProfile, stiffness: float, known: Uncertainty, names: Sequence[str]) -> list[str]:
+    """Return which other springs, or none, the record does not exclude at 95 %, beside the one that was found."""
+    if not math.isfinite(made.threshold):
+        return ["a joint that is nearly rigid cannot be simulated, so that no other spring is excluded"]
+    limit = min(made.stiff.cost, *(end.cost for end in made.minima), math.inf) + _BOTH_SIDES * made.threshold
+    if made.stiff.least <= limit:
+        return ["a joint that is nearly rigid explains the torque as well, within 95 %"]
+    std = float(known.covariance.std[names.index("stiffness")]) if "stiffness" in names else 0.0
+    for end in made.minima:
+        other = spring(end.at)["stiffness"]
+        if end.least <= limit and abs(other - stiffness) > max(_APART * std, _SAME * stiffness):
+            return [
+                f"a spring of {other:.3g}, with its mode at {end.mode:.3g} Hz, explains the torque as well as the one "
+                f"of {stiffness:.3g} that was found, within 95 %"
+            ]
+    return []
 
 
 def _doubts(
@@ -160,6 +199,9 @@ def _doubts(
     mode, reach = frequency_of(problem.values(x)), FASTEST / problem.experiment.sample_time
     if mode > reach:
         found.append(f"the mode that was found, at {mode:.3g} Hz, is faster than a log of this rate can follow")
+    ratio = damping_ratio(problem.values(x))
+    if ratio > 1:
+        found.append(f"the mode that was found is damped by {100 * ratio:.3g} %, so that it does not swing")
     if together[1] > 1 and together[0] < 2:
         found.append(f"of {together[1]} starts no two led to the same flexible joint")
     return found
@@ -206,120 +248,8 @@ def _follow_compliance(problem: ClosedLoopProblem, x: FloatArray, known: Uncerta
     std, value = float(known.covariance.std[at]), float(x[at])
     if 2 * std <= _TIGHT * value:
         return 0, []
-    found = profile_compliance(problem, x, known.covariance, problem.joint.unit)
+    found = profile_compliance(problem, x, known.covariance, problem.joint.unit, _BOUNDED)
     if found.bounded:
         return found.evaluations, []
     side = "stiff" if found.interval[0] is None else "soft"
     return found.evaluations, [f"the profile of the compliance has no end on its {side} side ({found})"]
-
-
-# How soft the spring may be
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _AtMode:
-    """A flexible problem with its load share and its mode held, lightly damped, its friction on the motor's side.
-
-    Free are the whole inertia, and what is free beside inertias, spring, damper and the load's friction.
-    """
-
-    problem: ClosedLoopProblem
-    share: float
-    mode: float
-
-    @property
-    def free(self) -> tuple[Parameter, ...]:
-        """The whole inertia, then the others."""
-        whole = Parameter("inertia", "ZZ", Quantity.INERTIA, lower=1e-300)
-        return whole, *(p for p in self.problem.free if not _is_held(p))
-
-    def values(self, x: FloatArray) -> dict[str, float]:
-        """Return every parameter of the flexible problem."""
-        values = {p.name: (p.start or 0.0) if not p.free else 0.0 for p in self.problem.parameters}
-        values |= dict(zip((p.name for p in self.free[1:]), map(float, x[1:]), strict=True))
-        return values | split_by_mode(float(x[0]), self.share, self.mode)
-
-    def residual(self, x: FloatArray) -> FloatArray:
-        """Return the residual, (rows,)."""
-        problem = self.problem.all_free()
-        return problem.residual(problem.vector(self.values(x)))
-
-    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the residual, (rows,), and its derivatives, (rows, free)."""
-        problem = self.problem.all_free()
-        error, J = problem.linearised(problem.vector(self.values(x)))
-        if not np.isfinite(np.vdot(J, J)):
-            # The derivatives of a diverging loop overflow when they are squared; there is no way down from it.
-            return error, np.zeros((error.size, len(self.free)))
-        by = {p.name: J[:, i] for i, p in enumerate(problem.free)}
-        whole = sum(part * by[name] for name, part in split_by_mode(1.0, self.share, self.mode).items())
-        return error, np.column_stack([whole, *(by[p.name] for p in self.free[1:])])
-
-
-def _is_held(p: Parameter) -> bool:
-    return p.name.startswith("load_") or p.name in ("motor_inertia", "stiffness", "damping")
-
-
-def _solve_held(held: _AtMode, start: FloatArray) -> Solution:
-    """Return the best joint with its mode and share held; of an unstable loop, a cost beyond all others."""
-    bounds = Bounds.of(held.free)
-    inside = np.clip(start, bounds.lower + 1e-6 * np.abs(start), bounds.upper - 1e-6 * np.abs(start))
-    return solve(held, _SOLVER, inside)
-
-
-def _bound(
-    problem: ClosedLoopProblem, rigid: Mapping[str, float], share: float, found: float
-) -> tuple[StiffnessBound, int]:
-    """Return the softest spring at a load share, and the simulations it took to find.
-
-    The mode that a search found, though refused, is tried beside the others: between two of them it would be missed,
-    and a bound above it stated.
-
-    Args:
-        problem: of the flexible joint, as it was solved.
-        rigid: every parameter of a rigid joint on the same band, and of what surrounds it.
-        share: of the load in the inertia.
-        found: Hz, free-free, of the mode that was found.
-    """
-    sample_time, law, cutoff = problem.experiment.sample_time, problem.experiment.law, problem.filtering.cutoff
-    assert cutoff is not None
-    band = Filtering(cutoff=max(_BAND / sample_time, cutoff)).resolved(sample_time, "flexible")
-    wide = replace(problem, filtering=band)
-    high = _STIFFEST * cutoff
-    low = min(_SOFTEST * crossover(law, rigid["inertia"]), 0.5 * high)
-    modes = sorted({*map(float, np.geomspace(low, high, _STEPS)), *([found] if low < found < high else [])})
-    stiff = _AtMode(wide, share, high)
-    named = {f"motor_{name}": value for name, value in rigid.items()} | dict(rigid)
-    ends: dict[float, Solution] = {}
-    costs: dict[float, float] = {}
-    x = np.array([named[p.name] for p in stiff.free])
-    for mode in reversed(modes):  # from what is nearly rigid, each from the last
-        ends[mode] = end = _solve_held(_AtMode(wide, share, mode), x)
-        costs[mode] = float(end.residual @ end.residual)
-        x = end.x if costs[mode] < 2 * costs[high] else ends[high].x
-    limit = min(costs.values()) + _threshold(stiff, ends[high].x)
-    runs = sum(end.evaluations for end in ends.values()) + 2
-    softest = next(mode for mode in modes if costs[mode] <= limit)
-    if softest == low:
-        return StiffnessBound(share, None, None), runs
-    rejected = modes[modes.index(softest) - 1]
-    x = ends[softest].x
-    for _ in range(_HALVINGS):
-        middle = math.sqrt(rejected * softest)
-        end = _solve_held(_AtMode(wide, share, middle), x)
-        runs += end.evaluations
-        rejected, softest = (rejected, middle) if float(end.residual @ end.residual) <= limit else (middle, softest)
-    reduced = share * (1 - share) * rigid["inertia"]
-    return StiffnessBound(share, reduced * (2 * math.pi * rejected) ** 2, rejected), runs
-
-
-def _threshold(stiff: _AtMode, x: FloatArray) -> float:
-    """Return how much worse than the best a joint may be: chi-square, times what autocorrelation makes of it.
-
-    The ratio of the compliance's robust deviation to that of a white residual is taken where the spring is stiff.
-    """
-    error, J = stiff.linearised(x)
-    stiffer = _AtMode(stiff.problem, stiff.share, 1.2 * stiff.mode)
-    J = np.column_stack([J, stiffer.residual(x) - error])
-    ratio = float(robust(J, J, error).std[-1] / white(J, error).std[-1])
-    return _QUANTILE * ratio**2 * float(error @ error) / (error.size - x.size)

@@ -5,18 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from jointid.common.document import Block, Document, Facts, Table, Verdicts
-from jointid.common.text import number
+from jointid.common.document import Block, Document, Facts, Listing, Table, Verdicts
+from jointid.common.text import listed, number, signed, uniform
+from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.problems.log_windows import VISITS
-from jointid.estimation.problems.nuisance_parameters import INITIAL
-from jointid.estimation.result.drift import DriftTest
+from jointid.estimation.result.agreement import DriftTest
+from jointid.estimation.result.answer import moved_by_loop, told_bounds
+from jointid.estimation.result.consequence import spares_answer
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.params import EstimatedParameter, known_on_other_side
+from jointid.estimation.result.legend import SHOWN_SHIFT, field_symbol, legend
+from jointid.estimation.result.parts import EstimatedParameter, known_on_other_side
 from jointid.uncertainty.identifiability import Kind
 from jointid.uncertainty.verdict import Status
 
 _SHOWN = 2.0  # standard errors that a trend has at least to be printed as one
-_LOST = 1000.0  # %: a deviation so much larger than its value says nothing in percent
+_LOST = 2000.0  # %: a deviation so much larger than its value says nothing in percent
 
 
 def estimate_document(estimate: Estimate, *, details: bool = False) -> Document:
@@ -27,30 +30,48 @@ def estimate_document(estimate: Estimate, *, details: bool = False) -> Document:
         details: whether to show every verdict with all its reasons, tests, effort and settings; else only the verdicts
             that did not pass, a line each.
     """
-    data, joint, fit = estimate.data, estimate.settings.joint, estimate.fit
-    source = f"of {data.record}" if not data.records else f"of {len(data.records)} records"
-    title = f"{joint.model.capitalize()} joint, {estimate.settings.variant}, {source}"
-    facts = [*_results(estimate)]
+    fit, checks = estimate.fit, estimate.checks
+    facts = [*_results(estimate, details=details)]
     if details:
         facts += _effort(estimate)
-    elif fit.interrupted or not (fit.converged or estimate.checks.verdicts):  # no verdict says why it ended so
+    elif fit.interrupted or not (fit.converged or checks.verdicts):  # no verdict says why it ended so
         facts += [("stopped", fit.stop)]
     facts += _limits(estimate, details=details)
-    passed = [verdict.status is Status.PASSED for verdict in estimate.checks.verdicts]
-    if passed:
-        facts += [("checks", f"all {len(passed)} passed" if all(passed) else f"{sum(passed)} of {len(passed)} passed")]
-    blocks: list[Block] = [Facts(tuple(_sources(estimate))), *_tables(estimate, details=details)]
-    if facts:
-        blocks.append(Facts(tuple(facts)))
-    blocks += _verdicts(estimate, details=details)
-    if estimate.checks.warnings:
-        blocks.append(Facts(tuple(("warning", warning) for warning in estimate.checks.warnings)))
-    return Document(title, tuple(blocks))
+    if checks.verdicts:
+        facts += [("checks", _counted_checks(estimate))]
+    notes = [] if checks.verdicts and not details else [("note", note) for note in checks.notes]
+    warnings = [("warning", warning) for warning in checks.warnings]
+    return Document(
+        str(estimate.answer),
+        (
+            *_tables(estimate, details=details),
+            *_verdicts(estimate, details=details),
+            Facts((*warnings, *notes)),
+            Facts((*facts, *_sources(estimate))),
+        ),
+    )
+
+
+def _counted_checks(estimate: Estimate) -> str:
+    """Return how many checks passed, and, beside an answer that can be relied on, that the others leave it so."""
+    verdicts = estimate.checks.verdicts
+    others = [verdict for verdict in verdicts if verdict.status is not Status.PASSED]
+    if not others:
+        return f"all {len(verdicts)} passed"
+    said = f"{len(verdicts) - len(others)} of {len(verdicts)} passed"
+    if not (estimate.answer.reliable and all(spares_answer(estimate, verdict) for verdict in others)):
+        return said
+    value = estimate.answer.found.values["parameter"].partition("@")[0].replace("_", " ")
+    named = listed([str(one.subject) for one in others])
+    return f"{said}; {named} {'do' if len(others) > 1 else 'does'} not speak against the {value}"
 
 
 def _sources(estimate: Estimate) -> Iterator[tuple[str, str]]:
-    """Return what was read, and on which side the values are."""
-    data, gear = estimate.data, estimate.settings.joint.transmission
+    """Return how it was identified and from what, and on which side the values are."""
+    data, joint = estimate.data, estimate.settings.joint
+    gear = joint.transmission
+    source = f"of {data.record}" if not data.records else f"of {len(data.records)} records"
+    yield "method", f"{joint.model} joint, {estimate.settings.variant}, {source}"
     if not data.records:
         yield "read", ", ".join(data.channels)
     for k, record in enumerate(data.records, 1):
@@ -63,6 +84,8 @@ def _sources(estimate: Estimate) -> Iterator[tuple[str, str]]:
         yield "resampled", str(data.resampled)
     if gear is not None:
         yield "transmission", str(gear)
+    if data.torque_constant:
+        yield "scale", f"values scale with torque_constant {data.torque_constant}, which no record checks"
 
 
 def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
@@ -78,9 +101,12 @@ def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
         yield Table(("record", "error % raw", "filtered", "filtered, alone", "rows"), errors)
         return
     yield parameters_table(estimate, initial=details)
+    lines = tuple(legend(estimate, initial=details))
+    if lines:
+        yield Listing(lines)
     for table in (
         combinations_table(estimate, "known together", differences=details),
-        bounds_table(estimate, "the stiffness is refused; its lower bound (95 %, lightly damped mode)"),
+        bounds_table(estimate, "the stiffness is refused; its lower bound (95 %, mode damped by up to 15 %)"),
     ):
         if table is not None:
             yield table
@@ -89,7 +115,7 @@ def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
         yield _segments(estimate, drift)
 
 
-def _results(estimate: Estimate) -> Iterator[tuple[str, str]]:
+def _results(estimate: Estimate, *, details: bool) -> Iterator[tuple[str, str]]:
     fit, checks, windows = estimate.fit, estimate.checks, estimate.data.windows
     if checks.agreement is not None:
         if not checks.agreement.differs:  # else it is a warning
@@ -103,10 +129,13 @@ def _results(estimate: Estimate) -> Iterator[tuple[str, str]]:
             f"{number(windows.duration / 3600, 3)} h",
         )
     else:
+        left, rows = "", ""
+        if details:
+            left = f" ({fit.borders[0]} + {fit.borders[1]} samples at the ends left out)"
+            rows = f" ({fit.rows} rows)"
         yield (
             f"{fit.compared} error",
-            f"{100 * fit.relative_error:.4f} % raw ({fit.borders[0]} + {fit.borders[1]} samples at the ends left "
-            f"out), {100 * fit.filtered_error:.4f} % filtered ({fit.rows} rows)",
+            f"{100 * fit.relative_error:.4f} % raw{left}, {100 * fit.filtered_error:.4f} % filtered{rows}",
         )
     if checks.drift is not None:
         yield "drift", describe_drift(checks.drift, estimate.params)
@@ -155,8 +184,8 @@ def _verdicts(estimate: Estimate, *, details: bool) -> Iterator[Block]:
         if details:
             listed.append((str(verdict.subject), verdict.good, (first, *others)))
         elif verdict.status is not Status.PASSED:
-            more = f" (and {len(others)} more)" if others else ""
-            listed.append((str(verdict.subject), verdict.good, (f"{first}{more}",)))
+            more = f" (and {len(others)} more in the report)" if others else ""
+            listed.append((str(verdict.subject), verdict.good, (f"{verdict.reasons[0].brief}{more}",)))
     if listed:
         yield Verdicts(tuple(listed))
 
@@ -229,36 +258,69 @@ def _segments(estimate: Estimate, drift: DriftTest) -> Table:
 
 def shown(p: EstimatedParameter) -> str:
     """Return a value as tables print it; of a refused one what is known instead."""
+    if p.at_bound is not None:
+        return number(p.at_bound)
     if p.value is None:
         return "not identifiable" if p.lower_bound is None else f"> {number(p.lower_bound)}"
     return number(p.value)
 
 
 def parameter_row(p: EstimatedParameter) -> tuple[str, ...]:
-    """Return symbol, words, value, two deviations, one in percent, and unit."""
+    """Return symbol, words, value, two deviations, the same in percent of the value, and unit."""
     words = p.name.replace("_", " ")
-    if p.value is None or p.stderr is None or not p.free:
-        return p.symbol, words, shown(p), "fixed" if p.value is not None and not p.free else "-", "-", p.unit
-    percent = 100 * p.stderr / abs(p.value) if p.value else math.inf
-    relative = f"{percent:.2f}" if percent < _LOST else "-"
+    if p.value is None or p.stderr is None or not p.free or p.at_bound is not None:
+        fixed = p.value is not None and not p.free and p.at_bound is None
+        return p.symbol, words, shown(p), "fixed" if fixed else "-", "-", p.unit
+    percent = 200 * p.stderr / abs(p.value) if p.value else math.inf
+    relative = number(percent, 2) if percent < _LOST else "-"
     return p.symbol, words, number(p.value), number(2 * p.stderr, 2), relative, p.unit
 
 
-def parameters_table(estimate: Estimate, caption: str = "", *, initial: bool = True) -> Table:
+def remarks(estimate: Estimate) -> dict[str, str]:
+    """Return what the checks say of single parameters, by name: at a bound, moved by a fault, known only with another.
+
+    Of a fault of loop or log it is by how much the value changes, in its unit, when the fault is corrected.
+    """
+    found: dict[str, list[str]] = {p.name: ["at its bound"] for p in estimate.params if p.at_bound is not None}
+    for name, by in moved_by_loop(estimate, beyond=SHOWN_SHIFT).items():
+        found.setdefault(name, []).append(f"loop: {signed(by, 3)}")
+    known, symbols = estimate.checks.known, {p.name: p.symbol for p in estimate.params}
+    for limitation in () if known is None else known.limitations:
+        pair = [name for name in limitation.values.get("parameters", ()) if name in symbols]
+        if len(pair) == 2:  # of the joint, both of them
+            for name, other in (pair, pair[::-1]):
+                found.setdefault(name, []).append(f"only with {symbols[other]}")
+    drift = estimate.checks.drift
+    for name in () if drift is None else drift.names:
+        found.setdefault(name, []).append("changes")
+    return {name: ", ".join(said) for name, said in found.items()}
+
+
+def parameters_table(estimate: Estimate, caption: str = "", *, initial: bool = True, letters: bool = False) -> Table:
     """Return every parameter with its interval, and with a transmission what it is on the other side.
 
     Args:
         estimate: whose parameters are shown.
         caption: of the table.
         initial: whether to show the state at the first sample.
+        letters: whether the field's letters stand beside the paper's: "ZZ1, J1".
     """
-    header: tuple[str, ...] = ("symbol", "parameter", "value", "2 sigma", "sigma %", "unit")
-    listed = [i for i, p in enumerate(estimate.params) if initial or p.name not in INITIAL]
-    rows = [parameter_row(estimate.params[i]) for i in listed]
+    header: tuple[str, ...] = ("symbol", "parameter", "value", "2 sigma", "2 sigma %", "unit")
+    shown_rows = [i for i, p in enumerate(estimate.params) if initial or p.name not in INITIAL]
+    rows = [parameter_row(estimate.params[i]) for i in shown_rows]
+    if letters:
+        beside = [field_symbol(estimate.params[i].name, estimate.params[i].unit) for i in shown_rows]
+        rows = [(f"{row[0]}, {one}" if one else row[0], *row[1:]) for row, one in zip(rows, beside, strict=True)]
+    words, said = [0, 1, 5], remarks(estimate)
+    if any(estimate.params[i].name in said for i in shown_rows):
+        words.append(len(header))
+        header = (*header, "remark")
+        rows = [(*row, said.get(estimate.params[i].name, "")) for row, i in zip(rows, shown_rows, strict=True)]
     if estimate.other is not None:
+        words.append(len(header) + 1)
         header, there = (*header, f"{estimate.other.side} side", "unit"), estimate.other_side
-        rows = [(*row, shown(there[i]), there[i].unit) for row, i in zip(rows, listed, strict=True)]
-    return Table(header, tuple(rows), caption, words=(0, 1, 5, 7))
+        rows = [(*row, shown(there[i]), there[i].unit) for row, i in zip(rows, shown_rows, strict=True)]
+    return Table(header, tuple(rows), caption, words=tuple(words))
 
 
 def combinations_table(
@@ -293,21 +355,18 @@ def combinations_table(
 
 
 def bounds_table(estimate: Estimate, caption: str = "") -> Table | None:
-    """Return the lower bounds of a refused stiffness; None where it is not refused."""
-    bounds, other = estimate.checks.bounds, estimate.other
+    """Return the lower bounds of a refused stiffness; None where it is not refused, or the fit says nothing of it."""
+    bounds, other = told_bounds(estimate), estimate.other
     if not bounds:
         return None
     unit = estimate["stiffness"].unit
     header: tuple[str, ...] = ("load's share of the inertia", f"stiffness at least [{unit}]", "free-free mode [Hz]")
-    rows: list[tuple[str, ...]] = []
-    for b in bounds:
-        if b.stiffness is None or b.frequency is None:
-            rows.append((f"{b.share:.2f}", "not bounded", "-"))
-        else:
-            rows.append((f"{b.share:.2f}", number(b.stiffness, 2), f"{b.frequency:.0f}"))
+    shown = uniform([b.stiffness for b in bounds], "not bounded")
+    modes = ["-" if b.stiffness is None or b.frequency is None else f"{b.frequency:.0f}" for b in bounds]
+    rows: list[tuple[str, ...]] = [(f"{b.share:.2f}", *row) for b, *row in zip(bounds, shown, modes, strict=True)]
     if other is not None:
         header = (*header, f"{other.side} side [{other.unit(unit)}]")
-        there = ["-" if b.stiffness is None else number(other.ratio**2 * b.stiffness, 2) for b in bounds]
+        there = uniform([None if b.stiffness is None else other.ratio**2 * b.stiffness for b in bounds], "-")
         rows = [(*row, value) for row, value in zip(rows, there, strict=True)]
     return Table(header, tuple(rows), caption)
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from jointid.models.controllers.block_diagram import LONGEST_DELAY
 from jointid.models.controllers.filters import (
     FILTERS,
     DigitalFilter,
@@ -22,7 +21,7 @@ from jointid.models.controllers.filters import (
     SecondOrder,
     as_filter,
 )
-from jointid.models.controllers.laws import PD, PID, Cascade, StateSpaceController, shift_start
+from jointid.models.controllers.laws import PD, PID, Cascade, StateSpaceController, shift_start, with_present_sample
 from jointid.models.controllers.sampled import (
     CONSTANT,
     DIRECTION,
@@ -42,22 +41,28 @@ from jointid.models.controllers.sampled import (
     scaled,
 )
 from jointid.models.controllers.servo_base import (
+    CONTROLLER_UNITS,
+    LONGEST_DELAY,
     Controller,
     DiagramController,
     Interpolation,
     ServoController,
+    declared_unit,
+    in_torque,
     number,
     numbers_of,
+    unit_of_number,
     with_numbers,
 )
 
 __all__ = [
-    "CONSTANT", "DIRECTION", "FILTERS", "INJECTED", "INPUTS", "LAWS", "LIMIT", "LONGEST_DELAY", "PD", "PID",
+    "CONSTANT", "CONTROLLER_UNITS", "DIRECTION", "FILTERS", "INJECTED", "INPUTS", "LAWS", "LIMIT", "LONGEST_DELAY",
+    "PD", "PID",
     "POSITION", "REFERENCE", "REFERENCE_VELOCITY",
     "Cascade", "Controller", "DiagramController", "DigitalFilter", "Filter", "FirstOrder", "Interpolation",
     "LawRun", "MovingAverage", "Notch", "SampledLaw", "SecondOrder", "ServoController", "StateSpaceController",
-    "as_filter", "invert", "law_inputs", "number", "numbers_of", "referred", "respond", "run", "scaled", "shift_start",
-    "with_numbers",
+    "as_filter", "declared_unit", "in_torque", "invert", "law_inputs", "number", "numbers_of", "referred", "respond",
+    "run", "scaled", "shift_start", "unit_of_number", "with_numbers", "with_present_sample",
 ]  # fmt: skip
 
 LAWS: Mapping[str, type[Any]] = {"cascade": Cascade, "pd": PD, "pid": PID, "state_space": StateSpaceController}

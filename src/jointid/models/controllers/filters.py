@@ -12,6 +12,8 @@ import numpy as np
 from jointid.common.errors import MethodError
 from jointid.common.settings import check_settings, declare, documented, setting
 
+_LONGEST = 1000  # numbers of a polynomial, as many as a moving average may take
+
 Coefficients: TypeAlias = tuple[tuple[float, ...], tuple[float, ...]]
 """Numerator and denominator in powers of 1/z."""
 
@@ -34,6 +36,11 @@ class DigitalFilter:
     def __post_init__(self) -> None:
         object.__setattr__(self, "numerator", tuple(float(b) for b in self.numerator))
         object.__setattr__(self, "denominator", tuple(float(a) for a in self.denominator))
+        if (longest := max(len(self.numerator), len(self.denominator))) > _LONGEST:
+            raise MethodError(
+                f"A digital filter of {longest} numbers is given (at most {_LONGEST}); give one of lower order, or a "
+                "moving average by its samples."
+            )
         finite = all(map(math.isfinite, (*self.numerator, *self.denominator)))
         if not self.numerator or not self.denominator or self.denominator[0] == 0.0 or not finite:
             raise MethodError(

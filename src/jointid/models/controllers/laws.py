@@ -1,7 +1,8 @@
 """Controllers by name: what engineers set, drawn as a `Diagram` and lowered to one `SampledLaw`.
 
 Evaluated every period T on the sampled position q and reference r; the output is held, and acts after a computing
-delay that may be a fraction of a period. With v the filtered backward difference of q, and e = r - q::
+delay that may be a fraction of a period. With v the filtered backward difference of q, e = r - q, and kp, kv, ki,
+kd the position, velocity, integral and derivative gain::
 
     Cascade   w = kp e + velocity_feedforward dr/dt, every position_period, within velocity_limit
               u = kv (w - v + ki I),  I the sum of T (w - v)
@@ -24,7 +25,6 @@ from numpy.typing import ArrayLike
 
 from jointid.common.errors import MethodError
 from jointid.common.settings import Setting, declare, documented, setting
-from jointid.models.controllers.block_diagram import BlockSignal, Diagram
 from jointid.models.controllers.sampled import (
     INJECTED,
     INPUTS,
@@ -35,7 +35,7 @@ from jointid.models.controllers.sampled import (
     SampledLaw,
     referred,
 )
-from jointid.models.controllers.servo_base import Controller, DiagramController, ServoController
+from jointid.models.controllers.servo_base import BlockSignal, Controller, Diagram, DiagramController, ServoController
 
 _WHOLE = 1e-6  # how near to a whole number of periods a slower loop's must be
 _DRIFT = 1e-2  # of a period: how far clocks may drift apart before an instant is taken for the next one
@@ -58,11 +58,11 @@ def _gain(help: str, unit: str) -> Mapping[str, Setting]:  # noqa: A002
 @documented
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cascade(DiagramController):
-    """A position loop around a velocity loop: P-P, or P-PI where `ki` is not 0 (the module's equations)."""
+    """A position loop around a velocity loop: P-P, or P-PI where `integral_gain` is not 0 (the module's equations)."""
 
-    kp: float = field(metadata=_gain("position gain", "1/s"))
-    kv: float = field(metadata=_gain("velocity gain", "controller units per m/s or rad/s"))
-    ki: float = field(
+    position_gain: float = field(metadata=_gain("position gain", "1/s"))
+    velocity_gain: float = field(metadata=_gain("velocity gain", "controller units per m/s or rad/s"))
+    integral_gain: float = field(
         default=0.0, metadata=_gain("integral gain of the velocity loop, the inverse of its integral time", "1/s")
     )
     anti_windup: AntiWindup = setting("hold", _ANTI_WINDUP)
@@ -99,19 +99,21 @@ class Cascade(DiagramController):
         """Return the state-space form."""
         diagram = self._diagram(self.period or sample_time)
         position = diagram.input(POSITION)
-        command = diagram.held((self._reference(diagram) - position) * self.kp + self._fed(diagram))
+        command = diagram.held((self._reference(diagram) - position) * self.position_gain + self._fed(diagram))
         if self.velocity_limit < math.inf:
             command, _ = diagram.limited(command, self.velocity_limit)
         slip = command - self._velocity(diagram, position)
-        controlled = slip * self.kv
-        if self.ki:
+        controlled = slip * self.velocity_gain
+        if self.integral_gain:
             state, integral = diagram.state()
-            controlled = controlled + integral * (self.kv * self.ki)
+            controlled = controlled + integral * (self.velocity_gain * self.integral_gain)
         output, limit = self._torque(diagram, controlled)
-        if self.ki:
+        if self.integral_gain:
             into = slip * diagram.period
             if self.limit < math.inf:
-                into = _with_anti_windup(diagram, into, limit, self.anti_windup, self.kv * self.ki * self.gain)
+                into = _with_anti_windup(
+                    diagram, into, limit, self.anti_windup, self.velocity_gain * self.integral_gain * self.gain
+                )
             diagram.follow(state, integral + into)
         return self._lower(diagram, output, limit)
 
@@ -145,8 +147,8 @@ class PD(DiagramController):
     (damping on the position only).
     """
 
-    kp: float = field(metadata=_gain("position gain", "controller units per m or rad"))
-    kd: float = field(metadata=_gain("velocity gain", "controller units per m/s or rad/s"))
+    position_gain: float = field(metadata=_gain("position gain", "controller units per m or rad"))
+    derivative_gain: float = field(metadata=_gain("velocity gain", "controller units per m/s or rad/s"))
     reference_velocity: Literal["difference", "channel", "none"] = setting(
         "difference", "whether the reference's velocity is its difference, a channel of its own, or not used"
     )
@@ -168,11 +170,11 @@ class PD(DiagramController):
         reference, position = self._reference(diagram), diagram.input(POSITION)
         error = reference - position
         if self.reference_velocity == "difference":
-            return error, error * self.kp + self._velocity(diagram, error) * self.kd
-        controlled = error * self.kp - self._velocity(diagram, position) * self.kd
+            return error, error * self.position_gain + self._velocity(diagram, error) * self.derivative_gain
+        controlled = error * self.position_gain - self._velocity(diagram, position) * self.derivative_gain
         if self.reference_velocity == "channel":
             velocity = diagram.delayed(diagram.input(REFERENCE_VELOCITY), self.reference_delay)
-            controlled = controlled + velocity * self.kd
+            controlled = controlled + velocity * self.derivative_gain
         return error, controlled
 
 
@@ -181,18 +183,20 @@ class PD(DiagramController):
 class PID(PD):
     """``u = kp e + ki (sum of T e) + kd (reference velocity - velocity)`` (the module's equations)."""
 
-    ki: float = field(metadata=_gain("integral gain", "controller units per m s or rad s"))
+    integral_gain: float = field(metadata=_gain("integral gain", "controller units per m s or rad s"))
     anti_windup: AntiWindup = setting("hold", _ANTI_WINDUP)
 
     def law(self, sample_time: float) -> SampledLaw:
         """Return the state-space form."""
         diagram = Diagram(self.period or sample_time)
         error, controlled = self._controlled(diagram)
+        if not self.integral_gain:
+            return self._lower(diagram, *self._torque(diagram, controlled))
         state, integral = diagram.state()
-        output, limit = self._torque(diagram, controlled + integral * self.ki)
+        output, limit = self._torque(diagram, controlled + integral * self.integral_gain)
         into = error * diagram.period
-        if self.limit < math.inf and self.ki:
-            into = _with_anti_windup(diagram, into, limit, self.anti_windup, self.ki * self.gain)
+        if self.limit < math.inf:
+            into = _with_anti_windup(diagram, into, limit, self.anti_windup, self.integral_gain * self.gain)
         diagram.follow(state, integral + into)
         return self._lower(diagram, output, limit)
 
@@ -208,6 +212,25 @@ def shift_start(controller: Controller, seconds: float) -> Controller:
     offset = (controller.position_offset - seconds) % cycle
     rounding = min(offset, cycle - offset) < _WHOLE * cycle  # of what is a whole cycle
     return replace(controller, position_offset=0.0 if rounding else float(f"{offset:.12g}"))
+
+
+def with_present_sample(controller: Cascade | PID, period: float) -> Cascade | PID:
+    """Return the same controller with an integral that takes in the present sample, as a law whose integral does not.
+
+    Backward Euler's sum ``I + T e`` is ``ki T`` more of what the integral acts beside.
+
+    Args:
+        controller: with an integral.
+        period: of the controller, s.
+    """
+    step = controller.integral_gain * period
+    if isinstance(controller, PID):
+        return replace(controller, position_gain=controller.position_gain + step)
+    return replace(
+        controller,
+        velocity_gain=controller.velocity_gain * (1 + step),
+        integral_gain=controller.integral_gain / (1 + step),
+    )
 
 
 def _with_anti_windup(diagram: Diagram, into: BlockSignal, limit: int, anti_windup: str, weight: float) -> BlockSignal:

@@ -339,7 +339,7 @@ def respond(law: SampledLaw, inputs: FloatArray, state: FloatArray, excess: Floa
 
 
 def _respond(law: SampledLaw, inputs: FloatArray, state: FloatArray, excess: FloatArray, free: bool) -> FloatArray:
-    from jointid.common.iir_kernels import respond as recur
+    from jointid.common.compiled import respond as recur
 
     whole = np.concatenate(  # the kernel reads the weights that are not 0, row by row
         [np.concatenate([law.C, law.D, law.E], axis=2), np.concatenate([law.A, law.B, law.F], axis=2)], axis=1

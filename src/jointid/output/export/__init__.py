@@ -1,5 +1,181 @@
-"""Exports of an identified joint: a function for each language of another tool, and the verb that chooses one."""
+"""The verb: an estimate in another tool's language, and what that language loses of it."""
 
-from jointid.output.export.languages import LANGUAGES, Export, export, find_language, read_estimated, state_space
+from __future__ import annotations
 
-__all__ = ["LANGUAGES", "Export", "export", "find_language", "read_estimated", "state_space"]
+import inspect
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+from jointid.common.errors import MethodError
+from jointid.common.files import write_whole
+from jointid.common.transmission import SIDES, Side
+from jointid.estimation.result.estimate import Estimate
+from jointid.models.joints import Joint
+from jointid.output.export.joint_file import joint_file
+from jointid.output.export.joint_model import JointModel, joint_model
+from jointid.output.export.modelica import modelica
+from jointid.output.export.robots import mjcf, urdf
+from jointid.output.export.state_space import StateSpace, linear_part, matlab, state_space_json
+from jointid.output.json import read_answer, to_dict
+
+
+@dataclass(frozen=True, slots=True)
+class Language:
+    """A language that joints are written in.
+
+    Attributes:
+        name: what `export` and the command line call it.
+        suffixes: the endings of its files, in lower case, with the dot.
+        write: returns the text of a `JointModel`, and a sentence for each part of the joint that the text does not
+            have; its keyword arguments are the settings.
+        side: of a transmission, whose numbers it has unless another is asked for; None: those that were identified.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    write: Callable[..., tuple[str, tuple[str, ...]]]
+    side: Side | None = None
+
+
+LANGUAGES = (
+    Language("joint-file", (".toml",), joint_file),
+    Language("state-space", (".json",), state_space_json),
+    Language("matlab", (".m",), matlab),
+    Language("mjcf", (".xml", ".mjcf"), mjcf, "load"),
+    Language("urdf", (".urdf",), urdf, "load"),
+    Language("modelica", (".mo",), modelica),
+)
+"""Every language there is."""
+
+
+@dataclass(frozen=True, slots=True)
+class Export:
+    """A joint in another language.
+
+    Attributes:
+        format: name of the language.
+        text: of the file.
+        lost: what the language does not hold of the joint, a sentence for each.
+    """
+
+    format: str
+    text: str
+    lost: tuple[str, ...]
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the text in UTF-8; a file that is there is replaced.
+
+        Raises:
+            RecordError: the file cannot be written.
+        """
+        write_whole(path, self.text)
+
+    def __str__(self) -> str:
+        """Return what is lost, a line for each."""
+        return "\n".join(f"lost in {self.format}: {sentence}" for sentence in self.lost) or (
+            f"nothing of the joint is lost in {self.format}"
+        )
+
+
+def export(
+    estimate: Estimate | JointModel,
+    language: str,
+    *,
+    side: Side | None = None,
+    name: str | None = None,
+    **settings: Any,
+) -> Export:
+    """Return an estimate in another tool's language.
+
+    - "joint-file": TOML with the values filled in. Settings: `file`, the `JointFile` it was identified with, whose text
+      is kept; `values`, "start" (where the next search begins) or "fixed" (what is kept); `folder`, where it will be.
+    - "state-space": linear, continuous and sampled, as JSON for SciPy and python-control. Settings: `period` and
+      `delay` in s, to sample with; without them the record's and the joint's.
+    - "matlab": the same as a script for MATLAB and Octave, with the same settings.
+    - "mjcf": motor and load with the spring between, friction of each, for MuJoCo. Setting: `timestep` in s.
+    - "urdf": one joint with damping and friction, without the spring, for ROS.
+    - "modelica": all equations, true sticking, no library needed.
+
+    Args:
+        estimate: what `identify` returned, or what `read_estimated` read.
+        language: its name, or the ending of its files.
+        side: of a transmission, "motor" or "load", whose numbers are written; without it the load's for URDF and MJCF,
+            whose joints are those of a robot's links, and else the side that was identified.
+        name: what the joint is called; without it "joint", or the name it was read with.
+        settings: of the language.
+
+    Raises:
+        MethodError: there is no such language, setting or side, or the language cannot hold this joint.
+        JointFileError: the joint file cannot be read any more, or cannot say this.
+
+    Example:
+        >>> import jointid as ji
+        >>> record = ji.twin("L19", noise="none").record
+        >>> loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=160.18, velocity_gain=243.45, gain=35.15))
+        >>> rigid = ji.identify(record, loop, filtering=ji.Filtering(cutoff=5.0))
+        >>> print(ji.export(rigid, "urdf").lost[0][:16])
+        a constant force
+    """
+    chosen = find_language(language)
+    known = list(inspect.signature(chosen.write).parameters)[1:]
+    unknown = [key for key in settings if key not in known]
+    if unknown:
+        has = ", ".join(known) or "none"
+        raise MethodError(f"{chosen.name} has no setting {', '.join(unknown)}; it has: {has}.")
+    if side not in (None, *SIDES):
+        raise MethodError(f'A side is "motor" or "load"; received "{side}".')
+    model = _model(estimate, name)
+    model = model.on(side or (None if model.side is None else chosen.side))
+    return Export(chosen.name, *chosen.write(model, **settings))
+
+
+def state_space(estimate: Estimate | JointModel, *, side: Side | None = None) -> StateSpace:
+    """Return the linear part of a joint: from torque to positions and velocities; `sampled` makes it discrete.
+
+    Args:
+        estimate: see `export`.
+        side: of a transmission, whose torque and motion; without it the side that was identified.
+
+    Raises:
+        MethodError: a value is refused, no joint can have it, or there is no such side.
+    """
+    return linear_part(_model(estimate, None).on(side))
+
+
+def read_estimated(path: str | os.PathLike[str], joint: Joint, name: str | None = None) -> JointModel:
+    """Return what the file of an answer says of a joint, for `export`.
+
+    Args:
+        path: of what `identify --json` wrote: of one record, of several, or of a long log.
+        joint: the model its values belong to.
+        name: what the joint is called.
+
+    Raises:
+        RecordError: the file cannot be read, is no such answer, or belongs to another joint.
+    """
+    return joint_model(read_answer(path), joint, name, str(path))
+
+
+def find_language(name: str) -> Language:
+    """Return the language of that name, or whose files end so, in small letters or capitals.
+
+    Raises:
+        MethodError: there is none.
+    """
+    for language in LANGUAGES:
+        if name.lower() in (language.name, *language.suffixes):
+            return language
+    known = "; ".join(f"{language.name} ({', '.join(language.suffixes)})" for language in LANGUAGES)
+    raise MethodError(f'"{name}" is no language that a joint is exported to; expected one of {known}.')
+
+
+def _model(estimate: Estimate | JointModel, name: str | None) -> JointModel:
+    if isinstance(estimate, JointModel):
+        return estimate if name is None else replace(estimate, name=name)
+    if not isinstance(estimate, Estimate):
+        raise MethodError(
+            f"What is exported is an estimate, of one record or of several; received {type(estimate).__name__}."
+        )
+    return joint_model(to_dict(estimate), estimate.settings.joint, name)

@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Literal
 
 from jointid.common.errors import JointFileError, MethodError
-from jointid.config import JointFile, dumps, loads, with_parameters, with_paths
+from jointid.common.parameters import Parameter
+from jointid.config import JointFile, dumps, loads, with_paths, with_table
 from jointid.config.serialise import parameter_table
-from jointid.models.parameters import Parameter
-from jointid.output.export.joint_model import JointModel
-from jointid.output.export.text import effects_left_out, interval, number, remarks
+from jointid.output.export.joint_model import JointModel, effects_left_out, interval, number, remarks
 
 _STARTS = (
     'jointid simulate takes these starts; identify begins there with method.start = "given" (rigid), or by itself.'
@@ -93,12 +92,12 @@ def _of_the_same_joint(file: JointFile | None, model: JointModel) -> JointFile:
 def _filled(file: JointFile, filled: JointFile, written: str) -> str:
     """Return the file's own text with its parameters replaced, or all of it anew where that would not say the same."""
     try:
-        text = with_parameters(file.path.read_text(encoding="utf-8-sig"), written)
+        text = with_table(file.path.read_text(encoding="utf-8-sig"), written)
         if loads(text).tables() == filled.tables():
             return text
     except (OSError, JointFileError):  # it was made by a program, or changed since
         pass
-    return with_parameters(dumps(filled), written)
+    return with_table(dumps(filled), written)
 
 
 def _toml(parameter: Parameter, model: Parameter) -> str:

@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from jointid.estimation.result.params import EstimatedParameter
+from jointid.estimation.result.parts import EstimatedParameter
 from jointid.models.friction import DIRECTIONS, PARTS
-from jointid.output.export.joint_model import JointModel
-from jointid.output.export.text import effects_left_out, identifier, interval, number, remarks
+from jointid.output.export.joint_model import JointModel, effects_left_out, identifier, interval, number, remarks
 
 _RESERVED = (
     "algorithm", "and", "annotation", "block", "break", "class", "connect", "connector", "constant", "constrainedby",

@@ -14,11 +14,20 @@ from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
 from jointid.common.errors import MethodError
+from jointid.common.parameters import TORQUE_UNIT
 from jointid.common.text import number as shown
-from jointid.models.joints import frequencies
-from jointid.models.parameters import TORQUE_UNIT
-from jointid.output.export.joint_model import JointModel, Mass, Weight
-from jointid.output.export.text import effects_left_out, identifier, number, one_line, remarks, uneven_viscous
+from jointid.models.joints import FlexibleJoint
+from jointid.output.export.joint_model import (
+    JointModel,
+    Mass,
+    Weight,
+    effects_left_out,
+    identifier,
+    number,
+    one_line,
+    remarks,
+    uneven_viscous,
+)
 
 _AXES = {"revolute": "0 -1 0", "prismatic": "1 0 0"}
 _GRAVITY = 9.81  # m/s2, along -z; what a link weighs does not depend on it, see `_body_of`
@@ -59,7 +68,7 @@ def urdf(model: JointModel) -> tuple[str, tuple[str, ...]]:
         lost.append(
             f"the spring of {shown(model.stiffness)} {model.torque_unit}/{model.position_unit} and its damping; "
             "inertia and friction are the sums of both sides, which hold below about a fifth of "
-            f"{shown(frequencies(model.values)['free_free'])} Hz"
+            f"{shown(FlexibleJoint.frequencies(model.values)['free_free'])} Hz"
         )
     constant += 0.0 if weight is None else weight.constant
     if constant:
@@ -142,7 +151,7 @@ def mjcf(model: JointModel, *, timestep: float | None = None) -> tuple[str, tupl
 def _step(model: JointModel) -> float:
     sample_time, longest = model.sample_time or _SAMPLE_TIME, _LONGEST
     if model.stiffness > 0:
-        longest = min(longest, 1 / (_STEPS * frequencies(model.values)["free_free"]))
+        longest = min(longest, 1 / (_STEPS * FlexibleJoint.frequencies(model.values)["free_free"]))
     return sample_time / math.ceil(sample_time / longest)
 
 
@@ -183,7 +192,7 @@ def _how_to_drive(model: JointModel) -> list[str]:
     if model.flexible:
         lines.append(
             "In a robot, motor and load are both children of the link before; the load is the link, and the motor is "
-            f"beside it. Free-free mode {shown(frequencies(model.values)['free_free'])} Hz."
+            f"beside it. Free-free mode {shown(FlexibleJoint.frequencies(model.values)['free_free'])} Hz."
         )
     if model.kind == "revolute":
         lines.append("Masses and centres are chosen; inertia about the axis and weight are what was identified.")

@@ -21,15 +21,14 @@ import numpy as np
 
 from jointid import __version__
 from jointid.common.arrays import FloatArray
+from jointid.common.document import dumps
 from jointid.common.errors import MethodError, extra
-from jointid.common.json_file import dumps
+from jointid.common.parameters import Quantity, unit_of
 from jointid.common.text import number as shown
 from jointid.models.linear import OUTPUTS, discretise, drive_matrices
-from jointid.models.parameters import Quantity, unit_of
-from jointid.output.export.joint_model import JointModel
-from jointid.output.export.text import effects_left_out, identifier, number, remarks, uneven_viscous
+from jointid.output.export.joint_model import JointModel, effects_left_out, identifier, number, remarks, uneven_viscous
 from jointid.output.json import plain
-from jointid.output.json.keys import Json
+from jointid.output.json.estimates import Json
 
 STATE_SPACE_SCHEMA = "jointid.state-space/1"
 
@@ -181,15 +180,7 @@ def matlab(
 ) -> tuple[str, tuple[str, ...]]:
     """Return a MATLAB script that makes two models of the Control System Toolbox, and what is not in them.
 
-    Octave's `control` package has the same.
-
-    Args:
-        model: the joint.
-        period: s, see `state_space_json`.
-        delay: s, likewise.
-
-    Raises:
-        MethodError: see `state_space_json`.
+    Octave's `control` package has the same. Settings and errors are those of `state_space_json`.
     """
     continuous, sampled = _both(model, period, delay)
     name, lost = identifier(model.name, _RESERVED), _not_linear(model)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
+from jointid.common.charts import Band, Cells, Chart, Dots, Item, Level, Line, Mark, Panel, said
 from jointid.common.errors import extra
-from jointid.output.figures.charts import Band, Cells, Chart, Dots, Item, Level, Line, Mark, Panel, said
 
 if TYPE_CHECKING:
     from bokeh.plotting import figure
@@ -166,20 +167,28 @@ def _rule(made: figure, item: Mark | Level) -> None:
 
 
 def _cells(made: figure, cells: Cells) -> None:
-    from matplotlib import colormaps
-    from matplotlib.colors import to_hex
-
-    shades = colormaps["RdBu_r"]
     names = cells.names
     rows, columns = np.divmod(np.arange(len(names) ** 2), len(names))
     values = cells.values.ravel()
     x, y = [names[i] for i in columns], [names[i] for i in rows]
-    made.rect(x, y, 1, 1, color=[to_hex(shades(0.5 + 0.5 * float(v))) for v in values], line_color="white")
+    made.rect(x, y, 1, 1, color=[_shade(float(v)) for v in values], line_color="white")
     made.text(
         x, y, text=[said(float(v)) for v in values], text_align="center", text_baseline="middle", text_font_size="11px",
         text_font={"value": _FONT}, text_color=["white" if abs(v) > 0.6 else "#222222" for v in values],
     )  # fmt: skip
     made.grid.visible = False
+
+
+def _shade(value: float) -> str:
+    """Return the colour of -1 to 1, between blue and red: that of matplotlib, which takes long to load, of eleven."""
+    from bokeh.palettes import RdBu11
+
+    if math.isnan(value):  # of a parameter that has no deviation
+        return "#ffffff"
+    at = (len(RdBu11) - 1) * (0.5 + 0.5 * min(max(value, -1.0), 1.0))
+    known = np.arange(len(RdBu11))
+    channels = np.array([[int(shade[i : i + 2], 16) for i in (1, 3, 5)] for shade in RdBu11])
+    return "#" + "".join(f"{round(float(np.interp(at, known, channel))):02x}" for channel in channels.T)
 
 
 def _short(values: Any) -> Any:

@@ -6,29 +6,32 @@ import io
 import re
 from typing import TYPE_CHECKING
 
-from jointid.output.figures.charts import Band, Cells, Chart, Dots, Item, Level, Line, Mark, Panel, said, thin
+from jointid.common.charts import Band, Cells, Chart, Dots, Item, Level, Line, Mark, Panel, said, thin
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 _INCH = 100.0  # pixels of a panel's height
 _EMPTY = 170  # pixels of a chart without panels
 _WIDTH = 9.0  # inches
 _DASHES = {"solid": "-", "dashed": (0, (5, 3)), "dotted": (0, (1, 2))}
-_SHADES = "RdBu_r"
+_FORMULA = re.compile(r"\$\\mathdefault\{(?:(?P<factor>\d+)\\times)?10\^\{(?P<power>-?\d+)\}\}\$")  # of a power of ten
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _POINTS = 1500  # of a line: more than two for each point of print across a page
 
 
 def draw(chart: Chart) -> Figure:
     """Return a chart as a figure of matplotlib."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+
+    from jointid.output.figures.shown_figure import ShownFigure
 
     rows = [chart.panels[i : i + chart.columns] for i in range(0, len(chart.panels), chart.columns)]
     heights = [max(panel.height for panel in row) for row in rows] or [_EMPTY]
     width = _WIDTH if chart.columns > 1 or not _square(chart) else 5.5
-    figure = Figure(figsize=(width, sum(heights) / _INCH), layout="constrained")
+    figure = ShownFigure(figsize=(width, sum(heights) / _INCH), layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.subplots(len(heights), chart.columns, squeeze=False, height_ratios=heights)
     if chart.title:
@@ -55,15 +58,25 @@ def svg(chart: Chart) -> bytes:
 
     buffer = io.BytesIO()
     with mpl.rc_context({"svg.hashsalt": chart.name, "svg.fonttype": "path"}):
-        draw(chart).savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+        _laid_out(chart).savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
     return re.sub(rb' d="[^"]*"', _shorter, buffer.getvalue())
 
 
-def png(chart: Chart) -> bytes:
+def png(chart: Chart, dpi: int = 150) -> bytes:
     """Return a chart as PNG; the same chart gives the same bytes."""
     buffer = io.BytesIO()
-    draw(chart).savefig(buffer, format="png", dpi=150, metadata={"Software": None})
+    _laid_out(chart).savefig(buffer, format="png", dpi=dpi, metadata={"Software": None})
     return buffer.getvalue()
+
+
+def _laid_out(chart: Chart) -> Figure:
+    """Return a figure whose panels have their places: one that is yet to find them is drawn twice to be saved."""
+    figure = draw(chart)
+    engine = figure.get_layout_engine()
+    assert engine is not None
+    engine.execute(figure)
+    figure.set_layout_engine(None)
+    return figure
 
 
 def _shorter(path: re.Match[bytes]) -> bytes:
@@ -86,8 +99,10 @@ def _panel(axes: Axes, panel: Panel) -> None:
         axes.spines[side].set_visible(False)
     if panel.log_x:
         axes.set_xscale("log")
+        _write_powers(axes.xaxis)
     if panel.log_y:
         axes.set_yscale("log")
+        _write_powers(axes.yaxis)
     axes.margins(x=0)
     for item in panel.items:
         _item(axes, item)
@@ -102,6 +117,23 @@ def _panel(axes: Axes, panel: Panel) -> None:
             loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, ncols=6, fontsize=8, frameon=False,
             handlelength=1.4, columnspacing=1.2,
         )  # fmt: skip
+
+
+def _write_powers(axis: Axis) -> None:
+    """Write 10² as plain text: matplotlib parses it as a formula, which takes longer than all that is drawn."""
+    from matplotlib.ticker import LogFormatterSciNotation
+
+    class Powers(LogFormatterSciNotation):
+        def __call__(self, x: float, pos: int | None = None) -> str:
+            return _FORMULA.sub(_power, super().__call__(x, pos))
+
+    axis.set_major_formatter(Powers())
+    axis.set_minor_formatter(Powers(labelOnlyBase=False))
+
+
+def _power(formula: re.Match[str]) -> str:
+    factor = "" if formula["factor"] is None else f"{formula['factor']}\u2009×\u2009"
+    return f"{factor}10{formula['power'].translate(_RAISED)}"
 
 
 def _item(axes: Axes, item: Item) -> None:
@@ -139,7 +171,7 @@ def _item(axes: Axes, item: Item) -> None:
 
 def _cells(axes: Axes, cells: Cells) -> None:
     axes.grid(visible=False)
-    axes.imshow(cells.values, cmap=_SHADES, vmin=-1.0, vmax=1.0, aspect="equal")
+    axes.imshow(cells.values, cmap="RdBu_r", vmin=-1.0, vmax=1.0, aspect="equal")
     at = range(len(cells.names))
     axes.set_xticks(at, cells.names)
     axes.set_yticks(at, cells.names)

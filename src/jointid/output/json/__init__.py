@@ -3,7 +3,7 @@
 Every document has `schema` at its top level. A number that does not exist is null, never NaN.
 """
 
-from jointid.common.json_file import dumps, write
+from jointid.common.document import dumps, write
 from jointid.output.json.documents import plain, simulation_answer, to_dict
 from jointid.output.json.reading import read_answer, read_friction, read_identified, read_report
 

@@ -1,22 +1,70 @@
-"""The shapes of an estimate in JSON: of one record, of several, and of a long log.
+"""The shapes of an estimate in JSON: of one record, of several, and of a long log; and how a shape is said.
 
+A shape has the keys of a document, and where the value of each is found in an object: by the path of an attribute, by a
+function of the object, or in a part with keys of its own. Where something on a path is None the value is null.
 Percentages are of the measured torque's norm.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from typing import Any, TypeAlias
+
 from jointid.common.errors import MethodError
 from jointid.estimation.result.estimate import Estimate, law_fingerprint
-from jointid.estimation.result.params import bounds_on_other_side, known_on_other_side, on_other_side
+from jointid.estimation.result.parts import bounds_on_other_side, known_on_other_side, on_other_side
 from jointid.estimation.result.summary import describe_drift
-from jointid.models.disturbances import Drift, Effect, PositionHarmonics
-from jointid.output.json.keys import Json, Shape, always, named, percent, same, take
+from jointid.models.disturbances import Drift, Effect, EncoderOffset, PositionHarmonics
+
+Json: TypeAlias = dict[str, Any]
+Shape: TypeAlias = "str | Callable[[Any], object] | Mapping[str, Shape]"
+
+
+def take(value: Any, shape: Shape) -> Any:
+    """Return what a shape finds in an object."""
+    if callable(shape):
+        return shape(value)
+    if isinstance(shape, Mapping):
+        return {key: take(value, part) for key, part in shape.items()}
+    for name in shape.split("."):
+        value = None if value is None else getattr(value, name)
+    return value
+
+
+def always(value: object) -> Callable[[Any], object]:
+    """Return a function to a value that every document has."""
+    return lambda _: value
+
+
+def same(*names: str) -> dict[str, str]:
+    """Return the part of a shape whose keys are the attributes' own names."""
+    return dict(zip(names, names, strict=True))
+
+
+def percent(path: str) -> Callable[[Any], float | None]:
+    """Return a function to a share in percent."""
+
+    def found(value: Any) -> float | None:
+        share = take(value, path)
+        return None if share is None else 100 * share
+
+    return found
+
+
+def named(path: str) -> Callable[[Any], Json]:
+    """Return a function to several parts, by their names."""
+    return lambda value: {part.name: part for part in take(value, path)}
+
 
 ESTIMATE_SCHEMA = "jointid.estimate/1"
 TOGETHER_SCHEMA = "jointid.together/1"
 LONG_SCHEMA = "jointid.long/1"
 
-EFFECTS: dict[str, type[PositionHarmonics] | type[Drift]] = {"harmonics": PositionHarmonics, "drift": Drift}
+EFFECTS: dict[str, type[PositionHarmonics] | type[Drift] | type[EncoderOffset]] = {
+    "harmonics": PositionHarmonics,
+    "drift": Drift,
+    "encoder_offset": EncoderOffset,
+}
 """The effects beside a joint, by what documents call them."""
 
 
@@ -44,7 +92,8 @@ def _effects(estimate: Estimate) -> tuple[Effect, ...]:
     for effect in estimate.settings.effects:
         if type(effect) not in EFFECTS.values():
             raise MethodError(
-                f"An answer has no word for the effect {type(effect).__name__}; it has PositionHarmonics and Drift."
+                f"An answer has no word for the effect {type(effect).__name__}; it has PositionHarmonics, Drift "
+                "and EncoderOffset."
             )
     return estimate.settings.effects
 
@@ -107,6 +156,7 @@ _OF_ONE_RECORD: Shape = {
     "schema": always(ESTIMATE_SCHEMA),
     "method": "settings.method",
     "variant": "settings.variant",
+    "answer": "answer",
     **_JOINT,
     "transmission": "settings.joint.transmission",
     "record": {
@@ -137,7 +187,7 @@ _OF_ONE_RECORD: Shape = {
     "trace": "fit.trace",
     "tests": "checks.tests",
     "effects": _effects,
-    "warnings": "checks.warnings",
+    "warnings": lambda estimate: (*estimate.checks.warnings, *estimate.checks.notes),
     "verdicts": "checks.verdicts",
     "combinations": "checks.known",
     "residuals": "fit.residuals",
@@ -146,6 +196,7 @@ _OF_ONE_RECORD: Shape = {
 
 _OF_SEVERAL_RECORDS: Shape = {
     "schema": always(TOGETHER_SCHEMA),
+    "answer": "answer",
     **_JOINT,
     "torque_unit": "data.torque_unit",
     "transmission": "settings.joint.transmission",
@@ -160,11 +211,12 @@ _OF_SEVERAL_RECORDS: Shape = {
     "stop": "fit.stop",
     "weighting": "settings.weighting",
     "intervals": "params.basis",
-    "warnings": "checks.warnings",
+    "warnings": lambda estimate: (*estimate.checks.warnings, *estimate.checks.notes),
 }
 
 _OF_A_LOG: Shape = {
     "schema": always(LONG_SCHEMA),
+    "answer": "answer",
     **_JOINT,
     "transmission": "settings.joint.transmission",
     "record": {"name": "data.record", "sample_time": "data.sample_time", "torque_unit": "data.torque_unit"},
@@ -191,7 +243,7 @@ _OF_A_LOG: Shape = {
     "stop": "fit.stop",
     "interrupted": "fit.interrupted",
     "intervals": "params.basis",
-    "warnings": "checks.warnings",
+    "warnings": lambda estimate: (*estimate.checks.warnings, *estimate.checks.notes),
 }
 
 _RECORD: Shape = {

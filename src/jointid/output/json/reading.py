@@ -6,10 +6,10 @@ import json
 import math
 import os
 from collections.abc import Mapping
-from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
+from jointid import ClosedLoop, Filtering
 from jointid.common.errors import MethodError, RecordError
 from jointid.diagnostics.compare_estimates import ReportedEstimate, ReportedQuantity
 from jointid.estimation.methods.registry import METHODS, method_of
@@ -17,25 +17,17 @@ from jointid.estimation.result.estimate import IdentifiedJoint
 from jointid.models.disturbances import effect_parameters
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import Joint
-from jointid.output.json.documents import plain
-from jointid.output.json.estimates import EFFECTS, ESTIMATE_SCHEMA
-from jointid.output.json.keys import Json
-from jointid.output.json.shapes import REPORT_ELEMENT, REPORT_SCHEMA
-from jointid.records.signals.filtering import Filtering
-from jointid.simulation.loop_input import ClosedLoop
+from jointid.output.json.documents import REPORT_ELEMENT, REPORT_SCHEMA, plain
+from jointid.output.json.estimates import EFFECTS, ESTIMATE_SCHEMA, Json
 
 _LARGEST = 2**26  # bytes of a file: the page of a report on 25 s has 3 MB
+_DIGITS = 300  # of a whole number
 _REMEDY = "give the file that identify --json wrote"
 _REMEDY_OF_REPORT = "give what identify --json or report --html wrote"
 
 
 def read_identified(path: str | Path, joint: Joint, loop: ClosedLoop | None) -> IdentifiedJoint:
-    """Return the identified joint of an estimate written by `write`.
-
-    Args:
-        path: of the JSON file.
-        joint: the model the values belong to.
-        loop: the closed loop; used when the estimate came from DIDIM.
+    """Return the identified joint of an estimate in a JSON file; the loop is used where its method simulates one.
 
     Raises:
         RecordError: the file is no estimate, belongs to another model or to another side of its transmission, or
@@ -54,7 +46,7 @@ def read_identified(path: str | Path, joint: Joint, loop: ClosedLoop | None) -> 
         )
     try:
         return _identified(answer, joint, loop)
-    except (KeyError, TypeError, ValueError, MethodError):
+    except (KeyError, TypeError, ValueError, OverflowError, MethodError):
         raise RecordError(
             f"{path} is no estimate of schema {ESTIMATE_SCHEMA} for a {joint.kind} {joint.model} joint with these "
             "parameters in these units; identify with this joint file first."
@@ -85,34 +77,53 @@ def read_friction(path: str | Path) -> str:
     """
     friction = read_answer(path).get("friction")
     if not isinstance(friction, str) or friction not in FRICTIONS:
-        raise RecordError(
-            f"{path} is no estimate of schema {ESTIMATE_SCHEMA}; give the file that identify --json wrote."
-        )
+        raise RecordError(f"{path} is no estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY}.")
     return friction
 
 
-def read_answer(path: str | os.PathLike[str]) -> Json:
-    """Return the answer in a JSON file, whatever it is of.
+def read_answer(path: str | os.PathLike[str], remedy: str = _REMEDY) -> Json:
+    """Return the answer in a file, whatever it is of: in JSON, or carried along by the page of a report.
 
     Raises:
-        RecordError: the file cannot be read, or is no JSON object.
+        RecordError: the file cannot be read, or holds no JSON object; the sentence ends with the remedy.
     """
+    path = Path(path)
     try:
-        if (size := Path(path).stat().st_size) > _LARGEST:
-            raise RecordError(f"{path} has {size} bytes, which no answer has (at most {_LARGEST}); {_REMEDY}.")
-        answer = json.loads(Path(path).read_text(encoding="utf-8-sig"), parse_constant=_no_number)
+        with path.open("rb") as file:
+            raw = file.read(_LARGEST + 1)  # a device may have no end
+        if len(raw) > _LARGEST:
+            size = max(path.stat().st_size, len(raw))
+            raise RecordError(f"{path} has {size} bytes, which no answer has (at most {_LARGEST}); {remedy}.")
+        text = raw.decode("utf-8-sig")
+        if text.lstrip()[:1] == "<":
+            text = _carried(text)
+        answer = json.loads(text, parse_constant=_no_number, parse_int=_whole)
     except OSError as error:
-        raise RecordError(f"{path} cannot be read ({error.strerror}); {_REMEDY}.") from None
+        raise RecordError(f"{path} cannot be read ({error.strerror}); {remedy}.") from None
+    except OverflowError as error:
+        raise RecordError(f"{path} holds {error}, which no answer does; {remedy}.") from None
     except (ValueError, RecursionError):
-        raise RecordError(f"{path} is no JSON file; {_REMEDY}.") from None
+        raise RecordError(f"{path} is no JSON file; {remedy}.") from None
     if not isinstance(answer, dict):
-        raise RecordError(f"{path} is no estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY}.")
+        raise RecordError(f"{path} is no estimate of schema {ESTIMATE_SCHEMA}; {remedy}.")
     return answer
+
+
+def _carried(page: str) -> str:
+    """Return the answer that a page carries along; whatever else is in it is not looked at."""
+    return page.partition(f'id="{REPORT_ELEMENT}"')[2].partition(">")[2].partition("</script>")[0]
 
 
 def _no_number(name: str) -> float:
     """Refuse NaN and Infinity, which no answer holds and JSON does not know."""
     raise ValueError(name)
+
+
+def _whole(digits: str) -> int:
+    """Return a whole number, which as a float is none too large."""
+    if len(digits) > _DIGITS:
+        raise OverflowError(f"a number of {len(digits)} digits")
+    return int(digits)
 
 
 def _identified(answer: Json, joint: Joint, loop: ClosedLoop | None) -> IdentifiedJoint:
@@ -127,14 +138,8 @@ def _identified(answer: Json, joint: Joint, loop: ClosedLoop | None) -> Identifi
     if not all(math.isfinite(value) for value in (*values.values(), float(answer["delay"]))):
         raise ValueError
     given = answer["filtering"]
-    filtering = Filtering(
-        given["position_cutoff"],
-        given["cutoff"],
-        given["decimation"],
-        tuple(given["borders"]),
-        given["timing"],
-        given["aliasing"],
-    )
+    names = ("position_cutoff", "cutoff", "decimation", "timing", "aliasing")
+    filtering = Filtering(borders=tuple(given["borders"]), **{name: given[name] for name in names})
     method = answer["method"]
     if method not in tuple(METHODS):
         raise ValueError
@@ -153,25 +158,6 @@ def _identified(answer: Json, joint: Joint, loop: ClosedLoop | None) -> Identifi
     )
 
 
-class _Answer(HTMLParser):
-    """Finds the answer that a page carries along."""
-
-    def __init__(self) -> None:
-        super().__init__(convert_charrefs=False)
-        self.inside = False
-        self.text: list[str] = []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.inside = tag == "script" and dict(attrs).get("id") == REPORT_ELEMENT
-
-    def handle_endtag(self, tag: str) -> None:
-        self.inside = False
-
-    def handle_data(self, data: str) -> None:
-        if self.inside:
-            self.text.append(data)
-
-
 def read_report(path: str | Path) -> ReportedEstimate:
     """Return the estimate in a file: the JSON of an estimate or of a report, or the HTML page of a report.
 
@@ -179,37 +165,15 @@ def read_report(path: str | Path) -> ReportedEstimate:
         RecordError: the file cannot be read, or holds no estimate.
     """
     path = Path(path)
-    answer: object = _loaded(path)
+    answer: object = read_answer(path, _REMEDY_OF_REPORT)
     if isinstance(answer, dict) and answer.get("schema") == REPORT_SCHEMA:
         answer = answer.get("estimate")
     if not isinstance(answer, dict) or answer.get("schema") != ESTIMATE_SCHEMA:
         raise RecordError(f"{path} holds no estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY_OF_REPORT}.")
     try:
         return _told(answer, path.name)
-    except (KeyError, TypeError, ValueError, AttributeError):
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
         raise RecordError(f"{path} is a damaged estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY_OF_REPORT}.") from None
-
-
-def _loaded(path: Path) -> Json:
-    try:
-        if path.stat().st_size > _LARGEST:
-            raise RecordError(f"{path} has more than {_LARGEST >> 20} MB, which no report has; {_REMEDY_OF_REPORT}.")
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise RecordError(f"{path} cannot be read ({error.strerror}); {_REMEDY_OF_REPORT}.") from None
-    except UnicodeDecodeError:
-        raise RecordError(f"{path} is no text; {_REMEDY_OF_REPORT}.") from None
-    if text.lstrip()[:1] == "<":
-        page = _Answer()
-        page.feed(text)
-        text = "".join(page.text)
-    try:
-        answer = json.loads(text)
-    except (ValueError, RecursionError):
-        raise RecordError(f"{path} holds no JSON; {_REMEDY_OF_REPORT}.") from None
-    if not isinstance(answer, dict):
-        raise RecordError(f"{path} holds no estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY_OF_REPORT}.")
-    return answer
 
 
 def _told(answer: Json, label: str) -> ReportedEstimate:
@@ -235,18 +199,22 @@ def _told(answer: Json, label: str) -> ReportedEstimate:
         str(record["torque_unit"]),
         settings,
         float(answer["relative_error_percent"]) / 100,
-        tuple(_quantity(n, p) for n, p in answer["parameters"].items() if not n.startswith("initial_")),
         tuple(
-            ReportedQuantity(
-                str(one["name"]),
-                str(one["formula"]),
-                str(one["unit"]),
-                number_or_none(one["value"]),
-                number_or_none(one["std"]),
-            )
-            for one in sums
+            _quantity(_RENAMED.get(name, name), "symbol", p, free=bool(p["free"]))
+            for name, p in answer["parameters"].items()
+            if not name.startswith("initial_")
         ),
+        tuple(_quantity(str(one["name"]), "formula", one) for one in sums),
     )
+
+
+_RENAMED = {
+    "kp": "position_gain",
+    "kv": "velocity_gain",
+    "ki": "integral_gain",
+    "kd": "derivative_gain",
+}
+"""Names of the controller's numbers before 0.2."""
 
 
 def _of_both_sides(weights: Mapping[str, float]) -> bool:
@@ -256,15 +224,10 @@ def _of_both_sides(weights: Mapping[str, float]) -> bool:
     return side == "motor" and one == 1.0 and len(rest) == 1 and rest[0] in {(f"load_{quantity}", w) for w in (1, -1)}
 
 
-def _quantity(name: str, p: Mapping[str, Any]) -> ReportedQuantity:
-    return ReportedQuantity(
-        name,
-        str(p["symbol"]),
-        str(p["unit"]),
-        number_or_none(p["value"]),
-        number_or_none(p["std"]),
-        free=bool(p["free"]),
-    )
+def _quantity(name: str, symbol: str, p: Mapping[str, Any], **further: bool) -> ReportedQuantity:
+    """Return a parameter or a combination of an answer, whose symbol has that key."""
+    value, std = number_or_none(p["value"]), number_or_none(p["std"])
+    return ReportedQuantity(name, str(p[symbol]), str(p["unit"]), value, std, **further)
 
 
 def number_or_none(value: object) -> float | None:

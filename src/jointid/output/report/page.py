@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jointid.common.document import Document, Heading, Picture, block_html, inert
-from jointid.common.errors import RecordError, extra
+from jointid.common.errors import extra
+from jointid.common.files import write_folder
 from jointid.output.figures.bokeh_backend import PURPOSE, script
-from jointid.output.json.shapes import REPORT_ELEMENT
+from jointid.output.json.documents import REPORT_ELEMENT
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -64,7 +65,7 @@ def save(document: Document, folder: str | Path, name: str) -> tuple[Path, ...]:
         ExtraError: jinja2 is not installed.
     """
     texts = {f"{name}.html": page(document).encode(), f"{name}.md": document.markdown().encode()}
-    return write_files(folder, texts | document.pictures)
+    return write_folder(folder, texts | document.pictures)
 
 
 def require_extra(*, plots: bool) -> None:
@@ -72,22 +73,6 @@ def require_extra(*, plots: bool) -> None:
     _environment()
     if plots:
         script()
-
-
-def write_files(folder: str | Path, files: dict[str, bytes]) -> tuple[Path, ...]:
-    """Write files by their names into a folder, which is made; return their paths.
-
-    Raises:
-        RecordError: the folder or a file cannot be written.
-    """
-    folder = Path(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for file, content in files.items():
-            (folder / file).write_bytes(content)
-    except OSError as error:
-        raise RecordError(f"{folder} cannot be written ({error.strerror}); name another folder.") from None
-    return tuple(folder / file for file in files)
 
 
 def _escaped(html: str) -> Markup:

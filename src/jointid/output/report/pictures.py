@@ -10,11 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.text import number
-from jointid.diagnostics.report_data import ReportData
-from jointid.estimation.result.estimate import Estimate
-from jointid.models.parameters import POSITION_UNIT
-from jointid.output.figures.charts import (
+from jointid.common.charts import (
     ERROR,
     LOAD,
     MEASURED,
@@ -32,9 +28,14 @@ from jointid.output.figures.charts import (
     stride,
     thin,
 )
-from jointid.output.figures.figures import liveliest, torque_word
+from jointid.common.parameters import POSITION_UNIT
+from jointid.common.text import number
+from jointid.diagnostics.report_data import ReportData
+from jointid.estimation.result.estimate import Estimate
+from jointid.output.figures import liveliest, torque_word
 
 _MODES = {"free_free": "free-free", "motor_locked": "motor locked", "load_locked": "load locked"}
+_JUMP = 1.01  # times the residual before: a step of a search goes down
 _SAMPLES = 30_000  # of a signal over time that are drawn: 25 s at 1 kHz are drawn as they are
 _MOVING = 4_000  # of the motion, which has no noise to be shown
 _POINTS = 4_000  # of a cloud
@@ -339,9 +340,13 @@ def convergence_chart(given: ReportData) -> Chart | None:
     caption = (
         f"How the search went: {given.estimate.fit.iterations} iterations, "
         f"{given.estimate.fit.simulations} simulations in "
-        f"all. The residual goes from {number(norms[0], 3)} to {number(norms[-1], 3)}; where it jumps up, another "
-        "start begins."
+        f"all. The residual goes from {number(norms[0], 3)} to {number(norms[-1], 3)}."
     )
+    if np.any(norms[1:] > _JUMP * norms[:-1]):
+        caption += (
+            " Where it jumps up the search goes on with another problem or from other values: a wider band, other "
+            "gains of the simulated loop, or a motor that may be moving at the first sample."
+        )
     if lines:
         caption += " Every parameter ends at 1: one that still moves there is not settled."
     return Chart("convergence", caption, tuple(panels), columns=len(panels))
@@ -374,8 +379,8 @@ def bounds_chart(given: ReportData) -> Chart | None:
     )  # fmt: skip
     caption = (
         "The stiffness is refused, and this is what is known of it instead: what lies in the shaded part is excluded "
-        "with 95 % confidence, for a lightly damped mode. The more of the inertia is behind the spring, the stiffer it "
-        "must be."
+        "with 95 % confidence, for a mode damped by up to 15 %. The more of the inertia is behind the spring, the "
+        "stiffer it must be."
     )
     return Chart("bounds", caption, panels, columns=2)
 

@@ -1,9 +1,13 @@
-"""The sections of a report, in the order a reader needs them: the result in sentences, verdicts, tables, pictures."""
+"""The sections of a report: the summary first (`summary`), then the appendix with everything that stands behind it."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
+from jointid.common.charts import Cells, Chart
 from jointid.common.document import (
     Block,
     Code,
@@ -13,97 +17,78 @@ from jointid.common.document import (
     Paragraph,
     Picture,
     Table,
-    Verdicts,
 )
-from jointid.common.text import interval, number
+from jointid.common.parallel import Aside
+from jointid.common.text import listed, number
+from jointid.common.typography import p_value
+from jointid.diagnostics.fault_tests import FaultTest
+from jointid.diagnostics.loop_findings import LoopCheck
 from jointid.diagnostics.report_data import ReportData
 from jointid.diagnostics.validation import Validation
-from jointid.estimation.methods.registry import method_of
-from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.summary import (
     bands_table,
     bounds_table,
     combinations_table,
-    parameters_table,
     settings_facts,
 )
-from jointid.models.friction import DIRECTIONS, Part
-from jointid.models.joints import frequencies
 from jointid.output.figures.bokeh_backend import plot
-from jointid.output.figures.charts import Cells, Chart
 from jointid.output.figures.matplotlib_backend import svg
-from jointid.output.report.reproducibility import Repetition
+from jointid.output.report.summary import summary_blocks, verdicts_in_full
+from jointid.output.report.wording import say_suspects, sentence, suspect
+from jointid.tuning.tuned import Tuned
 
-_QUESTIONS: dict[str, str] = {
-    "solver": "Did the search end well?",
-    "fit": "Does the model explain the torque?",
-    "whiteness": "Is the residual white noise?",
-    "repeatable residual": "Is the residual free of anything that repeats with the motion?",
-    "identifiability": "Does the record determine every parameter?",
-    "bounds": "Is no parameter at its bound?",
-    "stiffness": "Does the record show the stiffness?",
-    "loop": "Are controller and log as declared?",
-}
-_CHANNELS = {"injected": "injected signal"}
-_FRICTIONS: tuple[tuple[Part, str], ...] = (("viscous", "viscous"), ("coulomb", "Coulomb"))
+if TYPE_CHECKING:
+    from jointid.output.report import Repetition
 
 
 def report_blocks(
-    given: ReportData, charts: dict[str, Chart], repetition: Repetition, *, interactive: bool
+    given: ReportData, charts: dict[str, Chart], repetition: Repetition, tuned: Tuned | None, *, interactive: bool
 ) -> tuple[Block, ...]:
-    """Return the whole report.
+    """Return the whole report; where it is interactive its figures are plots, too, for a page.
 
-    Args:
-        given: what is told.
-        charts: its figures, by name.
-        repetition: what it takes to do it again.
-        interactive: whether figures are plots, too, for a page.
+    Each is drawn twice then, at the same time: by one library for the screen, by the other for paper.
     """
+    plots: dict[str, str] = {}
+    if interactive:
+        drawing = Aside(lambda: {name: svg(chart) for name, chart in charts.items()})
+        plots = {name: plot(chart) for name, chart in charts.items()}
+        drawn = drawing.result()
+    else:
+        drawn = {name: svg(chart) for name, chart in charts.items()}
 
     def picture(name: str) -> list[Block]:
         if name not in charts:
             return [Paragraph(_absent(given, name))]
         chart = charts[name]
         narrow = any(isinstance(item, Cells) for panel in chart.panels for item in panel.items)
-        drawn = plot(chart) if interactive else ""
-        return [Picture(f"{name}.svg", svg(chart), chart.caption, drawn, not narrow)]
+        return [Picture(f"{name}.svg", drawn[name], chart.caption, plots.get(name, ""), not narrow)]
 
     return (
-        *_result(given, picture),
-        *_section("Position" if given.estimate.fit.compared == "position" else "Torque", picture("torque")),
+        *summary_blocks(given, tuned, picture),
+        Heading("Appendix"),
+        Paragraph("What stands behind the summary: every check, picture and setting, and how to repeat it."),
+        *_checks(given, picture),
         *_section("Residual", picture("residual"), bands_table(given.estimate, "The residual by frequency")),
         *_section("Spectra", picture("spectra"), _modes_table(given)),
         *_section("Frequency response", picture("response")),
         *_section("Correlations", picture("correlation")),
-        *_section("Profiles", picture("profiles"), _profiles_table(given)),
+        *_section("Profiles", [*_parabolic(given), *picture("profiles")], _profiles_table(given)),
         *_section("Convergence", picture("convergence")),
         *_loop(given),
         *_tests(given),
+        *([] if tuned is None else _tuning(tuned, picture)),
         *_repeated(given, repetition),
     )
 
 
-def _result(given: ReportData, picture: Callable[[str], list[Block]]) -> list[Block]:
+def _checks(given: ReportData, picture: Callable[[str], list[Block]]) -> list[Block]:
+    """Return the checks in full, sums and differences, and the bounds of a refused stiffness."""
     estimate = given.estimate
-    first, *others = _result_in_sentences(given)
-    found: list[Block] = [Heading("Result"), Paragraph(first, lead=True), *map(Paragraph, others)]
-    found.append(Heading("Verdicts"))
-    if estimate.checks.verdicts:
-        asked = tuple((_QUESTIONS[v.subject], v.good, tuple(map(str, v.reasons))) for v in estimate.checks.verdicts)
-        found.append(Verdicts(asked))
-    else:
-        found.append(Paragraph("This method has no checks; its warnings and intervals say how far it can be trusted."))
-    if estimate.checks.tests:
-        found.append(Listing(tuple(f"{test.name}: {test.sentence}" for test in estimate.checks.tests)))
-    if estimate.checks.warnings:
-        found += [Heading("Warnings", 3), Listing(tuple(_sentence(warning) for warning in estimate.checks.warnings))]
-    gear = estimate.settings.joint.transmission
-    side = "" if gear is None else f", on the {gear.side} side"
-    found += [Heading("Parameters"), parameters_table(estimate, f"The parameters{side}")]
+    found: list[Block] = [Heading("Checks in full"), *verdicts_in_full(estimate)]
     said = "Combinations: sums and differences of both sides, then the singular directions, best known first"
     known = combinations_table(estimate, said, directions=True)
-    found += [] if known is None else [known]
-    bounds = bounds_table(estimate, "With 95 % confidence, for a lightly damped mode")
+    found += [] if known is None else [Heading("Known together"), known]
+    bounds = bounds_table(estimate, "With 95 % confidence, for a mode damped by up to 15 %")
     if bounds is not None:
         found += [Heading("Lower bound of the stiffness"), bounds, *picture("bounds")]
         if given.stiffness_test is not None:
@@ -119,7 +104,8 @@ def _loop(given: ReportData) -> list[Block]:
     table = _suspects_table(given)
     if given.loop is None or table is None:
         return []
-    return [Heading("Controller and log"), Listing(tuple(map(_sentence, given.loop.sentences))), table]
+    told = given.loop.sentences if given.cause is None else [str(given.cause)]
+    return [Heading("Controller and log"), Listing(tuple(sentence(say_suspects(one)) for one in told)), table]
 
 
 def _tests(given: ReportData) -> list[Block]:
@@ -127,7 +113,7 @@ def _tests(given: ReportData) -> list[Block]:
     table = _checks_table(every)
     if table is None:
         return [Heading("Validation"), Paragraph(_absent(given, "validation"))]
-    told = [_sentence(warning) for check in every for warning in check.warnings]
+    told = [sentence(warning) for check in every for warning in check.warnings]
     return [Heading("Validation"), table, *([Listing(tuple(told))] if told else [])]
 
 
@@ -143,6 +129,25 @@ def _repeated(given: ReportData, repetition: Repetition) -> list[Block]:
     return found
 
 
+def _tuning(tuned: Tuned, picture: Callable[[str], list[Block]]) -> list[Block]:
+    """Return margins, gains, feed-forward and notes, all of them, and the responses."""
+    blocks = (replace(block, level=3) if isinstance(block, Heading) else block for block in tuned.document().blocks)
+    return [Heading("Tuning in full"), *blocks, *picture("tuning")]
+
+
+def _parabolic(given: ReportData) -> list[Block]:
+    """Return of which quantities no profile is followed, since it would be what the table says."""
+    if not given.parabolic:
+        return []
+    symbols = {p.name: p.symbol for p in given.estimate.params} | {"compliance": "1/K12"}
+    return [
+        Paragraph(
+            f"Of {listed([symbols.get(name, name) for name in given.parabolic])} the criterion is a parabola as far as "
+            "2 sigma, within a tenth: the table's intervals hold, and no profile is followed."
+        )
+    ]
+
+
 def _absent(given: ReportData, name: str) -> str:
     """Return why a part is not there."""
     estimate = given.estimate
@@ -155,142 +160,11 @@ def _absent(given: ReportData, name: str) -> str:
             "correlation": "No single parameter of this joint is told, so there is nothing to be correlated."
             if refused
             else "The correlations of this estimate's errors are not known.",
-            "profiles": "None were asked for.",
+            "profiles": "None were asked for, or needed.",
             "convergence": "A linear regression is solved in one step: there is no search to show.",
             "validation": "It was not simulated.",
         }.get(name, "It is not part of this answer.")
     return f"Not available: {why}"
-
-
-def _sentence(text: str) -> str:
-    """Return a warning as a sentence of its own."""
-    first = text.split(maxsplit=1)[0]
-    begin = text if "_" in first or len(first) < 3 else f"{text[0].upper()}{text[1:]}"  # kp and log_gain stay
-    return f"{begin}{'' if text.endswith('.') else '.'}"
-
-
-# The result in sentences, with which a report begins
-
-
-def report_title(estimate: Estimate, name: str = "") -> str:
-    """Return the title of a report."""
-    settings = estimate.settings
-    model = settings.joint.model
-    title = method_of(settings.method, model).title
-    return f"{name or estimate.data.record}: {model} joint, identified by {title}"
-
-
-def _result_in_sentences(given: ReportData) -> tuple[str, ...]:
-    """Return the result in sentences, the most important first."""
-    estimate = given.estimate
-    channels = _listed([_CHANNELS.get(name, name.replace("_", " ")) for name in estimate.data.channels])
-    first = f"From {channels} of {estimate.data.record} alone, "
-    return (
-        f"{first}{_finding(estimate)}",
-        *_side(estimate),
-        *(
-            ()
-            if estimate.fit.converged
-            else (f"The search did not end well, and the values are where it stopped: {estimate.fit.stop}.",)
-        ),
-        _fit(estimate),
-        *_spring(estimate),
-        *_sums(estimate),
-        _verdicts(estimate),
-    )
-
-
-def _finding(estimate: Estimate) -> str:
-    """Return what was found of the joint, in one sentence."""
-    values = estimate.values
-    if "inertia" in values:
-        friction = " and ".join(_friction(estimate, name, words) for name, words in _FRICTIONS)
-        inertia = _known(estimate, "inertia")
-        return f"the moving inertia is {inertia}, with {friction}; the axis is taken for one rigid mass."
-    if "stiffness" in values:
-        hertz = f", a free-free mode at {frequencies(values)['free_free']:.1f} Hz" if values["stiffness"] > 0 else ""
-        return (
-            f"the stiffness is {_known(estimate, 'stiffness')}{hertz}, between {_known(estimate, 'motor_inertia')} "
-            f"on the motor and {_known(estimate, 'load_inertia')} on the load."
-        )
-    return "the stiffness cannot be told: this record does not show the spring, and no number is given for it."
-
-
-def _friction(estimate: Estimate, part: Part, words: str) -> str:
-    """Return one friction of a rigid joint, of each direction where they differ."""
-    law = estimate.settings.joint.friction
-    names = {direction: name for direction in DIRECTIONS if (name := law.named(part, direction)) is not None}
-    if not names:
-        return f"no {words} friction"
-    if not law.depends_on_direction(part):
-        return f"{words} friction {_known(estimate, names['forwards'])}"
-    return f"{words} friction {', '.join(f'{_known(estimate, name)} {way}' for way, name in names.items())}"
-
-
-def _side(estimate: Estimate) -> tuple[str, ...]:
-    """Return on which side of a transmission all of it is."""
-    gear = estimate.settings.joint.transmission
-    return () if gear is None else (f"The transmission is {gear}.",)
-
-
-def _known(estimate: Estimate, name: str) -> str:
-    p = estimate[name]
-    if p.value is None:
-        return f"{'an inertia' if 'inertia' in name else 'a friction'} that is not told"
-    if not p.free:
-        return f"{number(p.value)} {p.unit} (kept fixed)"
-    return f"{number(p.value) if p.stderr is None else interval(p.value, 2 * p.stderr)} {p.unit}"
-
-
-def _fit(estimate: Estimate) -> str:
-    what = "position" if estimate.fit.compared == "position" else "torque"
-    kind = "inverse model's" if estimate.settings.method == "idim" else "simulated"
-    return (
-        f"The {kind} {what} errs by {100 * estimate.fit.relative_error:.2f} % of the measured one, and by "
-        f"{100 * estimate.fit.filtered_error:.2f} % after the filter through which both were compared. Numbers after ± "
-        "are two standard deviations."
-    )
-
-
-def _spring(estimate: Estimate) -> tuple[str, ...]:
-    """Return how soft a refused spring may be."""
-    known = [b for b in estimate.checks.bounds if b.stiffness is not None and b.frequency is not None]
-    if not known:
-        return ()
-    unit = estimate["stiffness"].unit
-    told = [
-        f"at least {number(b.stiffness, 2)} {unit} (a mode at {b.frequency:.0f} Hz or above) if the load is "
-        f"{100 * b.share:.0f} % of the inertia"
-        for b in (known[0], known[-1])
-    ]
-    return (f"What is known of it is how soft it may be: {' and '.join(dict.fromkeys(told))}, with 95 % confidence.",)
-
-
-def _sums(estimate: Estimate) -> tuple[str, ...]:
-    """Return what is known only together."""
-    if estimate.checks.known is None:
-        return ()
-    told = [
-        f"{one.combination.formula} = {interval(one.value, 2 * one.std)} {one.combination.unit}"
-        for one in estimate.checks.known.physical
-        if one.combination.kind == "sum" and one.verdict == "well"
-    ]
-    return (f"Known best are the sums of both sides: {'; '.join(told)}.",) if told else ()
-
-
-def _verdicts(estimate: Estimate) -> str:
-    if not estimate.checks.verdicts:
-        return "This method has no checks beyond the fit."
-    bad = [str(v.subject) for v in estimate.checks.verdicts if v.good is False]
-    asked = len(estimate.checks.verdicts)
-    good = sum(v.good is True for v in estimate.checks.verdicts)
-    if not bad:
-        return f"{good} of {asked} checks passed, and none failed."
-    return f"{good} of {asked} checks passed; {len(bad)} did not ({_listed(bad)}): below, each with its reason."
-
-
-def _listed(words: list[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 # The tables that are not of the estimate alone
@@ -331,14 +205,53 @@ def _profiles_table(given: ReportData) -> Table | None:
 
 
 def _suspects_table(given: ReportData) -> Table | None:
-    """Return every test of loop and log; None where they were not checked."""
+    """Return every test of loop and log, in words; None where they were not checked."""
     if given.loop is None:
         return None
-    said = (
-        "Every test of loop and log, each as if nothing else were wrong; the sentences above take in, one after the "
-        "other, what was found before them. Friction towards standstill is tested one way only"
+    caption = (
+        "Every suspect, each tested as if nothing else were wrong; the sentences above take in, one after the other, "
+        "what was found before them"
     )
-    return given.loop.table(said)
+    named = {finding.test.name for finding in given.loop.findings}
+    if given.cause is not None:
+        named, caption = (
+            set(),
+            (
+                "Every suspect, each tested as a small deviation and as if nothing else were wrong: beside so large a "
+                "mistake these are effects of it, not causes"
+            ),
+        )
+    rows = []
+    loop = given.estimate.settings.loop
+    is_bound = loop is not None and math.isfinite(getattr(loop.controller, "limit", math.inf))
+    undeclared = {} if is_bound else {"limit": "a limit of the controller's output, which is declared to have none"}
+    for test in given.loop.tests:
+        scale, unit = _scale(test, given.loop)
+        words = " or ".join(undeclared.get(name, suspect(name)) for name in (test.name, *test.alike))
+        found = "named above" if test.name in named else "likely" if test.p_value <= given.loop.level else "nothing"
+        rows.append(
+            (words, f"{scale * test.size:+.3g} ± {number(2 * scale * test.std, 2)}", unit, p_value(test.p_value), found)
+        )
+    header = ("suspect", "more than declared", "unit", "p", "found")
+    return Table(header, tuple(rows), caption, words=(0, 2, 4))
+
+
+def _scale(test: FaultTest, check: LoopCheck) -> tuple[float, str]:
+    """Return the factor and the unit in which the size of a fault is read."""
+    if test.name in ("delay", "log_delay"):
+        return 1e3, "ms"
+    if test.name in ("stribeck", "presliding", "offset"):
+        return 1.0, check.units["torque"]
+    if test.name in (
+        "log_gain",
+        "injected_gain",
+        "limit",
+        "cubic_spring",
+        "load_dependent_friction",
+        "changing_friction",
+    ):
+        return 100.0, "%"
+    return (100.0 / abs(test.declared), "%") if test.declared else (1.0, "")
 
 
 def _checks_table(checks: tuple[Validation, ...]) -> Table | None:
@@ -363,15 +276,15 @@ def _channels_table(given: ReportData) -> Table:
     """Return the channels of the record, and which of them were read."""
     rows = tuple(
         (
-            one.name.replace("_", " "),
-            "read" if one.name in given.estimate.data.channels else "not read",
-            one.source or "-",
-            one.timing,
-            one.unit,
-            f"{one.sample_time:.6g}",
-            str(one.samples),
+            name.replace("_", " "),
+            "read" if name in given.estimate.data.channels else "not read",
+            channel.source or "-",
+            channel.timing.value,
+            channel.unit,
+            f"{channel.sample_time:.6g}",
+            str(len(channel)),
         )
-        for one in given.channels
+        for name, channel in given.channels.items()
     )
     header = ("channel", "in this answer", "source", "timing", "unit", "sample time [s]", "samples")
     return Table(header, rows, "The record's channels, in SI units", words=(0, 1, 2, 3, 4))

@@ -1,1 +1,369 @@
-"""Drives and their traces: counts, per mille, the names each maker uses; a profile (TOML) for each kind."""
+"""A drive: by which names its traces' columns are found, and the numbers that take its own units to SI.
+
+Each kind of drive has a profile, a TOML file beside this one. Names are compared by their words, whatever their case
+and punctuation: "Torque actual value", "TorqueActualValue" and "Axis 1.torque_actual_value" are one. A unit in brackets
+at the end is no part of a name, and wins over the profile's.
+
+A drive logs positions in counts and the torque as a share of a rated one (CiA 402: object 6077h, per mille of object
+6076h) or as a current. Which numbers those are is known from the drive's parameters, not from its log.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+from jointid.common import units
+from jointid.common.errors import RecordError
+from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
+from jointid.common.settings import check_settings, documented, setting
+from jointid.common.transmission import Side, usual_side
+from jointid.records.columns import Column, known_units
+from jointid.records.record import CHANNELS, Tap, Timing
+
+_FOLDER = files("jointid.records.drives")  # of the profiles
+_AGREES = 0.05  # of a rated torque: nameplates are rounded, and peak and rms ampere differ by 41 %
+_COUNTS = {"prismatic": "counts_per_metre", "revolute": "counts_per_turn"}
+_HUMP = re.compile(r"(?<=[a-z])(?=[A-Z])")
+_WORD = re.compile(r"[a-z0-9]+")
+_LISTED = 10  # columns that a message shows
+_BRACKETS = re.compile(r"\s*[\[(][^\[\]()]*[\])]\s*$")
+
+
+@dataclass(frozen=True, slots=True)
+class TraceSignal:
+    """One signal of a drive that a channel can be.
+
+    Attributes:
+        names: of its column; {axis} stands for the number of the axis, {index} for one less.
+        unit: of its values; None where the column's name says it, or SI.
+        side: of a transmission on which it is measured; None where it is the usual one.
+        timing, tap: see `Column`.
+        axes: that have it; None where all have.
+    """
+
+    names: tuple[str, ...]
+    unit: str | None = None
+    side: Side | None = None
+    timing: Timing | None = None
+    tap: Tap | None = None
+    axes: tuple[int, ...] | None = None
+
+    def names_on(self, axis: int | None) -> Iterator[str]:
+        """Yield the names it can have on that axis."""
+        if self.axes is not None and axis not in self.axes:
+            return
+        for name in self.names:
+            if axis is not None:
+                yield name.format(axis=axis, index=axis - 1)
+            elif "{" not in name:
+                yield name
+
+    def fill(self, column: Column, known: tuple[str, ...]) -> Column:
+        """Return a column with what it does not say itself."""
+        unit = column.unit
+        if unit is None and column.gain == 1.0 and column.stated_unit(known) is None:  # a gain leads to another unit
+            unit = self.unit
+        return replace(column, unit=unit, timing=column.timing or self.timing, tap=column.tap or self.tap)
+
+
+@dataclass(frozen=True, slots=True)
+class DriveGain:
+    """A parameter of the drive that is a gain or a time of its controller.
+
+    Attributes:
+        name: of the parameter, as the drive calls it.
+        key: what it is in the joint file's [controller].
+        units: in which it is shown; several where a setting of the drive decides.
+    """
+
+    name: str
+    key: str
+    units: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """Signal names, units and sides in the traces of one kind of drive.
+
+    Attributes:
+        name: that a joint file gives.
+        title: in words.
+        sources: public documents, and the objects or parameters in them.
+        assumed: what a user has to compare with the drive's parameters.
+        rated_torque: which of the drive's numbers a share of the rated torque is a share of.
+        counts: which of its numbers the counts of a turn are.
+        time: names of the time column beside "t" and "time".
+        gains: parameters of its controller, where public documents have them with their units.
+        channels: the signals that each channel can be.
+    """
+
+    name: str
+    title: str
+    sources: tuple[str, ...]
+    assumed: tuple[str, ...]
+    rated_torque: str
+    counts: str
+    channels: Mapping[str, tuple[TraceSignal, ...]]
+    time: tuple[str, ...] = ()
+    gains: tuple[DriveGain, ...] = ()
+
+    def signals(self, channel: str, column: str, axis: int | None) -> list[TraceSignal]:
+        """Return the signals of a channel that a column of that name can be."""
+        spoken = _name_words(column)
+        return [
+            s for s in self.channels.get(channel, ()) if any(_split_words(name) in spoken for name in s.names_on(axis))
+        ]
+
+    def side(self, channel: str, column: str, axis: int | None) -> Side | None:
+        """Return the side of a transmission on which a channel is measured, by its column or before that is known."""
+        signals = self.signals(channel, column, axis) if column else list(self.channels.get(channel, ()))
+        return signals[0].side if signals else None
+
+    def column(
+        self, channel: str, declared: Column | None, axis: int | None, kind: str, tap: Tap | None = None
+    ) -> Column | None:
+        """Return a column that would be found as a channel: the one declared, or the first of the names there are.
+
+        Args:
+            channel: of the record.
+            declared: what is said of it, which need not be its name.
+            axis: of the trace.
+            kind: of the side of the joint it is measured on.
+            tap: where a torque was logged, if that is to tell one signal from another.
+        """
+        signals = self.channels.get(channel, ())
+        if declared is not None and declared.column:
+            signals = tuple(self.signals(channel, declared.column, axis))
+        elif tap is not None:
+            signals = tuple(s for s in signals if (s.tap or Tap.COMMAND) is tap) or signals
+        named = [(signal, name) for signal in signals for name in signal.names_on(axis)]
+        if not named:
+            return declared if declared is not None and declared.column else None
+        signal, name = named[0]
+        column = declared if declared is not None else Column(optional=True)
+        return signal.fill(replace(column, column=column.column or name), known_units(channel, kind))
+
+    def time_column(self, columns: Iterable[str]) -> str | None:
+        """Return the time column, where the profile has a name for it and a trace this one column."""
+        wanted = [_split_words(name) for name in self.time]
+        found = [column for column in columns if any(words in wanted for words in _name_words(column))]
+        return found[0] if len(found) == 1 else None
+
+    def find_columns(
+        self,
+        declared: Mapping[str, Column],
+        columns: Iterable[str],
+        axis: int | None,
+        kinds: Mapping[str, str],
+        source: str,
+    ) -> tuple[dict[str, Column], list[str]]:
+        """Return the column of each channel, and a fault for each that is missing or in doubt.
+
+        Args:
+            declared: what is said of the channels; what is not is the profile's.
+            columns: names of the columns there are.
+            axis: of the trace.
+            kinds: by channel, of the side of the joint it is measured on.
+            source: what the faults call the trace.
+        """
+        columns, made, faults = tuple(columns), {}, list[str]()
+        for channel in CHANNELS:
+            column, known = declared.get(channel), known_units(channel, kinds[channel])
+            if column is None or not column.column:
+                names = [name for name in columns if self.signals(channel, name, axis)]
+                if len(names) > 1:
+                    quoted = " and ".join(f'"{name}"' for name in names)
+                    faults.append(
+                        f'{source} has {quoted}, and profile "{self.name}" knows each as {channel}; name the one that '
+                        f"is meant as the {channel}'s column."
+                    )
+                elif column is not None and not column.optional and not names:
+                    faults.append(self._missing_fault(source, channel, axis))
+                if len(names) != 1:
+                    continue
+                column = replace(column or Column(optional=True), column=names[0])
+            signals = self.signals(channel, column.column, axis)
+            made[channel] = signals[0].fill(column, known) if signals else column
+        return made, faults if made or faults else [self._no_column_fault(source, columns, axis)]
+
+    def _no_column_fault(self, source: str, columns: tuple[str, ...], axis: int | None) -> str:
+        listed = ", ".join(f'"{name}"' for name in columns[:_LISTED]) + (", ..." if len(columns) > _LISTED else "")
+        numbered = any("{" in name for signals in self.channels.values() for s in signals for name in s.names)
+        without, remedy = "", "another profile"
+        if axis is None and numbered:
+            without, remedy = " without the number of the axis", "the axis of the drive"
+        return (
+            f'{source} has no column that profile "{self.name}" knows{without} (it has {listed}); give {remedy}, or '
+            "name the columns."
+        )
+
+    def _missing_fault(self, source: str, channel: str, axis: int | None) -> str:
+        signals = self.channels.get(channel, ())
+        if axis is None and any("{" in name for signal in signals for name in signal.names):
+            return (
+                f'{source} has no {channel} that profile "{self.name}" knows without the number of the axis; give the '
+                f"drive's axis, or the {channel}'s column."
+            )
+        names = ", ".join(f'"{next(signal.names_on(axis), signal.names[0])}"' for signal in signals) or "none"
+        return f'{source} has no column that profile "{self.name}" knows as {channel} ({names}); give its column.'
+
+
+@cache
+def profile_names() -> tuple[str, ...]:
+    """Return the names of all profiles, sorted."""
+    return tuple(sorted(file.name.removesuffix(".toml") for file in _FOLDER.iterdir() if file.name.endswith(".toml")))
+
+
+@cache
+def load_profile(name: str) -> Profile:
+    """Return the profile of that name.
+
+    Raises:
+        RecordError: there is none.
+    """
+    if name not in profile_names():
+        raise RecordError(f'No drive profile is called "{name}"; there are {", ".join(profile_names())}.')
+    raw = tomllib.loads((_FOLDER / f"{name}.toml").read_text(encoding="utf-8"))
+    channels = {channel: tuple(map(_parse_signal, signals)) for channel, signals in raw.pop("channels").items()}
+    lists: dict[str, Any] = {key: tuple(raw.pop(key)) for key in ("sources", "assumed", "time") if key in raw}
+    gains = tuple(DriveGain(one["name"], one["key"], tuple(one["units"])) for one in raw.pop("gains", ()))
+    return Profile(name=name, channels=channels, gains=gains, **lists, **raw)
+
+
+def _parse_signal(raw: dict[str, Any]) -> TraceSignal:
+    types: dict[str, Callable[[Any], Any]] = {"names": tuple, "timing": Timing, "tap": Tap, "axes": tuple}
+    return TraceSignal(**{key: types.get(key, str)(value) for key, value in raw.items()})
+
+
+def _split_words(name: str) -> tuple[str, ...]:
+    return tuple(_WORD.findall(_HUMP.sub(" ", name).casefold()))
+
+
+def _name_words(column: str) -> set[tuple[str, ...]]:
+    """Return the words of a column's name, with and without what stands before a dot and in brackets at its end."""
+    whole = {column, _BRACKETS.sub("", column)}
+    return {_split_words(name[at:]) for name in whole for at in (0, *(m.end() for m in re.finditer(r"\.", name)))}
+
+
+@documented
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """Profile of a drive's traces, and the drive parameters behind its units.
+
+    Raises:
+        RecordError: there is no such profile, a number is not positive and finite, the axis is not a whole number from
+            1 on, or the rated torque is not rated current x torque constant where all three are given.
+    """
+
+    profile: str | None = setting(
+        None,
+        "whose names, units, timing and tap the channels have that the file does not declare; what it declares wins",
+        accept=load_profile,
+        choices=profile_names(),
+    )
+    axis: int | None = setting(
+        None, "which axis, where a trace has several and the profile's names number them", at_least=1
+    )
+    rated_torque: float | None = setting(
+        None, "what per mille and per cent of a torque are a share of", unit="N or N m", above=0
+    )
+    rated_current: float | None = setting(
+        None, "the same as a current, in place of it, beside the torque constant", unit="A", above=0
+    )
+    torque_constant: float | None = setting(None, "takes a torque in A to N m or N", unit="N/A or N m/A", above=0)
+    torque_per_volt: float | None = setting(
+        None, "takes a torque in V, the output of an amplifier, to N m or N", unit="N/V or N m/V", above=0
+    )
+    counts_per_turn: float | None = setting(None, "of a revolute joint's encoder", unit="counts", above=0)
+    counts_per_metre: float | None = setting(None, "of a prismatic joint's encoder", unit="counts", above=0)
+    load_counts_per_turn: float | None = setting(
+        None,
+        "of the load's encoder, load_position, where it is another one; behind a gear it is needed, because the "
+        "other is the motor's",
+        unit="counts",
+        above=0,
+    )
+    load_counts_per_metre: float | None = setting(None, "the same of one that moves straight", unit="counts", above=0)
+
+    def __post_init__(self) -> None:
+        check_settings(self, RecordError)
+        if self.rated_torque is not None and self._from_current is not None:
+            ratio = self._from_current / self.rated_torque
+            if abs(ratio - 1) > _AGREES:
+                raise RecordError(
+                    f"The drive's rated_torque is {self.rated_torque:g}, and rated_current x torque_constant "
+                    f"{self._from_current:g}, {ratio:.3g} times as much (peak and rms ampere differ by 1.41); correct "
+                    "one, or leave rated_current out."
+                )
+
+    @property
+    def traces(self) -> Profile | None:
+        """The profile, None without one."""
+        return None if self.profile is None else load_profile(self.profile)
+
+    def side(self, channel: str, column: Column | None) -> Side:
+        """Return the side of a transmission on which a channel is: as declared, by the profile, or the usual one."""
+        if column is not None and column.side is not None:
+            return column.side
+        traces = self.traces
+        found = None if traces is None else traces.side(channel, column.column if column else "", self.axis)
+        return found or usual_side(channel)
+
+    @property
+    def _from_current(self) -> float | None:
+        if self.rated_current is None or self.torque_constant is None:
+            return None
+        return self.rated_current * self.torque_constant
+
+    def resolve_unit(self, unit: units.Unit, kind: str, *, of_load: bool = False, geared: bool = False) -> units.Unit:
+        """Return a unit with its factor to SI; one that is no drive's own as it is.
+
+        Args:
+            unit: of a channel.
+            kind: of the side on which the channel is measured.
+            of_load: True if it is measured by the load's own encoder.
+            geared: True if the load moves by another amount than the motor, whose counts then do not apply.
+
+        Raises:
+            UnitError: a number is missing; the message is the end of a sentence that begins with what has the unit.
+        """
+        traces = self.traces
+        position, torque = (units.unit(name[kind]) for name in (POSITION_UNIT, TORQUE_UNIT))
+        if unit.dimension == units.COUNTS:
+            name = _COUNTS[kind]
+            counts = getattr(self, name)
+            if of_load:
+                counts = getattr(self, f"load_{name}") or (None if geared else counts)
+            if counts is None and of_load and geared:
+                raise units.UnitError(
+                    f"which behind a transmission needs the drive's load_{name}, of the load's own encoder ({name} is "
+                    "the motor's): give it, or gain and another unit"
+                )
+            if counts is None:
+                said = "" if traces is None or kind == "prismatic" else f" ({traces.counts})"
+                raise units.UnitError(
+                    f"which needs the drive's {name}{said}: give it below [drive], or gain and another unit"
+                )
+            turn = 2 * math.pi if kind == "revolute" else 1.0
+            return replace(position, name=unit.name, factor=turn / counts)
+        if unit.dimension == units.SHARE:
+            rated = self.rated_torque or self._from_current
+            if rated is None:
+                said = "" if traces is None else f" ({traces.rated_torque})"
+                raise units.UnitError(
+                    f"a share of the rated torque, which needs the drive's rated_torque{said}: give it below "
+                    "[drive], or rated_current there and torque_constant below [joint]"
+                )
+            return replace(torque, name=unit.name, factor=unit.factor * rated)
+        if unit.dimension == "current" and self.torque_constant is not None:
+            return replace(torque, name=unit.name, factor=unit.factor * self.torque_constant)
+        if unit.dimension == "voltage" and self.torque_per_volt is not None:
+            return replace(torque, name=unit.name, factor=unit.factor * self.torque_per_volt)
+        return unit

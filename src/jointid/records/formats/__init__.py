@@ -6,16 +6,19 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 
 from jointid.common.errors import RecordError
+from jointid.common.files import beside
 from jointid.records.formats.csv import Csv
 from jointid.records.formats.hdf5 import Hdf5
 from jointid.records.formats.matlab import Matlab
 from jointid.records.formats.npy import Npy
 from jointid.records.formats.parquet import Parquet
+from jointid.records.formats.reader_process import MEMORY, read_apart, read_blocks_apart
 from jointid.records.formats.rosbag import RosBag
-from jointid.records.formats.table import Block, Format, Holds, NotStreamedError, Streamed, Table
+from jointid.records.formats.table import Block, Format, Holds, NotStreamedError, Streamed, Table, format_size
 from jointid.records.formats.tdms import Tdms
 
 __all__ = [
@@ -27,6 +30,7 @@ FORMATS: tuple[Format, ...] = (Csv(), Matlab(), Npy(), Hdf5(), Parquet(), Tdms()
 """Every format there is."""
 
 _LONG = 2**26  # bytes of a text that is read in chunks
+_SHORT = 2**21  # bytes of a text that takes less time than a process would to start
 
 
 def format_of(path: str | os.PathLike[str], **options: object) -> Format:
@@ -53,11 +57,7 @@ def format_of(path: str | os.PathLike[str], **options: object) -> Format:
 
 
 def read_table(path: str | os.PathLike[str], **options: object) -> Table:
-    """Read all the numbers of a file, choosing the format by its suffix.
-
-    Args:
-        path: the file.
-        options: options of the format's reader; see `Csv`.
+    """Read all the numbers of a file, choosing the format by its suffix; `options` are its reader's, see `Csv`.
 
     Raises:
         RecordError: there is no such file, or it cannot be read; the sentence says why.
@@ -65,16 +65,14 @@ def read_table(path: str | os.PathLike[str], **options: object) -> Table:
     path = Path(path)
     reader = format_of(path, **options)
     with _explain_failure(path):
-        return reader.read(path)
+        _require_file(path)
+        return reader.read(path) if _is_harmless(reader, path) else read_apart(path, reader.name, dict(options))
 
 
 def read_blocks(path: str | os.PathLike[str], rows: int, **options: object) -> Iterator[Block]:
     """Yield so many rows of a file after so many, in bounded memory; a block is read when it is asked for.
 
-    Args:
-        path: the file.
-        rows: of a block, 1 or more; the last one may have fewer.
-        options: of the format's reader; see `Csv`.
+    Of `rows`, 1 or more, the last block may have fewer; `options` are the format's.
 
     Raises:
         RecordError: see `read_table`; or the format has no rows one after the other.
@@ -84,18 +82,24 @@ def read_blocks(path: str | os.PathLike[str], rows: int, **options: object) -> I
     if not isinstance(reader, Streamed):
         streamed = ", ".join(entry.name for entry in FORMATS if isinstance(entry, Streamed))
         raise NotStreamedError(f"{reader.name} cannot be read in chunks; convert {path.name} to one of {streamed}.")
+
+    def read(block: Block, count: int) -> Table:
+        """Read a block when it is asked for, which is outside of this function."""
+        with _explain_failure(path):
+            return block.table(count)
+
     with _explain_failure(path):
-        yield from reader.blocks(path, rows)
+        _require_file(path)
+        if _is_harmless(reader, path):
+            blocks = reader.blocks(path, rows)
+        else:
+            blocks = read_blocks_apart(path, rows, reader.name, dict(options))
+        for block in blocks:
+            yield Block(block.rows, partial(read, block))
 
 
 def read_tables(path: str | os.PathLike[str], rows: int, **options: object) -> Iterator[Table]:
-    """Yield a file in tables of so many rows, or in one where its format has no rows one after the other.
-
-    Args:
-        path: the file.
-        rows: of a table, 1 or more; the last one may have fewer.
-        options: of the format's reader; see `Csv`.
-    """
+    """Yield a file in tables of so many rows, as `read_blocks`, or in one where its format has no such blocks."""
     try:
         # How the rows of a text are written is told by all of them, where they fit into memory.
         is_short_text = isinstance(format_of(path), Csv) and Path(path).is_file() and Path(path).stat().st_size < _LONG
@@ -110,36 +114,57 @@ def read_tables(path: str | os.PathLike[str], rows: int, **options: object) -> I
     yield from (block.table() for block in blocks)
 
 
+def _is_harmless(reader: Format, path: Path) -> bool:
+    """True of a file that takes little time and memory whatever is in it; all others are read in another process.
+
+    Rows of NumPy's are at known places, and nothing is unpacked; a short text takes a few hundred times its bytes.
+    """
+    return isinstance(reader, Npy) or (isinstance(reader, Csv) and path.stat().st_size <= _SHORT)
+
+
+def _require_file(path: Path) -> None:
+    """Raise a `RecordError` on what is neither a folder nor a file with something in it."""
+    if "\0" in str(path):
+        raise RecordError(f"{path} is no path: it holds a zero byte; correct it.")
+    size = path.stat().st_size
+    if path.is_dir():
+        return
+    if not path.is_file():
+        raise RecordError(f"{path} is a pipe or a device; write what it gives to a file, and name that.")
+    if size == 0:
+        raise RecordError(f"{path.name} is empty (0 bytes); log or copy it again.")
+
+
 @contextmanager
 def _explain_failure(path: Path) -> Iterator[None]:
     """Say in a sentence why a file cannot be read."""
-    if "\0" in str(path):
-        raise RecordError(f"{path} is no path: it holds a zero byte; correct it.")
     try:
-        if not path.is_dir() and path.stat().st_size == 0:
-            raise RecordError(f"{path.name} is empty (0 bytes); log or copy it again.")
         yield
     except OSError as error:
         raise RecordError(f"{path} cannot be opened ({_reason(error)}); check the path.") from error
+    except MemoryError as error:
+        size = format_size(path.stat().st_size)
+        raise RecordError(
+            f"{path.name} ({size}) takes more than the {format_size(MEMORY)} of memory that reading a file may take; "
+            "log fewer channels, or cut it into shorter files."
+        ) from error
 
 
 def write_table(path: str | os.PathLike[str], table: Table, **options: object) -> None:
     """Write `table`, choosing the format by the path's suffix; an existing file is replaced.
 
-    Args:
-        path: the file.
-        table: what is written.
-        options: with which the format will read it; see `Csv`.
+    It is written as the format will read it with these `options`.
 
     Raises:
-        RecordError: no format has this suffix, it cannot hold the table, or the file cannot be written.
+        RecordError: no format has this suffix, it cannot hold the table, the folder of a bag is already there, or the
+            file cannot be written.
     """
     path = Path(path)
     writer = format_of(path, **options)
-    try:
-        writer.write(path, table)
-    except OSError as error:
-        raise RecordError(f"{path} cannot be written ({_reason(error)}); check the folder.") from error
+    if isinstance(writer, RosBag) and not path.suffix and path.exists():
+        raise RecordError(f"{path} is already there, and a bag is not written over; name another folder.")
+    with beside(path) as fresh:
+        writer.write(fresh, table)
 
 
 def _reason(error: OSError) -> str:

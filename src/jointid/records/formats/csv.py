@@ -24,7 +24,7 @@ from jointid.common.errors import RecordError
 from jointid.common.text import counted, short
 from jointid.common.units import UnitError, unit
 from jointid.records.formats.scope import find_scope, read_scope
-from jointid.records.formats.table import Block, Holds, NotStreamedError, Table, join_tables, require_place
+from jointid.records.formats.table import WIDEST, Block, Holds, NotStreamedError, Table, join_tables, require_place
 from jointid.records.formats.text import (
     BLANKS,
     Dialect,
@@ -40,12 +40,7 @@ from jointid.records.formats.text import (
     stream_lines,
 )
 
-WIDEST = 100_000
-"""Columns that are read: no drive logs so many, and each is an array of its own."""
-
-LONGEST_NAME = 1000
-"""Characters of a column's name."""
-
+_LONGEST_NAME = 1000  # characters
 _BRACKETED = re.compile(r"\[(.*)\]|\((.*)\)")
 _NO_UNIT = ("", "-")
 _LONG, _LONG_BLOCK = 2**26, 100_000  # bytes of a file that is read in blocks of so many rows
@@ -56,14 +51,9 @@ _DELIMITER = re.compile(r"[^\w\r\n\".+-]")  # anything but a part of a number, o
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Layout of the rows of a file.
+    """Layout of the rows of a file, from line `start` on of those that are neither empty nor comments.
 
-    Attributes:
-        file: its name.
-        dialect: of the rows.
-        names: of the columns.
-        start: the first row among the lines that are neither empty nor comments.
-        closed: True if every row ends with the delimiter, behind which there is no column.
+    `closed` says that every row ends with the delimiter, behind which there is no column.
     """
 
     file: str
@@ -119,20 +109,17 @@ class Csv:
 
     def read(self, path: Path) -> Table:
         """Read every column; see `Format.read`."""
-        try:
-            if path.stat().st_size > _LONG:
-                beginning = build_text(path.name, list(islice(stream_lines(path), _BEGINNING)))
-                if find_scope(beginning) is None:  # the text would take several times the memory of its numbers
-                    return join_tables([block.table() for block in self.blocks(path, _LONG_BLOCK)])
-            text = read_lines(path)
-            scope = None if self.header is False else find_scope(text)
-            if scope is not None:
-                return read_scope(text, scope, self.decimal)
-            layout = self._layout(text)
-            rows = text.lines[layout.start :]
-            return layout.read(rows, True, len(rows))
-        except csv.Error as error:
-            raise RecordError(f"{path.name} cannot be split into cells ({error}); is it delimited text?") from error
+        if path.stat().st_size > _LONG:
+            beginning = build_text(path.name, list(islice(stream_lines(path), _BEGINNING)))
+            if find_scope(beginning) is None:  # the text would take several times the memory of its numbers
+                return join_tables([block.table() for block in self.blocks(path, _LONG_BLOCK)])
+        text = read_lines(path)
+        scope = None if self.header is False else find_scope(text)
+        if scope is not None:
+            return read_scope(text, scope, self.decimal)
+        layout = self._layout(text)
+        rows = text.lines[layout.start :]
+        return layout.read(rows, True, len(rows))
 
     def write(self, path: Path, table: Table) -> None:
         """Write delimited UTF-8, each number with the digits that give it back exactly.
@@ -154,18 +141,14 @@ class Csv:
 
     def blocks(self, path: Path, rows: int) -> Iterator[Block]:
         """Yield so many rows after so many; how they are written is told by the file's first lines."""
-        try:
-            lines = stream_lines(path)
-            head = list(islice(lines, _BEGINNING))
-            text = build_text(path.name, head)
-            if find_scope(text) is not None:
-                raise NotStreamedError(
-                    f"{path.name} is an export of TwinCAT Scope, whose rows are no instants: it cannot be read in "
-                    "chunks; convert it to NPY."
-                )
-            layout = self._layout(text)
-        except csv.Error as error:
-            raise RecordError(f"{path.name} cannot be split into cells ({error}); is it delimited text?") from error
+        lines = stream_lines(path)
+        text = build_text(path.name, list(islice(lines, _BEGINNING)))
+        if find_scope(text) is not None:
+            raise NotStreamedError(
+                f"{path.name} is an export of TwinCAT Scope, whose rows are no instants: it cannot be read in chunks; "
+                "convert it to NPY."
+            )
+        layout = self._layout(text)
         found = chain(text.lines[layout.start :], (line for line in lines if not is_comment(line.text)))
         block = list(islice(found, rows))
         while block:
@@ -179,6 +162,12 @@ class Csv:
         return f"column {plain}" if is_number(plain) and not name.isdecimal() else plain
 
     def _layout(self, text: TextFile) -> Layout:
+        try:
+            return self._find_layout(text)
+        except csv.Error as error:
+            raise RecordError(f"{text.name} cannot be split into cells ({error}); is it delimited text?") from error
+
+    def _find_layout(self, text: TextFile) -> Layout:
         fit = self._fit(text)
         dialect, width = fit.dialect, fit.width
         start = fit.first_row([line.text for line in text.lines])
@@ -196,10 +185,10 @@ class Csv:
                 f"{text.name} has {width} columns (at most {WIDEST} are read); is it a matrix that lies on its side? "
                 "Write a row for each sample."
             )
-        if (longest := max(names, key=len)) and len(longest) > LONGEST_NAME:
+        if (longest := max(names, key=len)) and len(longest) > _LONGEST_NAME:
             raise RecordError(
                 f'{text.name} has a column name of {len(longest)} characters, "{short(longest)}"; expected at most '
-                f"{LONGEST_NAME}: name it shorter, or give header = false to call the columns by their numbers."
+                f"{_LONGEST_NAME}: name it shorter, or give header = false to call the columns by their numbers."
             )
         twice = sorted(name for name, count in Counter(names).items() if count > 1)
         if twice:

@@ -1,13 +1,11 @@
 """HDF5: every dataset of numbers is a column, called by its path; MAT files of version 7.3 are read by the same slices.
 
-Only what is in the file itself is read: external and soft links are not followed, and datasets that are put together
-from other files (virtual, or with external storage) are passed over. What a dataset declares is known before any of its
-numbers is in memory.
+What a dataset declares is known before any of its numbers is in memory.
 """
 
 from __future__ import annotations
 
-import json
+import io
 import math
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
@@ -19,16 +17,18 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError, extra
-from jointid.records.formats.table import Block, Holds, Table, split_rows
-from jointid.records.formats.untrusted import (
+from jointid.records.formats.table import (
     PIECES,
     WHOLE,
+    Block,
+    Holds,
+    Table,
     explain_damage,
     format_size,
     list_passed,
-    read_parts,
     require_size,
     require_unique_names,
+    split_rows,
 )
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -41,6 +41,12 @@ PACKING = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletc
 _REMEDY = "log or copy it again"
 _PACKED = 16384  # numbers that are compressed together
 _CHUNK = 2**30  # bytes that are decompressed at once; h5py's own are a mebibyte
+_USUAL_CACHE = 2**20  # bytes of a dataset's chunks that the library keeps
+_CACHES = 2**29  # bytes of chunks that are kept of all datasets: a quarter of what reading a file may take
+_CACHE_SLOTS, _CACHE_ORDER = 521, 0.75  # the library's own
+# Numbers that are declared and were never written take time to read, and no room in the file. Packed by deflate, a byte
+# stands for 1032 at most, and each of these may be a number.
+_PACKED_MOST, _ANY_FILE = 10_000, 2**29  # bytes of numbers that a byte of a file, and any file, may declare
 _WIDEST = 1000  # columns of a matrix; one that is wider is a picture
 _MEMBERS = 100_000  # of all groups of a file
 _UNITS = ("units", "unit", "Units", "Unit", "UNITS")
@@ -54,8 +60,9 @@ class Hdf5:
     """HDF5: a dataset of one dimension is a column, called "group/dataset"; single numbers are scalars.
 
     A matrix gives the columns "name[0]", "name[1]", ...; its samples run along the longer side. A dataset of records
-    gives "name.field". The attribute "units" or "unit" of a dataset is the unit of its columns. Links are not followed,
-    nor what is stored in other files; text, complex numbers and arrays of more dimensions are passed over.
+    gives "name.field". The attribute "units" or "unit" of a dataset is the unit of its columns. Only what is in the
+    file itself is read: external and soft links are not followed, and datasets put together from other files (virtual,
+    or with external storage) are passed over, as are text, complex numbers and arrays of more dimensions.
     """
 
     name: ClassVar[str] = "HDF5"
@@ -85,7 +92,9 @@ class Hdf5:
         if twice:
             raise RecordError(f"{twice[0]!r} names a column and a scalar; HDF5 holds one dataset per name.")
         h5py = extra("h5py", "logs", "Writing HDF5")
-        with h5py.File(path, "w", track_order=True) as file:
+        # In memory: a disk that is full ends the process inside the library.
+        image = io.BytesIO()
+        with h5py.File(image, "w", track_order=True) as file:
             for name, values in table.columns.items():
                 chunks = (min(values.size, _PACKED),)
                 dataset = file.create_dataset(name, data=values, chunks=chunks, **PACKING)
@@ -93,6 +102,7 @@ class Hdf5:
                     dataset.attrs["units"] = table.units[name]
             for name, value in table.scalars.items():
                 file[name] = value
+        path.write_bytes(image.getbuffer())
 
     def legal_name(self, name: str, others: Collection[str] = ()) -> str:
         """Return a name as a path, which no other goes on from; see `Format.legal_name`."""
@@ -133,7 +143,6 @@ class DatasetColumns(NamedTuple):
         fields: of the columns in a dataset of records, else empty.
         turned: True if the samples run along the second dimension.
         unit: of all of them, None without one.
-        unit_at: name of the attribute with the unit, where that is a text of no fixed length.
     """
 
     place: str
@@ -142,11 +151,9 @@ class DatasetColumns(NamedTuple):
     fields: tuple[str, ...] = ()
     turned: bool = False
     unit: str | None = None
-    unit_at: str = ""
 
-    def values(self, file: Member, first: int, last: int) -> list[FloatArray]:
-        """Return the rows from the first up to the last of every column."""
-        dataset = file[self.place]
+    def values(self, dataset: Member, first: int, last: int) -> list[FloatArray]:
+        """Return the rows from the first up to the last of every column, of its dataset."""
         if self.fields:
             records = dataset.fields(list(self.fields))[first:last]
             return [records[name].astype(np.float64) for name in self.fields]
@@ -167,6 +174,8 @@ class Contents:
         signals: the datasets that give columns.
         scalars, passed: see `Table`.
         seen: how many datasets, groups and references there were.
+        kept: datasets that stay open, by their place, with a cache for a chunk that several blocks are cut of.
+        caches: bytes of these caches.
     """
 
     path: Path
@@ -176,6 +185,8 @@ class Contents:
     scalars: dict[str, float] = field(default_factory=dict)
     passed: dict[str, str] = field(default_factory=dict)
     seen: int = 0
+    kept: dict[str, Member] = field(default_factory=dict)
+    caches: int = 0
 
     @property
     def rows(self) -> int:
@@ -185,9 +196,7 @@ class Contents:
     def members(self, group: Member, path: str) -> Iterator[tuple[str, Member]]:
         """Yield the name and the object of every member that is in the file itself; others are noted as passed over.
 
-        Args:
-            group: whose members they are.
-            path: of the group, for the notes, with the mark that ends it.
+        The notes call the group by `path`, with the mark that ends it.
         """
         h5py = extra("h5py", "logs", "HDF5")
         for name in group:
@@ -208,14 +217,8 @@ class Contents:
     def take(self, dataset: Member, name: str, *, matlab: bool = False) -> None:
         """Note a dataset; what holds no numbers is left out, and numbers that cannot be columns are noted as such.
 
-        A matrix gives the columns "name[0]", "name[1]", ...; its samples run along the longer side. A dataset of
-        records gives "name.field".
-
-        Args:
-            dataset: of h5py.
-            name: what its columns are called.
-            matlab: True if MATLAB wrote it: rows and columns the other way round, complex numbers as records, and
-                every single number as a vector.
+        `matlab` says that MATLAB wrote it: rows and columns the other way round, complex numbers as records, and every
+        single number as a vector. Of the columns' names see `Hdf5`.
         """
         shape, dtype = dataset.shape, dataset.dtype
         fields = tuple(field for field in dtype.names or () if dtype[field].kind in NUMBERS)
@@ -239,11 +242,31 @@ class Contents:
         with explain_damage(self.path, self.format, _REMEDY):
             for signal in self.signals:
                 if signal.rows > first:
-                    values = signal.values(self.file, first, min(first + count, signal.rows))
+                    values = signal.values(self._open(signal), first, min(first + count, signal.rows))
                     columns.update(zip(signal.names, values, strict=True))
                 if signal.unit is not None:
                     units.update(dict.fromkeys(signal.names, signal.unit))
             return Table(columns, self.scalars, self.path.name, units, self.passed)
+
+    def _open(self, signal: DatasetColumns) -> Member:
+        """Return a dataset; one of large chunks with room to keep those of one block, while there is room left.
+
+        The library keeps a mebibyte of each dataset, and forgets it when the dataset is closed: of a larger chunk every
+        block would inflate all of it again.
+        """
+        if signal.place in self.kept:
+            return self.kept[signal.place]
+        dataset = self.file[signal.place]
+        room = _chunks_of_a_block(dataset, turned=signal.turned)
+        if room <= _USUAL_CACHE or self.caches + room > _CACHES:
+            return dataset
+        dataset.id.close()  # one that is open keeps the cache that it has
+        h5py = extra("h5py", "logs", "HDF5")
+        access = h5py.h5p.create(h5py.h5p.DATASET_ACCESS)
+        access.set_chunk_cache(_CACHE_SLOTS, room, _CACHE_ORDER)
+        self.kept[signal.place] = h5py.Dataset(h5py.h5d.open(self.file.id, signal.place.encode(), access))
+        self.caches += room
+        return self.kept[signal.place]
 
 
 @contextmanager
@@ -274,9 +297,20 @@ def open_contents(path: Path, name: str, scan: Callable[[Contents], None], limit
                     "dimensions."
                 )
             require_unique_names(path, [name for signal in signals for name in signal.names])
-            contents.signals = _read_units(path, signals)
-        require_size(path, sum(signal.rows * len(signal.names) for signal in signals), limit)
+        numbers = sum(signal.rows * len(signal.names) for signal in signals)
+        require_size(path, numbers, limit)
+        _require_stored(path, 8 * numbers)
         yield contents
+
+
+def _require_stored(path: Path, declared: int) -> None:
+    """Raise a `RecordError` on a file that declares far more bytes of numbers than can be in it."""
+    size = path.stat().st_size
+    if declared > _ANY_FILE + _PACKED_MOST * size:
+        raise RecordError(
+            f"{path.name} declares {format_size(declared)} of numbers and has only {format_size(size)}: nearly all of "
+            "them were never written; log or copy it again, or cut its datasets to what was logged."
+        )
 
 
 def refusal_reason(dataset: Member) -> str | None:
@@ -293,6 +327,17 @@ def refusal_reason(dataset: Member) -> str | None:
     return None
 
 
+def _chunks_of_a_block(dataset: Member, *, turned: bool) -> int:
+    """Return the bytes of the chunks that lie beside each other at one sample; 0 without chunks."""
+    if not dataset.chunks:
+        return 0
+    across = 1
+    if dataset.ndim == 2:
+        width, chunk = (dataset.shape[0], dataset.chunks[0]) if turned else (dataset.shape[1], dataset.chunks[1])
+        across = math.ceil(width / chunk)
+    return int(across * math.prod(dataset.chunks) * dataset.dtype.itemsize)
+
+
 def _shape_refusal(shape: tuple[int, ...]) -> str | None:
     """Return the reason why an array of this shape gives no columns, or None."""
     if 0 in shape:
@@ -305,10 +350,8 @@ def _shape_refusal(shape: tuple[int, ...]) -> str | None:
 
 
 def _dataset_columns(dataset: Member, name: str, matlab: bool) -> DatasetColumns:
-    """Return the columns of a vector or a matrix."""
     shape = dataset.shape
-    unit, unit_at = _unit(dataset)
-    signal = DatasetColumns(dataset.name, (name,), shape[0], unit=unit, unit_at=unit_at)
+    signal = DatasetColumns(dataset.name, (name,), shape[0], unit=_unit(dataset))
     if len(shape) == 1:
         return signal
     # Of a square matrix the samples are its rows, which MATLAB stores as columns.
@@ -318,27 +361,17 @@ def _dataset_columns(dataset: Member, name: str, matlab: bool) -> DatasetColumns
     return signal._replace(names=names, rows=rows, turned=turned)
 
 
-def _unit(dataset: Member) -> tuple[str | None, str]:
-    """Return the unit that a dataset states, or the name of the attribute if its text has no fixed length."""
+def _unit(dataset: Member) -> str | None:
+    """Return the unit that a dataset states."""
     for key in _UNITS:
         if key not in dataset.attrs or math.prod(dataset.attrs.get_id(key).shape or ()) != 1:
             continue
-        kind = dataset.attrs.get_id(key).dtype
-        if kind.kind == "O":
-            return None, key
-        if kind.kind == "S":
-            text = np.asarray(dataset.attrs[key]).ravel()[0].decode("utf-8", "replace").strip()
-            return text or None, ""
-    return None, ""
-
-
-def _read_units(path: Path, signals: list[DatasetColumns]) -> list[DatasetColumns]:
-    """Return the signals with their units; texts of no fixed length are read by another process.
-
-    Where such a text is stored, a damaged file can keep the library going round in a circle.
-    """
-    asked = [(signal.place, signal.unit_at) for signal in signals if signal.unit_at]
-    if not asked:
-        return signals
-    texts = iter(json.loads(b"".join(read_parts("hdf5_texts", path, json.dumps(asked)))))
-    return [signal._replace(unit=next(texts) or None) if signal.unit_at else signal for signal in signals]
+        kind = dataset.attrs.get_id(key).dtype.kind
+        text = np.asarray(dataset.attrs[key]).ravel()[0] if kind in "OS" else ""
+        if isinstance(text, bytes):
+            text = text.decode("utf-8", "replace")
+        if isinstance(text, str) and text.strip():
+            return text.strip()
+        if kind in "OS":
+            return None
+    return None

@@ -15,6 +15,7 @@ as MATLAB's own files have it; the description that comes with MATLAB says only 
 
 from __future__ import annotations
 
+import io
 import math
 import re
 import struct
@@ -29,8 +30,17 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError, extra
 from jointid.records.formats.hdf5 import PACKING, SIGNATURE, Contents, Member, open_contents, refusal_reason
-from jointid.records.formats.table import Block, Holds, NotStreamedError, Table, split_rows
-from jointid.records.formats.untrusted import PIECES
+from jointid.records.formats.table import (
+    PIECES,
+    Block,
+    Holds,
+    NotStreamedError,
+    Table,
+    explain_damage,
+    require_size,
+    require_unique_names,
+    split_rows,
+)
 
 _VARIABLE = re.compile(r"[A-Za-z]\w{0,62}", re.ASCII)
 _LONGEST_NAME = 63
@@ -41,6 +51,7 @@ _KEYWORD = re.compile(
 
 _HEADER = 128  # bytes, of versions 5 to 7
 _MARKS = {b"\x00\x01IM": "<", b"\x01\x00MI": ">"}  # version and byte order, at the end of the header
+_TAG = 8  # bytes that begin an element
 _MATRIX, _COMPRESSED = 14, 15  # types of elements
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _STRUCTURE, _NUMERIC = 2, range(6, 16)  # classes of arrays
@@ -84,9 +95,13 @@ class Matlab:
         if _is_hdf5(path):
             with open_contents(path, _NAME_73, _scan) as contents:
                 return contents.read(0, contents.rows)
-        found = _read_arrays(path)
+        raw = path.read_bytes()
+        with explain_damage(path, "a MAT file", "save it again with -v7 in MATLAB"):
+            found = list(_find_arrays(path, raw))
         scalars = {name: float(array.item()) for name, array in found if array.size == 1}
-        columns = dict(column for name, array in found if array.size > 1 for column in _split_columns(name, array))
+        pairs = [column for name, array in found if array.size > 1 for column in _split_columns(name, array)]
+        require_unique_names(path, [name for name, _ in pairs] + [name for name, array in found if array.size == 1])
+        columns = dict(pairs)
         if not (columns or scalars):
             raise RecordError(f"{path.name} holds no array of real numbers; save the signals as numeric variables.")
         return Table(columns, scalars, path.name)
@@ -135,17 +150,6 @@ def _is_hdf5(path: Path) -> bool:
     return any(head.startswith(SIGNATURE, offset) for offset in (0, _HEADER_73))
 
 
-def _read_arrays(path: Path) -> list[tuple[str, FloatArray]]:
-    """Return every matrix of real numbers and its path; any damage is one `RecordError`."""
-    try:
-        return list(_find_arrays(path.read_bytes()))
-    except (ValueError, RecursionError, MemoryError) as error:
-        raise RecordError(
-            f"{path.name} cannot be read as a MAT file: it is damaged, cut off or of another format; "
-            "save it again with -v7 in MATLAB."
-        ) from error
-
-
 def _split_columns(name: str, array: FloatArray) -> Iterator[tuple[str, FloatArray]]:
     """Yield a vector as one column, a matrix as one column per signal."""
     if 1 in array.shape:
@@ -160,7 +164,7 @@ def _quote(names: list[str]) -> str:
     return ", ".join(f'"{name}"' for name in names)
 
 
-def _find_arrays(raw: bytes) -> Iterator[tuple[str, FloatArray]]:
+def _find_arrays(path: Path, raw: bytes) -> Iterator[tuple[str, FloatArray]]:
     """Yield the path and the values, shape (rows, columns), of every matrix of real numbers.
 
     A path is "name", "structure.field" or "structures[0].field". Text, cells, objects, complex, sparse and empty
@@ -174,7 +178,7 @@ def _find_arrays(raw: bytes) -> Iterator[tuple[str, FloatArray]]:
         yield from _read_version_4(raw)
         return
     for element in _split_elements(memoryview(raw)[_HEADER:], order):
-        array = _decompress(element, order) if element.type == _COMPRESSED else element
+        array = _decompress(path, element, order) if element.type == _COMPRESSED else element
         if array.type == _MATRIX:
             yield from _read_matrix(array.data, order)
 
@@ -205,11 +209,18 @@ class _Element(NamedTuple):
     data: memoryview
 
 
-def _decompress(element: _Element, order: str) -> _Element:
+def _decompress(path: Path, element: _Element, order: str) -> _Element:
+    """Return the one element in a compressed one, unpacked as far as it says that it goes."""
     try:
-        data = zlib.decompress(element.data)
+        head = zlib.decompressobj().decompress(element.data, _TAG)
+        _, size = struct.unpack(order + "II", head)
+        require_size(path, size // 8)
+        unpacking = zlib.decompressobj()
+        data = unpacking.decompress(element.data, _TAG + size + _TAG)
     except zlib.error as error:
         raise ValueError("a compressed element is damaged") from error
+    if not unpacking.eof:
+        raise ValueError("a compressed element is longer than it says, or cut off")
     (inner,) = _split_elements(memoryview(data), order)
     return inner
 
@@ -247,7 +258,7 @@ def _read_matrix(data: memoryview, order: str, path: str | None = None) -> Itera
     if is_structure:
         yield from _read_structure(content, order, path, math.prod(shape))
         return
-    values = _decode_numbers(content[0], order).astype(np.float64) if content else np.empty(0)
+    values = _decode_numbers(content[0], order).astype(np.float64, copy=False) if content else np.empty(0)
     if values.size != math.prod(shape) or min(shape) < 0:
         raise ValueError(f"{path} has {values.size} values in a shape of {shape}")
     if values.size and len(shape) == 2:
@@ -270,7 +281,6 @@ def _read_structure(content: list[_Element], order: str, path: str, count: int) 
 
 
 def _decode_numbers(element: _Element, order: str) -> np.ndarray[tuple[int], np.dtype[Any]]:
-    """Return the numbers of an element in the type in which they are stored."""
     if element.type not in _NUMBERS:
         raise ValueError(f"an element of type {element.type} stands where numbers are expected")
     return np.frombuffer(element.data, np.dtype(order + _NUMBERS[element.type]))
@@ -321,11 +331,13 @@ def _matlab_class(member: Member) -> str:
 
 def _write_73(path: Path, variables: Mapping[str, Any]) -> None:
     h5py = extra("h5py", "logs", "Writing MAT files of version 7.3")
-    with h5py.File(path, "w", userblock_size=_HEADER_73) as file:
+    image = io.BytesIO()  # a disk that is full ends the process inside the library
+    with h5py.File(image, "w", userblock_size=_HEADER_73) as file:
         for name, values in variables.items():
             matrix = np.asarray(values, dtype=np.float64).reshape(1, -1)  # n x 1, stored the other way round
             dataset = file.create_dataset(name, data=matrix, **(PACKING if matrix.size > 1 else {}))
             dataset.attrs["MATLAB_class"] = np.bytes_("double")
     text = b"MATLAB 7.3 MAT-file, written by jointid, HDF5 schema 1.00 ."
-    with path.open("r+b") as raw:
-        raw.write(text.ljust(116) + bytes(8) + struct.pack("<H", _VERSION_73) + b"IM")
+    image.seek(0)
+    image.write(text.ljust(116) + bytes(8) + struct.pack("<H", _VERSION_73) + b"IM")
+    path.write_bytes(image.getbuffer())

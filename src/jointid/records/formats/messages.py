@@ -43,12 +43,7 @@ Definition: TypeAlias = tuple[Field, ...]
 
 
 def decode_message(name: str, data: bytes, known: Mapping[str, Definition]) -> dict[str, Value]:
-    """Return the fields of a message.
-
-    Args:
-        name: of its type, "package/msg/Type".
-        data: its bytes.
-        known: the definitions of message types by their names.
+    """Return the fields of a message of type `name`, "package/msg/Type", by the definitions that are known.
 
     Raises:
         ValueError: the bytes are not such a message.
@@ -68,7 +63,6 @@ class _Decoder:
         self.at, self.budget = 0, _BUDGET
 
     def message(self, name: str, deep: int) -> dict[str, Value]:
-        """Return the fields of a message."""
         if deep > _DEEPEST:
             raise ValueError("messages within messages without end")
         fields = self.known[name]
@@ -77,7 +71,6 @@ class _Decoder:
         return {field.name: self.field(field, deep) for field in fields}
 
     def field(self, field: Field, deep: int) -> Value:
-        """Return one value, or an array of them."""
         kind, length = field.type, field.length
         if length is None:
             return self.value(kind, deep)
@@ -92,7 +85,6 @@ class _Decoder:
         return [self.value(kind, deep) for _ in range(count)]
 
     def value(self, kind: str, deep: int) -> Value:
-        """Return a number, a text or a message."""
         self.spend(1)
         if kind in _NUMBERS:
             return float(self.number(_NUMBERS[kind]))
@@ -105,7 +97,6 @@ class _Decoder:
         return self.message(kind, deep + 1)
 
     def number(self, kind: str) -> Any:
-        """Return one number."""
         size = int(kind[1:])
         return np.frombuffer(self.data, self.order + kind, 1, self.take(size, size))[0]
 
@@ -140,12 +131,8 @@ def flatten_numbers(
     """Yield the numbers of a message by their paths.
 
     Of an array that is as long as the list of names beside or above it every number goes by its name,
-    "path/joint/field"; of others by its place, "path/field[0]". Bytes, long arrays and text are passed over.
-
-    Args:
-        message: the fields.
-        path: of the message.
-        names: of the joints, from a message that holds this one.
+    "path/joint/field"; of others by its place, "path/field[0]". Bytes, long arrays and text are passed over. `names`
+    are those of the joints, from a message that holds this one.
     """
     own = [value for key in _NAMING if _is_names(value := message.get(key))]
     names = own[0] if own else names

@@ -5,18 +5,21 @@ Nothing else is read as fast, or as easily in chunks: a row is at a known place 
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from tokenize import TokenError
+from types import SimpleNamespace
 from typing import IO, Any, ClassVar
 
 import numpy as np
 
 from jointid.common.errors import RecordError
-from jointid.records.formats.table import Block, Holds, Table, require_place, split_rows
+from jointid.records.formats.table import WIDEST, Block, Holds, Table, require_place, require_size, split_rows
 
 _VERSIONS = ((1, 0), (2, 0), (3, 0))
+_HEADER, _REST = 2**16, 2**8  # characters of the header, for more than a thousand columns, and of its other entries
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,16 +36,23 @@ class Npy:
     def read(self, path: Path) -> Table:
         """Read every column; see `Format.read`."""
         layout = _read_layout(path)
+        require_size(path, layout.rows * layout.columns)
         return layout.read(0, layout.rows)
 
     def write(self, path: Path, table: Table) -> None:
         """Write a record array, a field of eight bytes for each column. Scalars have no place in it."""
         require_place(table, self.name, self.holds)
         array = np.empty(table.rows, dtype=[(name, "<f8") for name in table.columns])
+        if (size := len(repr(array.dtype.descr))) > _HEADER - _REST:
+            raise RecordError(
+                f"The names of {len(table.columns)} columns take {size} characters, and at most {_HEADER - _REST} are "
+                "read from a .npy file; choose columns, or write a .parquet file."
+            )
         for name, values in table.columns.items():
             array[name] = values
         with path.open("wb") as file:
-            np.save(file, array, allow_pickle=False)
+            # Into a file NumPy writes by C, and does not hear that the disk was full when the last bytes went out.
+            np.save(SimpleNamespace(write=file.write), array, allow_pickle=False)
 
     def legal_name(self, name: str, others: Collection[str] = ()) -> str:
         """Return the name, which can be any but none; see `Format.legal_name`."""
@@ -51,6 +61,7 @@ class Npy:
     def blocks(self, path: Path, rows: int) -> Iterator[Block]:
         """Yield so many rows after so many."""
         layout = _read_layout(path)
+        require_size(path, min(rows, layout.rows) * layout.columns)
         yield from split_rows(layout.rows, rows, layout.read)
 
 
@@ -63,8 +74,11 @@ class _Layout:
     row: np.dtype[Any]
     rows: int
 
+    @property
+    def columns(self) -> int:
+        return len(self.row.names or ())
+
     def read(self, first: int, count: int) -> Table:
-        """Read so many rows from the first on."""
         # Not mapped into memory: what is mapped counts as memory in use until somebody else asks for it.
         with self.path.open("rb") as file:
             file.seek(self.begin + first * self.row.itemsize)
@@ -77,12 +91,19 @@ def _read_layout(path: Path) -> _Layout:
     size = path.stat().st_size
     with path.open("rb") as file:
         try:
-            shape, by_column, dtype = _read_header(file)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # what Python's parser says of a damaged header on the side
+                shape, by_column, dtype = _read_header(file)
         except (ValueError, TypeError, SyntaxError, TokenError, MemoryError, RecursionError) as error:
             said = str(error).partition("\n")[0] or type(error).__name__  # NumPy's advice is for programmers
             raise RecordError(f"{path.name} is no .npy file ({said}); write it by numpy.save.") from None
         begin = file.tell()
     wide = shape[1] * dtype.itemsize if len(shape) == 2 else 0
+    if 0 < wide <= size and shape[1] > WIDEST:
+        raise RecordError(
+            f"{path.name} has {shape[1]} columns (at most {WIDEST} are read); is it a matrix that lies on its side? "
+            "Write a row for each sample."
+        )
     if dtype.names is None and 0 < wide <= size and not by_column and dtype.kind in "fiu":
         row = np.dtype([(str(i), dtype) for i in range(1, shape[1] + 1)])
     elif dtype.names and len(shape) == 1 and all(dtype[name].kind in "fiu" for name in dtype.names):
@@ -108,8 +129,8 @@ def _read_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]
     if version not in _VERSIONS:
         raise ValueError(f"its version is {version[0]}.{version[1]}")
     if version == (1, 0):
-        return np.lib.format.read_array_header_1_0(file)
-    shape, by_column, dtype = np.lib.format.read_array_header_2_0(file)
+        return np.lib.format.read_array_header_1_0(file, _HEADER)
+    shape, by_column, dtype = np.lib.format.read_array_header_2_0(file, _HEADER)
     if version == (3, 0) and dtype.names:  # as 2.0, but for names in UTF-8
         dtype.names = tuple(name.encode("latin-1").decode() for name in dtype.names)
     return shape, by_column, dtype

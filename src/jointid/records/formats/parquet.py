@@ -15,8 +15,17 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError, extra
-from jointid.records.formats.table import Block, Holds, Table, join_tables, require_place
-from jointid.records.formats.untrusted import PIECES, explain_damage, require_size, require_unique_names
+from jointid.records.formats.table import (
+    PIECES,
+    Block,
+    Holds,
+    Table,
+    explain_damage,
+    join_tables,
+    require_place,
+    require_size,
+    require_unique_names,
+)
 
 _GROUP = 65536  # rows that are written together
 _BATCH = 65536  # rows that are decoded together
@@ -191,7 +200,6 @@ def _to_floats(array: Arrow) -> FloatArray:
 
 
 def _read_parts(path: Path, file: Arrow) -> Iterator[Table]:
-    """Yield the rows of a file, so many at a time."""
     types = extra("pyarrow.types", "logs", "Reading Parquet")
     schema = file.schema_arrow
     lists = [entry.name for entry in schema if types.is_list(entry.type) or types.is_large_list(entry.type)]

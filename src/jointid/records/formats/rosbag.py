@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import re
-import shutil
+import sqlite3
 import struct
 import tempfile
 from array import array
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -18,26 +17,25 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError, extra
+from jointid.records.formats.bag_files import Topic, read_messages
 from jointid.records.formats.messages import (
-    Definition,
-    Field,
     SkippedTopicError,
     decode_message,
     flatten_numbers,
     header_stamp,
 )
-from jointid.records.formats.table import Holds, Table, require_place
-from jointid.records.formats.untrusted import (
+from jointid.records.formats.table import (
+    Holds,
+    Table,
     explain_damage,
     list_passed,
-    read_parts,
+    require_place,
     require_size,
     require_unique_names,
 )
 
 _DATE = 2**58  # nanoseconds, nine years: a stamp beyond is a date, one before counts from some beginning
 _WIDEST = 1000  # columns of one topic
-_HEAD = struct.Struct("<IqI")  # of a message in a batch: its topic, its time, its length
 _REMEDY = "record it again, or rebuild it with ros2 bag reindex"
 _DIGITS = re.compile(r"(\d+)")
 _JOINT = re.compile(r"(/.+)/([^/]+)/(position|velocity|effort)")
@@ -49,22 +47,6 @@ _ROUNDING = 1e-14
 _NINE_YEARS = 2.0**28  # seconds; a stamp beyond is read as a date
 
 Stamps = NDArray[np.int64]
-
-
-class Topic(NamedTuple):
-    """A topic as a bag declares it.
-
-    Attributes:
-        name: of the topic.
-        type: name of its message type.
-        encoding: of the messages; only "cdr" is read.
-        types: definitions of its message type and of those it needs.
-    """
-
-    name: str
-    type: str
-    encoding: str
-    types: Mapping[str, Definition]
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +81,8 @@ class RosBag:
         "column/time" or else by the table's time; a bag has no other way to keep numbers by name.
 
         Raises:
-            RecordError: the folder is already there, or two topics would have one name.
+            RecordError: two topics would have one name.
+        OSError: the bag cannot be written.
         """
         require_place(table, "A ROS 2 bag", self.holds)
         rosbag2 = extra("rosbags.rosbag2", "logs", "Writing ROS 2 bags")
@@ -144,26 +127,8 @@ def list_files(path: Path) -> list[Path]:
     if not found:
         packed = any(file.name.endswith(".zstd") for file in path.iterdir())
         remedy = "unpack its .zstd files first" if packed else "name the folder of a bag, or a file"
-        raise RecordError(f"{path} is a folder without an .mcap or .db3 file; {remedy}.")
+        raise RecordError(f"{path.name} is a folder without an .mcap or .db3 file; {remedy}.")
     return sorted(found, key=lambda file: [int(p) if p.isdigit() else p for p in _DIGITS.split(file.name)])
-
-
-def read_messages(file: Path) -> Iterator[tuple[Topic, int, bytes]]:
-    """Yield each message of one file of a bag: its topic, the time of the log in nanoseconds, and its bytes.
-
-    The library that reads it runs in a process of its own.
-    """
-    parts = read_parts("bag", file)
-    topics = [
-        Topic(name, kind, encoding, {key: tuple(Field(*each) for each in own) for key, own in types.items()})
-        for name, kind, encoding, types in json.loads(next(parts))
-    ]
-    for batch in parts:
-        at = 0
-        while at < len(batch):
-            number, time, length = _HEAD.unpack_from(batch, at)
-            at += _HEAD.size + length
-            yield topics[number], time, batch[at - length : at]
 
 
 @dataclass(slots=True)
@@ -243,7 +208,6 @@ class _BagTable:
         require_size(self.path, self.numbers)
 
     def table(self) -> Table:
-        """Return the table of all topics."""
         found = {series.topic.name: series.table() for series in self.series.values() if series.logged}
         found = {name: (stamps, columns) for name, (stamps, columns) in found.items() if columns}
         if not found:
@@ -270,15 +234,16 @@ class _Joints(NamedTuple):
 
 def _place_file(path: Path, fill: Callable[[Path], None]) -> None:
     """Make a bag's folder, or only the file in it where the path has a suffix."""
-    if not path.suffix:
-        if path.exists():
-            raise RecordError(f"{path} is already there, and a bag is not written over; name another folder.")
-        fill(path)
-        return
-    with tempfile.TemporaryDirectory(dir=path.absolute().parent) as folder:
-        fill(Path(folder) / "bag")
-        (made,) = (Path(folder) / "bag").glob(f"*{path.suffix.lower()}")
-        shutil.move(made, path)
+    try:
+        if not path.suffix:
+            fill(path)
+            return
+        with tempfile.TemporaryDirectory(dir=path.absolute().parent) as folder:
+            fill(Path(folder) / "bag")
+            (made,) = (Path(folder) / "bag").glob(f"*{path.suffix.lower()}")
+            made.replace(path)
+    except sqlite3.Error as error:
+        raise OSError(str(error)) from error
 
 
 def _find_joint_states(table: Table) -> Iterator[_Joints]:

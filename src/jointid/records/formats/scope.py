@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import groupby
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -26,6 +25,7 @@ _ROWS = frozenset({
 })  # fmt: skip
 _OF_EXPORT = ("Starttime of export", "StartRecord", "SampleTime[ms]", "SymbolName", "Data-Type")
 _LOOK = 200  # lines within which the channels are named
+_LENGTHS = 32  # different ones of groups: all rows are gone through for each
 _TICKS = 10_000  # of a FILETIME (100 ns) in 1 ms
 _FILETIME = (17, 18)  # digits of one: the years 1917 to 4769; what has less is ms since the start
 _OFF = 0.1  # of the sample time, that the time column's step may differ from it
@@ -48,14 +48,9 @@ class Scope:
     starts: tuple[int, ...]
     first: int
 
-    @property
-    def width(self) -> int:
-        """Count of columns, those of time included."""
-        return len(self.rows["Name"])
-
     def groups(self) -> Iterator[range]:
         """Yield the columns of each group; the first of them is its time."""
-        for start, end in zip(self.starts, (*self.starts[1:], self.width), strict=True):
+        for start, end in zip(self.starts, (*self.starts[1:], len(self.rows["Name"])), strict=True):
             yield range(start, end)
 
     def cell(self, key: str, column: int, default: str = "") -> str:
@@ -88,12 +83,7 @@ def read_scope(text: TextFile, scope: Scope, decimal: str | None = None) -> Tabl
     """Return the numbers of an export, each column with its own clock.
 
     Times are in ms, those of FILETIMEs since the first of them. `Offset` is where a channel is drawn, and is never
-    added.
-
-    Args:
-        text: of the file.
-        scope: its layout.
-        decimal: mark of the numbers; None finds it.
+    added. A decimal mark of None is found.
 
     Raises:
         RecordError: it was exported with blanks or without time columns, two channels have one name, or a row is
@@ -103,8 +93,8 @@ def read_scope(text: TextFile, scope: Scope, decimal: str | None = None) -> Tabl
     point = decimal or ("," if scope.delimiter != "," and any("," in row.text for row in rows) else ".")
     numbers = _Numbers(text.name, rows, scope, point)
     values: dict[int, FloatArray] = {}
-    for count, groups in groupby(scope.groups(), lambda group: numbers.count(group.start)):
-        values |= numbers.columns([column for group in groups for column in group], count)
+    for count, columns in _sort_by_length(numbers, scope).items():
+        values |= numbers.columns(columns, count)
     made: dict[str, FloatArray] = {}
     clocks: dict[str, str] = {}
     alike = len({values[start].tobytes() for start in scope.starts}) == 1
@@ -116,6 +106,19 @@ def read_scope(text: TextFile, scope: Scope, decimal: str | None = None) -> Tabl
         made |= {clock: time, **channels}
         clocks |= {} if alike else dict.fromkeys(channels, clock)
     return Table(made, source=text.name, clocks=clocks)
+
+
+def _sort_by_length(numbers: _Numbers, scope: Scope) -> dict[int, list[int]]:
+    """Return the columns of all groups by the count of their rows; those of one count are read together."""
+    found: dict[int, list[int]] = {}
+    for group in scope.groups():
+        found.setdefault(numbers.count(group.start), []).extend(group)
+        if len(found) > _LENGTHS:
+            raise RecordError(
+                f"{numbers.file} has more than {_LENGTHS} groups of channels of different lengths; export fewer "
+                "channels at once."
+            )
+    return found
 
 
 def _number_rows(text: TextFile, scope: Scope) -> list[Line]:
@@ -187,12 +190,13 @@ def _check_step(file: str, time: FloatArray, stated: str, name: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Numbers:
-    """The rows of an export below its header, as text."""
+    """The rows of an export below its header, as text; those that were looked into are kept as cells."""
 
     file: str
     rows: Sequence[Line]
     scope: Scope
     point: str
+    cells: dict[int, list[str]] = field(default_factory=dict)
 
     def count(self, column: int) -> int:
         """Return the count of rows of a group: from the first on, all that have a time."""
@@ -207,10 +211,11 @@ class _Numbers:
         try:
             values = np.loadtxt(plain, delimiter=mark, usecols=wanted, comments=None, ndmin=2)
             found = dict(zip(wanted, values.T, strict=True))
-            for start in set(self.scope.starts) & set(wanted) if self._origin else ():
+            starts = sorted(set(self.scope.starts) & set(wanted)) if (origin := self._origin) else []
+            if starts:
                 # A FILETIME has 18 digits, and a float 16: the difference is taken before.
-                ticks = np.loadtxt(plain, dtype=np.int64, delimiter=mark, usecols=start, comments=None, ndmin=1)
-                found[start] = (ticks - self._origin) / _TICKS
+                ticks = np.loadtxt(plain, dtype=np.int64, delimiter=mark, usecols=starts, comments=None, ndmin=2)
+                found |= dict(zip(starts, ((ticks - origin) / _TICKS).T, strict=True))
         except (ValueError, IndexError, OverflowError):
             raise RecordError(self._damage(wanted, count)) from None
         return found
@@ -222,7 +227,9 @@ class _Numbers:
         return min([int(cell) for cell in firsts if len(cell) in _FILETIME], default=0)
 
     def _cell(self, row: int, column: int) -> str:
-        cells = self.rows[row].text.split(self.scope.delimiter, column + 1)
+        if row not in self.cells:
+            self.cells[row] = self.rows[row].text.split(self.scope.delimiter)
+        cells = self.cells[row]
         return cells[column].strip() if column < len(cells) else ""
 
     def _damage(self, wanted: Sequence[int], count: int) -> str:

@@ -1,9 +1,15 @@
-"""Table of named columns and single numbers, which every file format reads and writes."""
+"""Tables of named columns and single numbers, which every file format reads and writes; and what no format reads.
+
+The libraries behind the binary formats raise whatever their parsers stumble over. None of it tells a user more than
+that the file is damaged, so everything that comes out of them on the way from a file is that sentence.
+"""
 
 from __future__ import annotations
 
 import difflib
+import heapq
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import Field, dataclass, field, replace
 from enum import Flag, auto
 from functools import partial
@@ -14,10 +20,23 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import RecordError
+from jointid.common.errors import JointidError, RecordError
 from jointid.common.text import short, shown
 
+WHOLE = 2**30
+"""Bytes of numbers that are read at once, 1 GiB: 13 columns of 10 million rows; reading them may take twice that."""
+
+WIDEST = 10_000
+"""Columns that are read of a text or a matrix: no drive logs so many, and each is an array of its own."""
+
+PIECES = 2**40
+"""Bytes of numbers that are read in chunks, 1 TiB: more than a year of 4 columns at 1 kHz."""
+
+_NUMBER = 8  # bytes of a number in memory
+_FEW = 3  # things passed over that a sentence names
+_STEPS = ("KiB", "MiB", "GiB", "TiB", "PiB")
 _QUOTED = 100  # characters of a name
+_COMPARED = 1000  # names, letter by letter
 _LISTED = 20  # columns that a message lists; some MAT files have thousands
 
 
@@ -48,7 +67,9 @@ class Table:
     def __post_init__(self) -> None:
         columns: dict[str, FloatArray] = {}
         for name, values in self.columns.items():
-            column = np.array(values, dtype=np.float64)
+            column = np.asarray(values, dtype=np.float64)
+            if column.flags.writeable or column.base is not None:  # what somebody else may change
+                column = np.array(column)
             if column.ndim != 1 or column.size == 0:
                 raise RecordError(f'Column "{name}" has shape {column.shape}; give a non-empty array of one dimension.')
             column.flags.writeable = False
@@ -63,7 +84,7 @@ class Table:
     def list_columns(self, wanted: str) -> str:
         """Return the names of the columns, quoted; of very many, those most like the one that was wanted."""
         names = list(self.columns)
-        close = names if len(names) <= _LISTED else difflib.get_close_matches(wanted, names, _LISTED, cutoff=0.0)
+        close = names if len(names) <= _LISTED else _find_close(wanted, names)
         rest = f" and {len(names) - len(close)} more" if len(close) < len(names) else ""
         return (", ".join(f'"{short(name, _QUOTED)}"' for name in close) or "none") + rest
 
@@ -92,13 +113,30 @@ class Table:
         return replace(self, columns={name: self.columns[name] for name in names})
 
 
+def _find_close(wanted: str, names: Sequence[str]) -> list[str]:
+    """Return the names most like one; of thousands, those that share its letters are compared, by their beginnings."""
+    matcher = difflib.SequenceMatcher(b=wanted[:_QUOTED])
+
+    def share(name: str) -> float:
+        matcher.set_seq1(name[:_QUOTED])
+        return matcher.quick_ratio()
+
+    if len(names) > _COMPARED:
+        names = heapq.nlargest(_COMPARED, names, share)
+    beginnings = {name[:_QUOTED]: name for name in reversed(names)}
+    return [beginnings[one] for one in difflib.get_close_matches(wanted[:_QUOTED], beginnings, _LISTED, cutoff=0.0)]
+
+
 def join_tables(tables: Sequence[Table]) -> Table:
     """Return tables one below the other, one or more; a column that a later one lacks ends there."""
     first = tables[0]
     if len(tables) == 1:
         return first
     parts = {name: [table.columns[name] for table in tables if name in table.columns] for name in first.columns}
-    return replace(first, columns={name: np.concatenate(values) for name, values in parts.items()})
+    joined = {name: np.concatenate(values) for name, values in parts.items()}
+    for values in joined.values():
+        values.flags.writeable = False  # nobody else has them
+    return replace(first, columns=joined)
 
 
 class Holds(Flag):
@@ -112,13 +150,7 @@ class Holds(Flag):
 
 
 def require_place(table: Table, target: str, holds: Holds) -> None:
-    """Raise a `RecordError` if a table has scalars, or columns of several lengths, that have no place in a file.
-
-    Args:
-        table: to be written.
-        target: what the sentence calls the format.
-        holds: what it has a place for.
-    """
+    """Raise a `RecordError` if a table has scalars, or columns of several lengths, that have no place in `target`."""
     if table.scalars and Holds.SCALARS not in holds:
         raise RecordError(f"{target} has no place for the scalars {', '.join(table.scalars)}; write a .mat file.")
     if len({values.size for values in table.columns.values()}) != 1 and Holds.LENGTHS not in holds:
@@ -159,12 +191,7 @@ class Format(Protocol):
         ...
 
     def legal_name(self, name: str, others: Collection[str] = ()) -> str:
-        """Return the name of a column as a file of this format can hold it: itself, or one that is like it.
-
-        Args:
-            name: of the column.
-            others: names that stand beside it.
-        """
+        """Return the name of a column, beside others, as a file can hold it: itself, or one that is like it."""
         ...
 
 
@@ -190,12 +217,9 @@ class Block:
 
 
 def split_rows(total: int, rows: int, read: Callable[[int, int], Table]) -> Iterator[Block]:
-    """Yield so many rows after so many of a file in which any row can be gone to; the last block may have fewer.
+    """Yield blocks of so many rows of a file of `total`, in which any row can be gone to; the last may have fewer.
 
-    Args:
-        total: rows of the file.
-        rows: of a block.
-        read: the function that reads rows: the first of them, and how many.
+    `read` reads rows: it is given the first of them, and how many.
     """
     for first in range(0, total, rows):
         yield Block(min(rows, total - first), partial(read, first))
@@ -220,3 +244,55 @@ class Streamed(Protocol):
 
 class NotStreamedError(RecordError):
     """A file that can only be read whole was to be read in chunks."""
+
+
+@contextmanager
+def explain_damage(path: Path, format_name: str, remedy: str) -> Iterator[None]:
+    """Turn whatever a library raises into the sentence on a damaged file; `remedy`, its end, is what to do then."""
+    try:
+        yield
+    except (JointidError, MemoryError):
+        raise
+    except Exception as error:
+        raise RecordError(
+            f"{path.name} cannot be read as {format_name}: it is damaged, cut off or of another format; {remedy}."
+        ) from error
+
+
+def require_size(path: Path, numbers: int, limit: int = WHOLE) -> None:
+    """Raise a `RecordError` on a file that declares more numbers than are read, before there is memory for any."""
+    if numbers * _NUMBER > limit:
+        advice = (
+            "choose columns with jointid data convert --columns, or read it in chunks with jointid identify --window"
+            if limit == WHOLE
+            else "cut it into shorter files"
+        )
+        raise RecordError(
+            f"{path.name} declares {format_size(numbers * _NUMBER)} of numbers, and at most {format_size(limit)} are "
+            f"read; {advice}."
+        )
+
+
+def format_size(count: int) -> str:
+    """Return a number of bytes in words."""
+    if count < 1024:
+        return f"{count} bytes"
+    value, step = float(count), -1
+    while value >= 1024 and step < len(_STEPS) - 1:
+        value, step = value / 1024, step + 1
+    return f"{value:.3g} {_STEPS[step]}" if value < 1000 else f"{value:.0f} {_STEPS[step]}"
+
+
+def require_unique_names(path: Path, names: list[str]) -> None:
+    """Raise a `RecordError` that names a column if two have one name."""
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            raise RecordError(f"{path.name} has more than one column called {name!r}; rename them.")
+        seen.add(name)
+
+
+def list_passed(passed: Mapping[str, str]) -> str:
+    """Return what was passed over and why, in brackets: the first few; "" of nothing."""
+    listed = "; ".join(f"{name!r}: {why}" for name, why in list(passed.items())[:_FEW])
+    return f" ({listed})" if listed else ""

@@ -13,8 +13,16 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError, extra
-from jointid.records.formats.table import Block, Holds, Table, split_rows
-from jointid.records.formats.untrusted import PIECES, explain_damage, require_size, require_unique_names
+from jointid.records.formats.table import (
+    PIECES,
+    Block,
+    Holds,
+    Table,
+    explain_damage,
+    require_size,
+    require_unique_names,
+    split_rows,
+)
 
 _NAMELESS = "Untitled"  # what LabVIEW calls a group that has no name
 _UNITS = ("unit_string", "unit", "units", "Unit")
@@ -96,7 +104,6 @@ class _Channel(NamedTuple):
     late: float = 0.0
 
     def values(self, first: int, last: int) -> FloatArray:
-        """Return the rows from the first up to the last."""
         if self.is_time:
             step, offset = (float(self.channel.properties.get(key, 0.0)) for key in (_STEP, _OFFSET))
             return np.asarray(self.late + offset + np.arange(first, last) * step)
@@ -120,7 +127,6 @@ class _Contents:
 
     @property
     def rows(self) -> int:
-        """Of the longest column."""
         return max(channel.rows for channel in self.channels)
 
     def read(self, first: int, count: int) -> Table:

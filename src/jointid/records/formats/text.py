@@ -17,7 +17,7 @@ from jointid.common.errors import RecordError
 
 _COMMENTS = ("#", "%", "//")
 _HEAD = 65536  # bytes
-_LONGEST = 2_500_000  # characters of a line: 100,000 numbers of 24
+_LONGEST = 2_500_000  # characters of a line: more than the widest table has
 _SPREADSHEET = "sep="  # "sep=;" is a note from one spreadsheet program to another
 
 BLANKS = " "
@@ -27,7 +27,7 @@ _DELIMITERS = (";", "\t", "|", ",", BLANKS)  # of dialects that read a file alik
 _SAMPLE = 200  # lines that decide, from the end of the file, where the data is
 _EXPONENT_OR_WORD = r"(?:e[+-]?\d+)?|nan|inf|infinity)"
 _NUMBERS = {
-    ".": re.compile(r"[+-]?(?:(?:\d+\.?\d*|\.\d+)" + _EXPONENT_OR_WORD, re.ASCII | re.IGNORECASE),
+    ".": re.compile(r"[+-]?(?:(?:\d+(?:\.\d*)?|\.\d+)" + _EXPONENT_OR_WORD, re.ASCII | re.IGNORECASE),
     # Digits must follow a decimal comma, so that "1, 2" is never a number and a blank.
     ",": re.compile(r"[+-]?(?:\d+(?:,\d+)?" + _EXPONENT_OR_WORD, re.ASCII | re.IGNORECASE),
 }
@@ -42,13 +42,7 @@ class Line(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class TextFile:
-    """The lines of a text file.
-
-    Attributes:
-        name: the file's name.
-        lines: the lines that are neither empty nor comments.
-        comment: the comment right above the first of them, without its mark; None if there is none.
-    """
+    """The lines of a text file that are neither empty nor comments, and the comment right above, without its mark."""
 
     name: str
     lines: list[Line]
@@ -148,12 +142,7 @@ def is_number(cell: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """Delimiter and decimal mark of a text.
-
-    Attributes:
-        delimiter: one character; `BLANKS` is any run of blanks.
-        decimal: "." or ",".
-    """
+    """Delimiter, one character or `BLANKS` for any run of blanks, and decimal mark of a text."""
 
     delimiter: str
     decimal: str
@@ -205,12 +194,8 @@ def sniff(lines: Sequence[str], delimiter: str | None, decimal: str | None) -> l
     """Return the readings of `lines` that no other beats; none if there is no row of numbers.
 
     There are two where the lines are like "1,5": two whole numbers, or one number with a decimal comma (the
-    second reading).
-
-    Args:
-        lines: lines that are neither empty nor comments; the last of them decide.
-        delimiter: the delimiter, where it is known.
-        decimal: the decimal mark, where it is known.
+    second reading). Lines are neither empty nor comments, and the last of them decide; delimiter and decimal mark are
+    given where they are known.
     """
     fits: list[Fit] = []
     for mark in (delimiter,) if delimiter else _DELIMITERS:

@@ -1,1 +1,1 @@
-"""Signals: filters, derivatives and windows, unwrapping, encoder steps, and excitation."""
+"""Signals: filters, derivatives and windows."""

@@ -29,6 +29,7 @@ _CUTOFFS = {"rigid": (0.1, 0.04), "flexible": (0.15, 0.06)}
 _ROOM = 0.8  # of the new Nyquist frequency is left to the pass band
 _RIPPLE = 0.05  # dB of the decimation filter
 _ORDER = 8  # of the decimation filter
+_POSITION_ORDER = 4  # of the position filter: for IDIM the highest derivative plus 2
 
 
 @documented
@@ -120,21 +121,42 @@ class Filtering:
             )
         return replace(self, position_cutoff=position, cutoff=cutoff, decimation=self.decimation or most)
 
+    def decimate(self, values: FloatArray, sample_time: float) -> FloatArray:
+        """Return values low-passed both ways and thinned; the filtering must be `resolved`.
 
-def lowpass(values: FloatArray, cutoff: float, sample_time: float, order: int = 4) -> FloatArray:
-    """Return `values` through a Butterworth filter forwards and backwards: no phase, twice the attenuation.
+        Chebyshev type I of order 8 and 0.05 dB. Forwards and backwards it passes a constant at 0.9886, so it must be
+        applied to both sides of an equation. The last sample is always kept, and every so many before it.
+
+        Args:
+            values: (samples,) or (samples, columns).
+            sample_time: of the values, s.
+
+        Examples:
+            >>> import numpy as np, jointid as ji
+            >>> filtering = ji.Filtering(cutoff=60.0).resolved(1e-3)
+            >>> filtering.decimation, len(filtering.decimate(np.ones(3001), 1e-3))
+            (6, 501)
+        """
+        from scipy.signal import sosfiltfilt
+
+        cutoff, keep, first, padding = _plan_decimation(values, self, sample_time)
+        return np.asarray(sosfiltfilt(_design_chebyshev(cutoff), values, axis=0, padlen=padding))[first::keep]
+
+
+def lowpass(values: FloatArray, cutoff: float, sample_time: float) -> FloatArray:
+    """Return `values` through a Butterworth filter of order 4 forwards and backwards: no phase, twice the attenuation.
 
     Args:
         values: (samples,) or (samples, columns).
         cutoff: Hz.
         sample_time: seconds.
-        order: of the filter; for IDIM the highest derivative plus 2.
 
     Ends are padded by 3 x order samples, reflected about the end point. Raises `RecordError` on a shorter signal.
     """
     from scipy.signal import sosfiltfilt
 
-    sections, padding = _design_butterworth(2 * cutoff * sample_time, order), _require_padding(values, order)
+    sections = _design_butterworth(2 * cutoff * sample_time)
+    padding = _require_padding(values, _POSITION_ORDER)
     return np.asarray(sosfiltfilt(sections, values, axis=0, padlen=padding))
 
 
@@ -165,32 +187,12 @@ def differentiate(values: FloatArray, sample_time: float) -> FloatArray:
     return np.asarray(np.gradient(values, sample_time, axis=0))
 
 
-def decimate(values: FloatArray, filtering: Filtering, sample_time: float) -> FloatArray:
-    """Return `values` low-passed both ways and thinned; `filtering` must be `resolved`.
-
-    Chebyshev type I of order 8 and 0.05 dB. Forwards and backwards it passes a constant at 0.9886, so it must be
-    applied to both sides of an equation. The last sample is always kept, and every so many before it.
-
-    Args:
-        values: (samples,) or (samples, columns).
-        filtering: cut-off and decimation.
-        sample_time: seconds.
-    """
-    from scipy.signal import sosfiltfilt
-
-    cutoff, keep, first, padding = _plan_decimation(values, filtering, sample_time)
-    return np.asarray(sosfiltfilt(_design_chebyshev(cutoff), values, axis=0, padlen=padding))[first::keep]
-
-
 def decimate_all(parts: Sequence[FloatArray], filtering: Filtering, sample_time: float) -> list[FloatArray]:
-    """Decimate several signals as `decimate` does, to rounding, by the filter's `modes`.
+    """Decimate several signals as `Filtering.decimate` does, to rounding, by the filter's `modes`.
 
     Several times faster, where a search pays for loading the compiler.
 
-    Args:
-        parts: (samples,) or (samples, columns) each. Columns that stand one after the other are read where they stand.
-        filtering: cut-off and decimation.
-        sample_time: seconds.
+    The parts are (samples,) or (samples, columns) each. Columns that stand one after the other are read where they are.
     """
     cutoff, keep, first, padding = _plan_decimation(parts[0], filtering, sample_time)
     series = [np.ascontiguousarray(np.atleast_2d(part.T), dtype=np.float64) for part in parts]
@@ -212,11 +214,11 @@ def _plan_decimation(values: FloatArray, filtering: Filtering, sample_time: floa
 
 
 @lru_cache(maxsize=64)
-def _design_butterworth(cutoff: float, order: int) -> FloatArray:
+def _design_butterworth(cutoff: float) -> FloatArray:
     """Return a position filter's sections; the cut-off as a fraction of the Nyquist frequency."""
     from scipy.signal import butter
 
-    return np.asarray(butter(order, cutoff, output="sos"))
+    return np.asarray(butter(_POSITION_ORDER, cutoff, output="sos"))
 
 
 @lru_cache(maxsize=64)
@@ -266,26 +268,18 @@ def window_torque(channel: Channel, delay: float = 0.0) -> FloatArray:
     instant: what the window takes from one side it takes from the other (`apply_window`).
 
     Args:
-        channel: the torque; its timing says what a logged value stands for. A sampled one is taken to hold for half a
-            period on each side.
+        channel: the torque; its timing says what a logged value stands for, see `Timing.begins`.
         delay: seconds between the logged value and the torque that acts.
     """
     period, values = channel.sample_time, channel.values
-    begins = {Timing.HELD: 0.0, Timing.SAMPLED: -0.5, Timing.AVERAGED: -1.0}[channel.timing] + delay / period
-    weights, first = _window_weights(1, begins, 0)
+    weights, first = _window_weights(1, channel.timing.begins + delay / period, 0)
     padded = np.pad(values, (max(-first, 0), max(first + weights.size - 1, 0)), mode="edge")
     begin = first + max(-first, 0)
     return np.correlate(padded[begin : begin + values.size + weights.size - 1], weights, "valid")
 
 
 def _window_weights(parts: int, late: float, order: int) -> tuple[FloatArray, int]:
-    """Return the weights of the parts of samples in the window, and which part after the instant is the first of them.
-
-    Args:
-        parts: of a sample.
-        late: samples by which a signal is seen after it acts; may be broken, and negative.
-        order: of the derivative by `late` that is wanted, 0 to 2.
-    """
+    """Return the weights of the parts in the window of `window_parts`, and which after the instant is the first."""
     first, last = math.floor(parts * (-2.0 - late)), math.ceil(parts * (2.0 - late))
     edges = np.arange(first, last + 1) / parts + late
     inside = np.clip(edges, -2.0, 2.0)

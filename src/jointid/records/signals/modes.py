@@ -77,7 +77,7 @@ class Thinning:
         between: (2, keep, 2 modes) what the samples between two that are kept add to the later, forwards, and to the
             earlier, backwards: real parts, then imaginary ones.
         older: (modes, padding + keep + 1) the powers of the poles.
-        powers: see `common.iir_kernels.carry`.
+        powers: see `common.compiled.carry`.
         weights: (2 modes,) of what the modes say: real parts, then imaginary ones.
     """
 
@@ -139,7 +139,7 @@ class Thinning:
             states: (signals, modes) where they begin.
             step: 1 forwards, -1 backwards.
         """
-        from jointid.common.iir_kernels import carry
+        from jointid.common.compiled import carry
 
         forwards = step > 0
         columns, stands = self.between[0 if forwards else 1], np.concatenate([states.real, states.imag], axis=1)

@@ -27,6 +27,14 @@ function show() {
   }
 }
 
+// The drive's own numbers are asked for where a signal is in its own units.
+function ask() {
+  const part = document.querySelector("[data-own-units]");
+  if (!part) return;
+  const own = part.dataset.ownUnits.split(" ");
+  if (all('select[name*=".unit@"]').some((select) => !select.disabled && own.includes(select.value))) part.open = true;
+}
+
 // The plot beside a channel is that of its column.
 function draw(select) {
   const channel = select.closest("[data-channel]");
@@ -41,6 +49,13 @@ function draw(select) {
   }
   channel.querySelector(".empty").hidden = Boolean(select.value);
   channel.querySelector(".details").hidden = !select.value;
+}
+
+// A decimal comma is read; what it is read as is shown. The field's unit is not, behind one that is entered.
+function plain(input) {
+  const text = input.value.trim();
+  if (/^[-+]?\d*,\d+([eE][-+]?\d+)?(\s*[^\d\s.,].*)?$/.test(text)) input.value = text.replace(",", ".");
+  input.closest(".entry").classList.toggle("said", /\d\s*[^\d\s.,;eE+-]/.test(text));
 }
 
 // The draft is kept at each change, so that a reload finds it again.
@@ -62,7 +77,9 @@ for (const form of all("form[data-draft]")) {
       field.querySelector(".fault").hidden = true;
     }
     if (event.target.matches("[data-column]")) draw(event.target);
+    if (event.target.matches("[data-number]")) plain(event.target);
     show();
+    ask();
     keep(form);
   });
 }
@@ -110,28 +127,80 @@ for (const zone of all("[data-drop]")) {
   });
 }
 
-// An identification is followed line by line; at its end its page is read anew.
+// An identification is followed line by line. When there is another answer its page is read anew; the report takes its
+// place there without that, so that whoever reads is left where they are.
 const run = document.querySelector("[data-run]");
 if (run) {
   const log = run.querySelector(".log");
   const clock = run.querySelector("[data-clock]");
   const began = Date.now() - 1000 * Number(run.dataset.elapsed);
-  setInterval(() => { clock.textContent = `${Math.round((Date.now() - began) / 1000)} s`; }, 1000);
-  log.replaceChildren();
+  if (clock) setInterval(() => { clock.textContent = `${Math.round((Date.now() - began) / 1000)} s`; }, 1000);
+  if (log) log.replaceChildren();
   const source = new EventSource(run.dataset.run);
   source.addEventListener("message", (event) => {
+    const said = JSON.parse(event.data);
+    for (const last of all("[data-last]", run)) last.textContent = said;
+    if (!log) return;
     const line = document.createElement("li");
-    line.textContent = JSON.parse(event.data);
+    line.textContent = said;
     log.append(line);
     log.scrollTop = log.scrollHeight;
   });
-  source.addEventListener("end", () => {
+  const leave = () => {
     source.close();
     location.reload();
+  };
+  source.addEventListener("answer", (event) => { if (JSON.parse(event.data) !== run.dataset.answer) leave(); });
+  source.addEventListener("report", (event) => { if (run.dataset.answer) showReport(JSON.parse(event.data)); });
+  source.addEventListener("end", (event) => {
+    if (!run.dataset.answer || JSON.parse(event.data) !== "done") leave();
+    source.close();
+    run.remove();
   });
   window.addEventListener("pagehide", () => source.close());
 }
 
-const faults = document.querySelector("[data-focus]") || document.querySelector('[aria-invalid="true"]');
-if (faults) faults.focus();
+// A report that is being read is replaced when its reader says so.
+function showReport(stamp) {
+  const report = document.querySelector("[data-report]");
+  if (report.dataset.report === stamp) return;
+  const frame = report.querySelector("iframe");
+  const newer = document.querySelector("[data-newer]");
+  const load = () => {
+    frame.src = frame.dataset.src;
+    newer.hidden = true;
+  };
+  if (report.dataset.report && frame.closest("details").open) {
+    newer.hidden = false;
+    newer.querySelector("button").onclick = load;
+  } else load();
+  report.dataset.report = stamp;
+  report.hidden = false;
+  for (const one of all("[data-missing]", run)) one.hidden = true;
+  for (const one of all("[data-partial]", run)) one.hidden = false;
+}
+
+// A field that a sentence named, or that is wrong, is in sight and marked, whatever is folded around it.
+function point(field) {
+  for (let part = field.closest("details"); part; part = part.parentElement.closest("details")) part.open = true;
+  field.focus();
+  const around = field.closest(".field");
+  if (around) {
+    around.classList.add("named");
+    around.scrollIntoView({ block: "center" });
+  }
+}
+
 show();
+ask();
+for (const wrong of all('[aria-invalid="true"]').reverse()) {
+  for (let part = wrong.closest("details"); part; part = part.parentElement.closest("details")) part.open = true;
+}
+const named = location.hash.length > 1 && document.getElementById(decodeURIComponent(location.hash.slice(1)));
+const faults = document.querySelector("[data-focus]") || document.querySelector('[aria-invalid="true"]:not(:disabled)');
+if (named && named.matches("input, select, textarea")) point(named);
+else if (faults) faults.focus();
+window.addEventListener("hashchange", () => {
+  const field = document.getElementById(decodeURIComponent(location.hash.slice(1)));
+  if (field && field.matches("input, select, textarea")) point(field);
+});

@@ -1,0 +1,90 @@
+"""Ctrl-C and a request to end (SIGTERM, SIGHUP): whatever is being written is tidied away, and there is no traceback.
+
+Python raises an exception where the program stands, and that may be a place that swallows exceptions or makes others of
+them: an import, a callback of a library. What came is therefore kept here, and asked for when the program ends.
+"""
+
+from __future__ import annotations
+
+import _thread
+import signal
+import sys
+import threading
+from types import FrameType
+from typing import TYPE_CHECKING
+
+from jointid.apps.cli import INTERRUPTED
+
+if TYPE_CHECKING:
+    from sys import UnraisableHookArgs
+
+_MOMENT = 0.02  # s
+
+_received: list[int] = []
+
+
+class EndedError(BaseException):
+    """The program was asked to end; no search keeps its best for that."""
+
+
+def describe(number: int) -> str:
+    """Return by what the program is ended."""
+    return (
+        INTERRUPTED
+        if number == signal.SIGINT
+        else INTERRUPTED.replace("Interrupted", f"Ended by {signal.Signals(number).name}")
+    )
+
+
+def listen_to_signals() -> None:
+    """Raise what ends the program where a signal arrives; those that are ignored, as under nohup, stay so."""
+    signal.signal(signal.SIGINT, _receive)
+    for name in ("SIGTERM", "SIGHUP"):
+        one = getattr(signal, name, None)
+        if one is not None and signal.getsignal(one) is signal.SIG_DFL:
+            signal.signal(one, _receive)
+    sys.unraisablehook = _raise_again
+
+
+def ignore_signals() -> None:
+    """Let nothing more disturb a program whose work is done, and which will end by itself at once."""
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        one = getattr(signal, name, None)
+        if one is not None:
+            signal.signal(one, signal.SIG_IGN)
+
+
+def received() -> int | None:
+    """Return the signal that the program is to end by, None if there was none."""
+    return _received[-1] if _received else None
+
+
+def _receive(number: int, frame: FrameType | None) -> None:
+    _received.append(number)
+    if frame is not None and frame.f_code is _raise_again.__code__:  # which swallows what is raised in it
+        _once_more()
+        return
+    raise KeyboardInterrupt if number == signal.SIGINT else EndedError
+
+
+def _raise_again(swallowed: UnraisableHookArgs) -> None:
+    """Raise once more what a callback has swallowed; report anything else as ever."""
+    if isinstance(swallowed.exc_value, KeyboardInterrupt | EndedError) and _received:
+        _once_more()
+    else:
+        sys.__unraisablehook__(swallowed)
+
+
+def _once_more() -> None:
+    """Let the last signal arrive again, a moment later: at once it would arrive where it cannot be raised."""
+    again = threading.Timer(_MOMENT, _send, (signal.Signals(_received[-1]),))
+    again.daemon = True
+    again.start()
+
+
+def _send(number: signal.Signals) -> None:
+    """Send a signal to the main thread, which wakes it, too, where the system can do that."""
+    if sys.platform == "win32":
+        _thread.interrupt_main(number)
+    else:
+        signal.pthread_kill(threading.main_thread().ident or 0, number)

@@ -1,0 +1,89 @@
+"""Work beside other work, on another of the machine's cores."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+import warnings
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from typing import Any, Generic, TypeVar
+
+from jointid.common.errors import JointidError
+
+Result = TypeVar("Result")
+
+_ENDINGS = (signal.SIGINT, signal.SIGTERM)
+
+
+class Aside(Generic[Result]):
+    """A call that runs in a process of its own from now on; where that cannot be, once its result is asked for.
+
+    A process is a copy of this one as it stands, so that nothing is imported or compiled again; only Linux makes one
+    safely. It ends with this one, however that ends. What the call prints or notes is lost with it, and its result must
+    be picklable.
+    """
+
+    def __init__(self, call: Callable[[], Result]) -> None:
+        """Start it."""
+        self._call, self._answer = call, None
+        alone = (os.cpu_count() or 1) < 2 or multiprocessing.current_process().daemon
+        if sys.platform != "linux" or alone:
+            return
+        context = multiprocessing.get_context("fork")
+        self._answer, sender = context.Pipe(duplex=False)
+        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, _ENDINGS)  # until it knows how to end without a word
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", DeprecationWarning)  # threads that only draw a bar are no hindrance
+                process = context.Process(target=_send, args=(call, sender), daemon=True)
+                process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+        sender.close()
+
+    def is_done(self, within: float = 0.0) -> bool:
+        """Whether its result is there, or is within so many seconds; never where it runs once that is asked for."""
+        return self._answer is not None and self._answer.poll(within)
+
+    def result(self) -> Result:
+        """Wait for the result and return it.
+
+        Raises:
+            JointidError: the call did.
+        """
+        if self._answer is not None:
+            try:
+                good, found = self._answer.recv()
+            except EOFError:  # it was killed, or had a fault of ours, which shows here
+                return self._call()
+            if not good:
+                raise found
+            result: Result = found
+            return result
+        return self._call()
+
+
+def _end_with_parent() -> None:
+    """Wait for the end of the process that made this one: who is killed ends nobody, and none is left to answer to."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
+
+
+def _send(call: Callable[[], Any], sender: Connection) -> None:
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    for ending in _ENDINGS:
+        signal.signal(ending, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDINGS)
+    try:
+        try:
+            sender.send((True, call()))
+        except JointidError as error:
+            sender.send((False, error))
+    except Exception:  # without an answer the call is made again, in sight
+        sender.close()

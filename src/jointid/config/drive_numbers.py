@@ -1,0 +1,155 @@
+"""The numbers of a controller as the drive of a joint file shows them: units, names and values that the file says."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from jointid.common import units
+from jointid.common.parameters import TORQUE_UNIT
+from jointid.common.transmission import SIDES
+from jointid.common.units import Kind
+from jointid.config.controller_gain import AGREES
+from jointid.config.quantities import OUTPUTS, Stated, output_of, speaks_output, units_declared
+from jointid.models.controllers import Cascade, Controller, ServoController, declared_unit, numbers_of
+from jointid.models.controllers.drive_numbers import DriveNumber
+from jointid.models.joints import Joint
+from jointid.records.drives import Drive
+
+_TIMES: Mapping[str, str] = {"integral_gain": "integral_time", "derivative_gain": "derivative_time"}
+"""Gains that a drive may show as times."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Said:
+    """What a joint file says of its controller.
+
+    Attributes:
+        controller: as declared; gains that are not said have stand-ins.
+        keys: settings of it that the file gives.
+        stated: numbers with their units, by the path of their key.
+        kind: how the controller's side moves.
+        output: the unit of what the controller gives out; None where that is not known.
+        profile: names and units of the drive's own parameters, by the key that they are.
+    """
+
+    controller: Any
+    keys: Collection[str]
+    stated: Mapping[str, Stated]
+    kind: Kind
+    output: str | None
+    profile: Mapping[str, tuple[str, tuple[str, ...]]]
+
+
+def drive_numbers(
+    learned: Controller,
+    declared: Controller | None,
+    keys: Collection[str],
+    stated: Mapping[str, Stated],
+    joint: Joint,
+    drive: Drive,
+) -> tuple[DriveNumber, ...]:
+    """Return how the drive shows the numbers of a learned law.
+
+    Args:
+        learned: the law, on the joint's side or on that of the declared one.
+        declared: the controller of the joint file, whose side, gain and units are the drive's.
+        keys: settings of it that the file gives.
+        stated: numbers with their units, by the path of their key.
+        joint: with its transmission.
+        drive: its torque constant, and the profile with its parameters' names.
+    """
+    if not isinstance(declared, ServoController) or not isinstance(learned, ServoController):
+        return ()
+    kind = _kind(joint, getattr(declared, "ratio", 1.0))
+    gains = () if drive.traces is None else drive.traces.gains
+    profile = {gain.key: (gain.name, gain.units) for gain in gains}
+    said = _Said(declared, keys, stated, kind, _output(declared, stated, joint, drive, kind), profile)
+    return tuple(one for name in numbers_of(learned) for one in _shown(learned, name, said))
+
+
+def _kind(joint: Joint, ratio: float) -> Kind:
+    """Return how the side of a controller moves that sees the joint through that ratio."""
+    gear = joint.transmission
+    if gear is None:
+        return joint.kind
+    return next((gear.kind_of(side) for side in SIDES if gear.torque(side) == ratio), joint.kind)
+
+
+def _output(declared: Any, stated: Mapping[str, Stated], joint: Joint, drive: Drive, kind: Kind) -> str | None:
+    """Return the unit of a controller's output: as a number with a unit says, else by its gain."""
+    for path, text in stated.items():
+        name = path.removeprefix("controller.")
+        if path == name or name not in numbers_of(declared):
+            continue
+        if output := output_of(text.text, declared_unit(declared, name), kind):
+            return output
+    gain, gear = getattr(declared, "gain", 1.0), joint.transmission
+    if gain == 1.0:
+        return joint.torque_unit or TORQUE_UNIT[kind]
+    through = 1.0 if gear is None else abs(gear.torque("motor") / declared.ratio)
+    for constant, unit in ((drive.torque_constant, "A"), (drive.torque_per_volt, "V")):
+        if constant is not None and abs(gain / (constant * through) - 1.0) <= AGREES:
+            return unit
+    return None
+
+
+def _shown(learned: Any, name: str, said: _Said) -> Iterator[DriveNumber]:
+    """Yield how the drive shows one number; nothing where its unit is not known there."""
+    known = numbers_of(said.controller) if type(said.controller) is type(learned) else {}
+    declared = known.get(name) if name.partition(".")[0] in said.keys else None
+    if (time := _time_of(learned, name, said)) is not None:
+        unit, inverse = _unit_in_drive(time, "ms", said), name == "integral_gain"
+        per = "" if isinstance(learned, Cascade) else "position_gain"
+        second = 1.0 / units.parse_unit(unit).factor
+        there = DriveNumber(name, _called(time, said), unit, second, inverse, per=per)
+        yield replace(there, declared=there.of(declared, known)) if declared else there
+        return
+    measured = declared_unit(learned, name)
+    candidates, speaks = units_declared(measured, said.kind), speaks_output(measured)
+    if not candidates:  # a share, say
+        if declared is not None:
+            yield DriveNumber(name, _called(name, said), "", 1.0, declared=declared)
+        return
+    plain = dict(zip(OUTPUTS[said.kind], candidates, strict=True)).get(said.output or "") if speaks else candidates[0]
+    unit = _unit_in_drive(name, plain or "", said)
+    one = next((v for c in candidates if unit and (v := units.Quantity(1.0, unit).matching(c)) is not None), None)
+    if one is None:
+        return
+    factor = abs(said.controller.ratio / learned.ratio) ** _power(measured) / one
+    if speaks:
+        factor *= abs(learned.gain * learned.ratio) / abs(said.controller.gain * said.controller.ratio)
+    yield DriveNumber(name, _called(name, said), unit, factor, declared=None if declared is None else declared / one)
+
+
+def _time_of(learned: Any, name: str, said: _Said) -> str | None:
+    """Return the key of the time that a drive shows for a gain, None where it shows the gain.
+
+    Of a cascade it is the time where nothing is declared; of the other laws, which have both, where it is declared.
+    """
+    time = _TIMES.get(name)
+    by_itself = isinstance(learned, Cascade) and name not in said.keys
+    return time if time in said.keys or by_itself else None
+
+
+def _called(key: str, said: _Said) -> str:
+    """Return what a number is called: its key, and the drive's own name before it."""
+    return f"{said.profile[key][0]} {key}" if key in said.profile else key
+
+
+def _unit_in_drive(key: str, plain: str, said: _Said) -> str:
+    """Return the unit in which the drive shows a number: the joint file's, the profile's, or a plain one."""
+    if (text := said.stated.get(f"controller.{key}")) is not None:
+        return units.parse_quantity(text.text).unit
+    choices = said.profile.get(key, ("", ()))[1]
+    if not plain:
+        return choices[0] if len(choices) == 1 else ""
+    return next((unit for unit in choices if units.Quantity(1.0, unit).matching(plain) is not None), plain)
+
+
+def _power(measured: str) -> int:
+    """Return the power of a position in the unit that a setting declares."""
+    if "rad" not in measured:
+        return 0
+    return -1 if speaks_output(measured) else 1

@@ -1,0 +1,133 @@
+"""Numbers of the joint file that are given with a unit, as ``velocity_gain = "0.8 A s/rad"``.
+
+A number is SI, or in the controller's units; a text is a number with a unit that measures what the setting's
+declaration says. The value is taken to SI where it is read, and its words are kept for a file that is written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import lru_cache
+from typing import Any
+
+from jointid.common import messages, units
+from jointid.common.units import Kind, UnitError
+from jointid.models.controllers import CONTROLLER_UNITS
+
+OUTPUTS: Mapping[Kind, tuple[str, ...]] = {"prismatic": ("N", "A", "V", "%"), "revolute": ("N m", "A", "V", "%")}
+"""What a controller may give out, by how its side moves."""
+
+_LENGTHS = ("m", "m/s", "m/s2", "m s")  # what is behind a "per" for a side that moves straight
+
+
+class Stated(float):
+    """A number with the words it was given in; its value is what a plain number there would be.
+
+    Attributes:
+        text: as the file has it.
+        key: of the file, where the value became that of another key: ``integral_time`` of an ``integral_gain``.
+    """
+
+    text: str
+    key: str
+
+    def __new__(cls, value: float, text: str, key: str = "") -> Stated:
+        """Return the number."""
+        made = super().__new__(cls, value)
+        made.text, made.key = text, key
+        return made
+
+    def __getnewargs__(self) -> tuple[float, str, str]:  # type: ignore[override]
+        """Return what makes it again: for copies."""
+        return float(self), self.text, self.key
+
+
+@lru_cache(maxsize=256)
+def units_declared(declared: str, kind: Kind | None = None) -> tuple[str, ...]:
+    """Return the units that measure what a declaration says; "N m s/rad" and others for controller units per rad/s.
+
+    Args:
+        declared: of the setting: "1/s", "m/s or rad/s", "controller units per m/s or rad/s".
+        kind: how the side moves; None for both.
+    """
+    kinds: tuple[Kind, ...] = ("prismatic", "revolute") if kind is None else (kind,)
+    if not speaks_output(declared):
+        choices = [unit.strip() for unit in declared.replace(",", " or ").split(" or ")]
+        if len(choices) == 2 and kind is not None:  # straight, then turning
+            choices = [choices[kinds[0] == "revolute"]]
+        return tuple(unit for unit in choices if _is_known(unit))
+    per = declared.removeprefix(CONTROLLER_UNITS).removeprefix(" per ").split(" or ") if " per " in declared else [""]
+    found = []
+    for one in kinds:
+        below = per[0] if len(per) == 1 or one == "prismatic" else per[1]
+        found += [units.per(output, below) for output in OUTPUTS[one]]
+    return tuple(dict.fromkeys(found))
+
+
+def _is_known(unit: str) -> bool:
+    try:
+        units.parse_unit(unit)
+    except UnitError:
+        return False
+    return True
+
+
+def output_of(text: str, declared: str, kind: Kind) -> str | None:
+    """Return what the controller gives out, N, N m, A, V or %, as a text in its units says; None in no such unit."""
+    if not speaks_output(declared):
+        return None
+    said = units.parse_quantity(text)
+    known = zip(OUTPUTS[kind], units_declared(declared, kind), strict=True)
+    return next((output for output, unit in known if said.matching(unit) is not None), None)
+
+
+def speaks_output(declared: str) -> bool:
+    """Return True for what is measured in the controller's own units, by itself or per another unit."""
+    return declared.startswith(CONTROLLER_UNITS)
+
+
+def is_quantity(text: str) -> bool:
+    """Return True for a text that is a number and something behind it: a unit that is known, or one that is not."""
+    return not messages.is_number(text) and text.lstrip()[:1] in set("0123456789.+-")
+
+
+def misfit(text: str, declared: str, kind: Kind | None = None) -> str | None:
+    """Return the rest of the sentence on a text whose unit does not measure what is declared, else None."""
+    known = units_declared(declared, kind)
+    try:
+        said = units.parse_quantity(text)
+    except UnitError as error:
+        return f" is {messages.format_value(text)}; {error}."
+    if any(said.matching(unit) is not None for unit in known):
+        return None
+    plain = "the controller's units" if speaks_output(declared) else "SI units"
+    return (
+        f" is {messages.format_value(text)}; expected a number in {_either(known)}, or a plain one in {plain}: correct "
+        "the unit."
+    )
+
+
+def _either(known: tuple[str, ...]) -> str:
+    *most, last = known
+    return f"{', '.join(most)} or {last}" if most else last
+
+
+def stated(text: str, declared: str) -> Stated:
+    """Return the number of a text that is no `misfit`."""
+    said = units.parse_quantity(text)
+    return Stated(next(v for unit in units_declared(declared) if (v := said.matching(unit)) is not None), text)
+
+
+def stated_in(table: Any, before: str = "") -> Iterator[tuple[str, Stated]]:
+    """Yield the numbers below a table of the joint file that are given with a unit, by the path of their key."""
+    if isinstance(table, Stated):
+        yield before, table
+    elif isinstance(table, list):
+        for place, item in enumerate(table):
+            yield from stated_in(item, f"{before}.{place}")
+    elif isinstance(table, dict):
+        for key, item in table.items():
+            yield from stated_in(item, f"{before}.{key}" if before else key)
+    elif hasattr(table, "model_fields_set"):
+        given = {key: getattr(table, key) for key in type(table).model_fields if key in table.model_fields_set}
+        yield from stated_in(given, before)

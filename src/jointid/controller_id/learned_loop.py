@@ -1,0 +1,212 @@
+"""A controller learned from a record, and its document."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from jointid.common.arrays import FloatArray
+from jointid.common.document import (
+    Block,
+    Document,
+    Documented,
+    Facts,
+    Listing,
+    Paragraph,
+    Table,
+    common_facts,
+    data_frame,
+)
+from jointid.common.messages import Message
+from jointid.common.text import counted, number
+from jointid.common.transmission import Transmission
+from jointid.controller_id.in_drive import NumberInDrive, drive_table, numbers_in_drive
+from jointid.controller_id.intervals import LearnedNumber
+from jointid.controller_id.limitations import LimitationCode
+from jointid.controller_id.structures import Structure
+from jointid.models.controllers import CONTROLLER_UNITS, Controller, in_torque
+from jointid.models.controllers.drive_numbers import DriveNumber
+from jointid.records.record import Resampled
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+
+@dataclass(frozen=True, slots=True)
+class Alternative:
+    """A structure that was weighed against the one that was chosen.
+
+    Attributes:
+        structure: of the law.
+        controller: with the numbers that fit best.
+        worse: difference of the criterion (Schwarz's); above 10 the chosen one is as good as certain.
+        apart: rms difference of the two torques, as a share of the torque's rms.
+        alike: True if the record does not distinguish it from the chosen one.
+    """
+
+    structure: Structure
+    controller: Controller
+    worse: float
+    apart: float
+    alike: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LearnedLoop(Documented):
+    """A controller, learned from a record.
+
+    Attributes:
+        controller: the law with its numbers.
+        structure: of the law; its text is the description.
+        numbers: those that were learned.
+        correlation: of their errors, in that order.
+        equivalent: forms of the same equation, by `Equivalence`, and structures with the same torque to rounding.
+        alternatives: other structures, the likeliest first.
+        limitations: what the record leaves open about the law, by `LimitationCode`.
+        rms: of the residual, in the torque's unit. share: of the torque's rms.
+        torque_noise: standard deviation of the torque's error, in its unit. position_noise: of the position's.
+        band: highest informative frequency (the torque exceeds the noise there), Hz.
+        residual: (samples,) logged less predicted torque, 0 in the samples that are left out.
+        torque_unit, position_unit: of the record.
+        record: name of it.
+        transmission: between the motor and the units of the law, None where there is none.
+        resampled: how the record's samples were brought to a uniform clock, None where they were logged so.
+        in_drive: the numbers as the drive shows them, beside what was declared; see `beside`.
+        regression_share: of the torque's rms, what a plain regression on reference and position leaves of it.
+    """
+
+    controller: Controller
+    structure: Structure
+    numbers: tuple[LearnedNumber, ...]
+    correlation: FloatArray
+    equivalent: tuple[Message | Structure, ...]
+    alternatives: tuple[Alternative, ...]
+    limitations: tuple[Message, ...]
+    rms: float
+    share: float
+    torque_noise: float
+    position_noise: float
+    band: float
+    residual: FloatArray
+    torque_unit: str
+    position_unit: str
+    record: str
+    transmission: Transmission | None
+    resampled: Resampled | None = None
+    in_drive: tuple[NumberInDrive, ...] = ()
+    regression_share: float = math.nan
+
+    def beside(self, shown: Iterable[DriveNumber]) -> LearnedLoop:
+        """Return the same with the numbers as the drive shows them, too.
+
+        Args:
+            shown: how it shows them, as `jointid.config.JointFile.drive_numbers` of the learned controller has it.
+        """
+        return replace(self, in_drive=numbers_in_drive(self.numbers, self.correlation, shown))
+
+    def __getitem__(self, name: str) -> LearnedNumber:
+        """Return a number by its name."""
+        for one in self.numbers:
+            if one.name == name:
+                return one
+        raise KeyError(name)
+
+    @property
+    def alike(self) -> tuple[Alternative, ...]:
+        """The structures that the record does not distinguish from the chosen one."""
+        return tuple(one for one in self.alternatives if one.alike)
+
+    @property
+    def interrupted(self) -> bool:
+        """True if the search was interrupted, and this is the best law that it had found."""
+        return any(one.code is LimitationCode.INTERRUPTED for one in self.limitations)
+
+    @property
+    def equivalent_laws(self) -> tuple[str, ...]:
+        """The descriptions of the equivalent laws."""
+        return tuple(map(str, self.equivalent))
+
+    @property
+    def another_law(self) -> bool:
+        """True if a plain regression leaves so much less that the drive's law must be another."""
+        return any(one.code is LimitationCode.ANOTHER_LAW for one in self.limitations)
+
+    @property
+    def _said_of_intervals(self) -> str:
+        """What the tables' intervals are, and what one of the controller's own units is."""
+        said, gain = "+- is 2 deviations", getattr(self.controller, "gain", 1.0)
+        if self.alike:
+            others = counted(len(self.alike), "other law")
+            said += f"; it spans {others} that the record does not distinguish from this one"
+        return f"{said}; [controller] has gain = {number(gain)} {self.torque_unit}" if gain != 1.0 else said
+
+    def _in_si(self) -> Table:
+        """Return the numbers in SI: those in controller units times the controller's gain."""
+        gain, rows = getattr(self.controller, "gain", 1.0), []
+        for n in self.numbers:
+            ours = CONTROLLER_UNITS in n.unit
+            factor, unit = (gain, in_torque(n.unit, self.torque_unit)) if ours else (1.0, n.unit)
+            percent = number(100 * n.spread / abs(n.value), 2) if n.value else "-"
+            rows.append((n.name, number(factor * n.value, 6), number(factor * n.spread, 2), unit, percent))
+        return Table(("parameter in SI", "value", "+-", "unit", "%"), tuple(rows), words=(0, 3))
+
+    def _others(self) -> Iterator[Block]:
+        """Yield the laws that the record does not distinguish from this one, and how many it does."""
+        if self.alike:
+            yield Paragraph("Laws that the record does not distinguish from it, and by how much their torque differs:")
+            yield Listing(tuple(f"{one.structure}: {100 * one.apart:.2g} %" for one in self.alike))
+        others = [one for one in self.alternatives if not one.alike]
+        if others:
+            near = min(others, key=lambda one: one.apart)
+            yield Paragraph(
+                f"{counted(len(others), 'other law')} {'was' if len(others) == 1 else 'were'} tried and ruled out; the "
+                f"nearest is {near.structure}, whose torque differs by {100 * near.apart:.2g} %."
+            )
+
+    @property
+    def sentence(self) -> str:
+        """The law, and how well it gives the torque."""
+        others = len(self.alike)
+        open_ones = f" The record does not distinguish it from {counted(others, 'other structure')}." if others else ""
+        if self.another_law:
+            return next(str(one) for one in self.limitations if one.code is LimitationCode.ANOTHER_LAW)
+        return f"The controller is {self.structure}; it leaves {100 * self.share:.2g} % of the torque.{open_ones}"
+
+    def to_dataframe(self) -> DataFrame:
+        """Return the numbers of the law as a pandas data frame: a row each, with value and standard error.
+
+        Raises:
+            ExtraError: pandas is not installed.
+        """
+        return data_frame({n.name: {"value": n.value, "stderr": n.std} for n in self.numbers}, "number")
+
+    def document(self, *, details: bool = False) -> Document:
+        """Return the numbers, the other structures, and what the record cannot tell; there are no further details."""
+        del details
+        facts = common_facts(self.resampled, None)
+        same = [str(one) for one in self.equivalent if isinstance(one, Message)]  # the others are alike
+        if same:
+            facts = (*facts, ("the same law", "; ".join(same)))
+        noise = (
+            f"; noise of the torque {number(self.torque_noise, 2)} {self.torque_unit}, of the position "
+            f"{number(self.position_noise, 2)} {self.position_unit}"
+        )
+        residual = (
+            f"residual {number(self.rms, 3)} {self.torque_unit} rms, {100 * self.share:.2g} % of the torque"
+            f"{'' if self.another_law else noise}; informative up to {number(self.band, 3)} Hz"
+        )
+        elsewhere = (LimitationCode.INDISTINGUISHABLE, LimitationCode.ANOTHER_LAW)
+        left_open = [one for one in self.limitations if one.code not in elsewhere]
+        blocks: list[Block] = [
+            *([Paragraph(self.sentence)] if self.another_law else []),
+            Facts(facts),
+            *([drive_table(self.in_drive)] if self.in_drive else []),
+            self._in_si(),
+            Paragraph(self._said_of_intervals),
+            Paragraph(residual),
+            *self._others(),
+            Listing(tuple(map(str, left_open))),
+        ]
+        return Document(f"{self.record}: {self.structure}", tuple(blocks))

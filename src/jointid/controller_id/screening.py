@@ -1,0 +1,118 @@
+"""Screen clocks, filters and laws before one is chosen, each by its regression with free gains."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from operator import attrgetter
+
+from jointid.common.errors import MethodError
+from jointid.common.messages import Progress, follow, silent
+from jointid.controller_id.ranking import score, unique_structures
+from jointid.controller_id.regression import CompressedFrame, Regression, RegressionFit, Weighting, initial_weighting
+from jointid.controller_id.search_time import FRAMES, LAWS
+from jointid.controller_id.structure_moves import list_laws
+from jointid.controller_id.structures import (
+    COMMON,
+    FREE_TAPS,
+    INTEGRAL_GAINS,
+    LATE,
+    RATES,
+    SLOWER,
+    TORQUE_FILTERS,
+    VELOCITY_FILTERS,
+    NumberedStructure,
+    Structure,
+    starts,
+)
+
+_FINEST = 8  # frames whose filters' numbers are searched for
+_DELAYS = 2  # of the log's, with which laws are tried
+_COST = attrgetter("cost")
+
+
+def screen_frames(regression: Regression, progress: Progress = silent) -> tuple[Weighting, list[int]]:
+    """Return the weighting under which laws are compared, and the log's likeliest delays.
+
+    What is quiet beside the noise shows only once something explains the rest: the noise is that of the frame that
+    explains most whatever the gains, and all are judged again under it. At first by one spectrum, as the law's own
+    would reward a far-off law for reacting to the position; at last by each its own, as one for all would reward a
+    filter that keeps the noise away.
+    """
+    weighting = initial_weighting(regression)
+    fitted = unique_structures(_fit_all_frames(regression, weighting, progress), by=_COST)
+    best = sorted(fitted, key=_COST)[:_FINEST]
+    for own in (False, False, True):
+        weighting = regression.weighting(best[0])
+        finer = replace(regression, own=own)
+        best = sorted((finer.refine(one, weighting) for one in best), key=_COST)
+    late = list(dict.fromkeys(one.structure.late for one in best))
+    return regression.weighting(best[0]), late[:_DELAYS]
+
+
+def rank_candidates(
+    regression: Regression, weighting: Weighting, late: Sequence[int], channel: bool, progress: Progress = silent
+) -> list[NumberedStructure]:
+    """Return all laws in all frames, each where it begins best, the likeliest first."""
+    begun: list[NumberedStructure] = []
+    period, frames = regression.log.period, list(_frames(Structure()))
+    for frame in follow(frames, progress, LAWS, len(frames), "clocks and filters"):
+        plain = frame.rate == frame.every == 1
+        for delayed in (False, True) if plain and frame.torque_filter == "none" else (False,):
+            laws = [law for law in list_laws(frame, channel) if law.reference_delay == delayed]
+            for numbers in starts(replace(frame, reference_delay=delayed), {}, period):
+                try:
+                    compressed = regression.compress(frame, numbers, weighting, late if plain else [0])
+                except MethodError:  # a filter that cannot be at this rate
+                    continue
+                for law in laws:
+                    begun += _start_laws(compressed, law, period)
+    return sorted(unique_structures(begun, by=_COST), key=partial(score, rows=weighting.noise.rows))
+
+
+def start_law(
+    regression: Regression, law: Structure, begun: Iterable[Mapping[str, float]], weighting: Weighting
+) -> NumberedStructure | None:
+    """Return the best starting point of a law, of some numbers; None if it is impossible."""
+    found = []
+    for numbers in begun:
+        ki = numbers.get("integral_gain") if law.cascade else None
+        others = {name: value for name, value in numbers.items() if name != "integral_gain"}
+        try:
+            compressed = regression.compress(law, others, weighting, [law.late])
+        except MethodError:  # a filter or a delay that cannot be
+            continue
+        found.append(NumberedStructure(law, dict(numbers), float(compressed.costs(law, ki)[0])))
+    return min(found, key=_COST, default=None)
+
+
+def _start_laws(compressed: CompressedFrame, law: Structure, period: float) -> Iterator[NumberedStructure]:
+    gains = INTEGRAL_GAINS if law.cascade and law.integrates else (None,)
+    for share in gains:
+        ki = None if share is None else share / period
+        numbers = compressed.numbers if ki is None else compressed.numbers | {"integral_gain": ki}
+        for late, cost in zip(compressed.late, compressed.costs(law, ki), strict=True):
+            yield NumberedStructure(replace(law, late=late), numbers, float(cost))
+
+
+def _fit_all_frames(regression: Regression, weighting: Weighting, progress: Progress) -> Iterator[RegressionFit]:
+    frames = list(_frames(Structure()))
+    for frame in follow(frames, progress, FRAMES, len(frames), "clocks and filters"):
+        late = (0, *LATE) if frame.rate == frame.every == 1 else (0,)
+        for numbers in starts(frame, {}, regression.log.period):
+            try:
+                yield from regression.fit_gains(frame, numbers, weighting, late)
+            except MethodError:  # a filter that cannot be at this rate
+                continue
+
+
+def _frames(plain: Structure) -> Iterator[Structure]:
+    """Yield clocks with the common filters, and the log's own clock with all pairs of filters."""
+    for filtered in (*VELOCITY_FILTERS, FREE_TAPS):
+        like = replace(plain, velocity_filter=filtered)
+        yield like
+        if filtered in COMMON:
+            yield from (replace(like, torque_filter=one) for one in TORQUE_FILTERS[1:])
+            yield from (replace(like, rate=n, curved=curved) for n in RATES for curved in (False, True))
+            yield from (replace(like, every=n, offset=k) for n in SLOWER for k in range(n))

@@ -1,0 +1,25 @@
+"""Change of the torque by one fault of loop, log or mechanics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from jointid.common.arrays import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FaultSignature:
+    """Change of the torque by one fault of loop, log or mechanics.
+
+    Attributes:
+        name: of the fault.
+        column: (rows,) derivative of the filtered torque by its size.
+        shape: the level of a limit, a Stribeck speed, a gap or a frequency that was tried; None where the fault has
+            no shape.
+        raw: (samples,) the column before the filter, where a problem has no parameter for the fault.
+    """
+
+    name: str
+    column: FloatArray
+    shape: float | None = None
+    raw: FloatArray | None = None

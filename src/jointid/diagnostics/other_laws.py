@@ -1,0 +1,201 @@
+"""The laws that a drive may run instead of the declared one, with the same settings: which of the two a record shows.
+
+An integral is a sum, of the errors of earlier periods or of the present one, too; manuals seldom say which. With the
+present one a PI of 1 kHz and 20 ms is 5 % stiffer, and a stiffness that is identified under the other law comes out
+6 % off, at no cost of the fit. Such a law has no number that is not known: both gains move together, by one period. Nor
+has one whose velocity is no difference of the position, but comes from a sensor or an observer: it is the same half a
+period earlier.
+
+Two laws are told apart by a J test (Davidson and MacKinnon, Econometrica 49, 1981): the joint is identified again
+under the other one, and the residual regressed on what its fit has changed. That share is 0 where the declared law is
+right, and 1 where the other one is. A record may exclude neither.
+
+Where no period is declared the log's is taken. A drive that runs faster reacts earlier, by up to half a sample of the
+log, and each joint that is identified meanwhile is another one: so the same law at half of the log's period, a quarter
+and so on is such a law, too. What the first of them changes at the same joint says how much of that the record shows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Set
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import JointidError
+from jointid.common.messages import silent
+from jointid.common.text import number
+from jointid.diagnostics.fault_signature import FaultSignature
+from jointid.estimation.methods.search import History, least_squares
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.models.controllers import PD, PID, Cascade, Controller, numbers_of, with_present_sample
+from jointid.models.controllers.servo_base import DiagramController
+from jointid.records.record import Record
+from jointid.simulation.loop_input import prepare
+
+PRESENT_SAMPLE = "present_sample"
+MEASURED_VELOCITY = "measured_velocity"
+PERIOD = "period"
+TIMES_FASTER = (2, 4, 8, 16)
+"""Than the log: at these rates a drive may run whose period is not declared."""
+_SOLVED = 1e-6  # far below a deviation
+_HALF_A_PERIOD_EARLIER = (1.5, -0.5)  # of a difference of positions, which is the velocity half a period ago
+
+
+@dataclass(frozen=True, slots=True)
+class OtherLaw:
+    """A law that a drive may run instead of the declared one.
+
+    Attributes:
+        parts: names of what is other in it, as faults of the loop.
+        words: what the drive does then.
+        remedy: how it is declared.
+        controller: it.
+        rate: of it, Hz, where that is what is other.
+    """
+
+    parts: tuple[str, ...]
+    words: str
+    remedy: str
+    controller: Controller
+    rate: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """As a fault of the loop: "measured_velocity", "measured_velocity and present_sample"."""
+        return " and ".join(self.parts)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refit:
+    """A problem under another law, solved.
+
+    Attributes:
+        law: the other one.
+        problem: under it. x: (free,) its parameters.
+        signature: what the fit has changed of the filtered torque: its size is 0 under the declared law, 1 under this.
+    """
+
+    law: OtherLaw
+    problem: ClosedLoopProblem
+    x: FloatArray
+    signature: FaultSignature
+
+
+def list_other_laws(controller: Controller, period: float) -> Iterator[OtherLaw]:
+    """Yield the laws that a drive may run under the same settings.
+
+    Args:
+        controller: as it is declared.
+        period: of the controller, s.
+    """
+    laws: list[tuple[tuple[str, ...], str, str, Controller]] = [((), "", "", controller)]
+    if isinstance(controller, Cascade | PID) and controller.integral_gain:
+        other = with_present_sample(controller, period)
+        words = "the integral takes in the present sample, too"
+        if isinstance(controller, Cascade) and isinstance(other, Cascade):
+            more = number(100 * (other.velocity_gain / controller.velocity_gain - 1), 2)
+            remedy = f"velocity_gain {more} % larger and the integral time {number(1e3 * period, 3)} ms longer"
+        else:
+            more = number(100 * (other.position_gain / controller.position_gain - 1), 2)
+            remedy = f"position_gain {more} % larger"
+        yield OtherLaw((PRESENT_SAMPLE,), words, remedy, other)
+        laws.append(((PRESENT_SAMPLE,), f", and {words}", f", {remedy}", other))
+    if getattr(controller, "velocity_filter", None) == (1.0,):
+        words = "the velocity is measured or observed, half a period earlier than a difference of positions"
+        remedy = f"velocity_filter = {list(_HALF_A_PERIOD_EARLIER)}"
+        for further, more_words, more_remedy, one in laws:
+            earlier: Any = replace(cast("Any", one), velocity_filter=_HALF_A_PERIOD_EARLIER)
+            yield OtherLaw((MEASURED_VELOCITY, *further), words + more_words, remedy + more_remedy, earlier)
+
+
+def runs_at_the_logs_rate(problem: ClosedLoopProblem) -> bool:
+    """Return True if a controller has the log's period for want of a declared one, and nothing of it is identified."""
+    controller = problem.loop.controller
+    undeclared = isinstance(controller, DiagramController) and controller.period is None
+    return undeclared and not _is_identified(problem)
+
+
+def faster_laws(problem: ClosedLoopProblem, times: int) -> Iterator[OtherLaw]:
+    """Yield the law of a problem as it is in a drive that runs so many times as fast as the log.
+
+    The log does not say what the drive's reference is between two samples, straight lines or a curve, unless that is
+    declared: a law that differentiates it sees lines half a sample late.
+    """
+    controller = problem.loop.controller
+    assert isinstance(controller, DiagramController)
+    period = problem.sample_time / times
+    words = f"the controller runs faster than the log, at {1e-3 / period:.4g} kHz"
+    remedy = f"its period, {1e3 * period:.4g} ms"
+    yield OtherLaw((PERIOD,), words, remedy, replace(controller, period=period), 1 / period)
+    if controller.interpolation is None and _differentiates_reference(controller):
+        curved = replace(controller, period=period, interpolation="cubic")
+        yield OtherLaw((PERIOD,), words, f'{remedy}, and interpolation = "cubic"', curved, 1 / period)
+
+
+def _differentiates_reference(controller: DiagramController) -> bool:
+    """Whether a law reads a velocity or an acceleration out of the reference."""
+    ahead = ("velocity_feedforward", "viscous_feedforward", "acceleration_feedforward")
+    own = isinstance(controller, PD) and controller.reference_velocity == "difference"
+    return own or any(getattr(controller, name, 0.0) for name in ahead)
+
+
+def faster_problem(problem: ClosedLoopProblem, law: OtherLaw, record: Record) -> ClosedLoopProblem:
+    """Return a problem with its record prepared anew for a law of another period.
+
+    Raises:
+        RecordError, MethodError: the record, or the law, cannot be at that period.
+    """
+    loop = replace(problem.loop, controller=law.controller)
+    return replace(problem, loop=loop, experiment=prepare(loop, record))
+
+
+def refit(
+    problem: ClosedLoopProblem, x: FloatArray, law: OtherLaw, other: ClosedLoopProblem, start: FloatArray
+) -> Refit:
+    """Return a problem under another law, solved again.
+
+    Args:
+        problem: under the declared law, solved.
+        x: (free,) its parameters.
+        law: the other one.
+        other: the problem under it.
+        start: (free,) where to begin.
+
+    Raises:
+        JointidError, LinAlgError: the loop cannot be solved under it.
+    """
+    found = History(silent).solve(other, least_squares(other, _SOLVED), start).solution.x
+    moved = problem.residual(x) - other.residual(found)
+    return Refit(law, other, found, FaultSignature(law.name, moved, raw=np.zeros(0)))
+
+
+def _is_identified(problem: ClosedLoopProblem) -> bool:
+    """Whether numbers of the law are free: they may stand for any law."""
+    return bool(numbers_of(problem.loop.controller).keys() & {p.name for p in problem.free})
+
+
+def refit_other_laws(problem: ClosedLoopProblem, x: FloatArray, asked: Set[str]) -> Iterator[Refit]:
+    """Yield the problem under every other law of its controller, solved again.
+
+    Args:
+        problem: solved. Where numbers of its law are free there is no other one.
+        x: (free,) its parameters.
+        asked: names of what may be other in a law.
+    """
+    if _is_identified(problem):
+        return
+    for law in list_other_laws(problem.loop.controller, problem.experiment.law.period):
+        if not asked >= set(law.parts):
+            continue
+        other = replace(
+            problem,
+            loop=replace(problem.loop, controller=law.controller),
+            experiment=problem.experiment.with_law(problem.experiment.law_of(law.controller)),
+        )
+        try:
+            yield refit(problem, x, law, other, x)
+        except (JointidError, np.linalg.LinAlgError):  # a loop that is unstable under it is not that of the record
+            continue

@@ -1,0 +1,259 @@
+"""Intervals wide enough for a random force in the loop, which lets friction slide.
+
+A cutting force, a ripple, a floor that shakes: what pushes on the motor is not in the log. The controller answers to
+it, so the torque shows it; and now and then it makes a motor slide that would stand, or turn round. On the average over
+such a force Coulomb friction acts less near standstill, and more like a viscous one. Least squares by simulations
+without the force therefore finds too little Coulomb and too much viscous friction, the more so the more the axis rests:
+on random servos, under forces of 1 to 6 % of the torque of their ramps, by 2 to 87 %.
+
+**The force** is told from noise on the log by its spectrum. The residual r of the samples in which the motor moves is
+what noise n and force d leave in the torque, with T the loop's complementary sensitivity::
+
+    S_r(f) = |T(f)|^2 S_d(f) + S_n,      S_d(f) = sum over k of c_k / (1 + (f / f_k)^2),   c_k >= 0
+
+so a flat residual is noise, and one that falls where the loop no longer answers is a force.
+
+**What it moves** is simulated: on the average over pairs of opposite forces of that spectrum, whose linear answers
+cancel, the torque is another only by what the force does through the friction. Gauss-Newton steps lead from the end of
+least squares to where this mean torque has the least error, the force told anew at each. How far that is is added to
+the deviations, as one of its own size: 2 sigma hold both. Where friction never holds the motor, as on the EMPS axis and
+on the paper's twin, nothing moves, whatever the force.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from functools import partial
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.messages import Message
+from jointid.common.parameters import Bounds
+from jointid.common.text import number
+from jointid.estimation.methods.search import History, crossover
+from jointid.estimation.problems.base import EVEN, filter_rows
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.models.linear import frequency_response
+from jointid.simulation.closed_loop import Outcome, Simulation
+from jointid.simulation.loop_input import LoopInput
+from jointid.solvers.regression import projection
+from jointid.uncertainty.position_dependent_error import Uncertainty
+
+_PAIRS = 4  # of opposite forces that are simulated
+_ROUNDS = 8  # at most
+_MEMORY = 10.0  # periods of the loop's crossover, over which the residual is correlated with itself
+_CORNERS = (0.015, 0.05, 0.15, 0.5, 1.5, 5.0)  # of the crossover, f_k; and a flat one
+_SLOWEST, _FASTEST = 0.05, 0.4  # of the crossover, of the sampling frequency: between them the spectrum is looked at
+_FEWEST = 8  # frequencies: as many as the spectrum has parts
+_MOVING = 0.02  # of the largest speed
+_ENOUGH = 0.1  # of the rows have to move
+_LEAKAGE = 1e-2  # of the largest power: what a lag window of few periods leaves of it elsewhere
+_LEAST = 1e-3  # of the torque: a smaller force moves nothing that matters
+_MATTERS = 0.25  # of a deviation: less moves nothing
+_TOLD = 1.0  # deviations: what moves further is said
+
+
+class InLoop(StrEnum):
+    """What a residual shows of the loop."""
+
+    FORCE = "force_in_loop"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RandomForce:
+    """The spectrum of a force on the motor.
+
+    Attributes:
+        hertz: (frequencies,).
+        power: (frequencies,) two-sided, its mean over all frequencies up to half the sampling one is the variance.
+    """
+
+    hertz: FloatArray
+    power: FloatArray
+
+    @property
+    def rms(self) -> float:
+        """Its standard deviation, N or N m."""
+        return math.sqrt(float(np.mean(self.power)))
+
+    def draw(self, samples: int, sample_time: float, random: np.random.Generator) -> FloatArray:
+        """Return a force of this spectrum, (samples,)."""
+        hertz = np.fft.rfftfreq(samples, sample_time)
+        size = np.sqrt(samples * np.interp(hertz, self.hertz, self.power))
+        turn = np.exp(2j * math.pi * random.uniform(size=hertz.size))
+        return np.fft.irfft(size * turn, samples)
+
+
+def widened_for_force(
+    known: Uncertainty,
+    problem: ClosedLoopProblem,
+    x: FloatArray,
+    J: FloatArray,
+    history: History,
+    taps: FloatArray = EVEN,
+) -> Uncertainty:
+    """Return what is known of a least torque error, wide enough for the force in its loop (see the module).
+
+    Args:
+        known: without it.
+        problem: that was solved.
+        x: (free,) where.
+        J: (rows, free) the derivatives of the simulated torque there, filtered, and through the taps.
+        history: counts the simulations.
+        taps: of the filter that the rows of the criterion went through.
+    """
+    found = allow_for_force(problem, x, J, known.covariance.std, history, taps)
+    if found is None:
+        return known
+    there, force = found
+    moved = {
+        p.name: float(value)
+        for p, value, before, own in zip(problem.free_joint, there, x, known.covariance.std, strict=False)
+        if abs(value - before) > _TOLD * own
+    }
+    size = f"{number(force.rms, 2)} {problem.torque_unit}".strip()
+    values = ", ".join(f"{name} {number(value, 3)} {problem.units[name]}".strip() for name, value in moved.items())
+    said = (
+        f"the residual's spectrum shows a random force in the loop of about {size} rms, which lets friction slide; "
+        f"simulated with it, the fit gives {values}: the intervals hold both"
+    )
+    told = (Message(InLoop.FORCE, said, {"rms": force.rms, "values": moved}),) if moved else ()
+    wide = known.widened_by(there - x, f"what a force of about {size} rms in the loop moves")
+    return replace(wide, warnings=(*known.warnings, *told))
+
+
+def allow_for_force(
+    problem: ClosedLoopProblem,
+    x: FloatArray,
+    J: FloatArray,
+    std: FloatArray,
+    history: History,
+    taps: FloatArray = EVEN,
+) -> tuple[FloatArray, RandomForce] | None:
+    """Return where least squares would end if the force were simulated, and that force; None where that is no news.
+
+    Args:
+        problem: that was solved.
+        x: (free,) where.
+        J: (rows, free) the derivatives of the simulated torque there, filtered, and through the taps.
+        std: (free,) deviations without the force; a shift of less than a quarter of them does not matter.
+        history: counts the simulations.
+        taps: of the filter that the rows of the criterion went through.
+    """
+    run, at = problem.simulate(x), x
+    history.tally.evaluations += 1
+    mean, bounds = run.torque, Bounds.of(problem.free)
+    force = _find_large_force(problem, at, run, problem.measured - mean)
+    for count in range(_ROUNDS):
+        if force is None:
+            return None
+        mean = np.asarray(sum(simulate_with_force(problem, at, force))) / (2 * _PAIRS)
+        history.tally.evaluations += 2 * _PAIRS
+        # At the end of least squares the residual moves nothing: there only what the force adds does.
+        shown = run.torque if count == 0 else problem.measured
+        step = projection(J, J) @ filter_rows(taps, problem.filtered(shown - mean))
+        if not np.all(np.isfinite(step)):
+            return None
+        if count == 0 and not np.any(np.abs(step) > _MATTERS * std):
+            return None
+        at = bounds.clip(at + step)
+        if not np.any(np.abs(step) > _MATTERS * np.hypot(std, at - x)):
+            break
+        J = filter_rows(taps, -problem.linearised(at)[1])
+        run = problem.simulate(at)
+        history.tally.evaluations += 2
+        force = _find_large_force(problem, at, run, problem.measured - mean)
+    return None if force is None else (at, force)
+
+
+def _find_large_force(
+    problem: ClosedLoopProblem, x: FloatArray, run: Simulation, error: FloatArray
+) -> RandomForce | None:
+    """Return what `find_force` does; None where it is too small to move a parameter, too."""
+    found = find_force(problem, x, run, error)
+    return found if found is not None and found.rms > _LEAST * float(np.std(problem.measured)) else None
+
+
+def find_force(problem: ClosedLoopProblem, x: FloatArray, run: Simulation, error: FloatArray) -> RandomForce | None:
+    """Return the force that a residual shows; None where it shows none, or too little of the motion.
+
+    Args:
+        problem: that was solved.
+        x: (free,) parameters.
+        run: of the loop with them.
+        error: (samples,) the raw residual.
+    """
+    from scipy.optimize import nnls
+
+    speed = np.abs(run.motor_velocity)
+    moving = (speed > _MOVING * np.max(speed, initial=0.0)).astype(np.float64)
+    if run.outcome is not Outcome.FINISHED or np.mean(moving) < _ENOUGH:
+        return None
+    values = problem.values(x)
+    inertia = sum(values[name] for name in ("inertia", "motor_inertia", "load_inertia") if name in values)
+    middle = crossover(problem.law_at(x), inertia)
+    hertz, power = _spectrum(error, moving, problem.sample_time, _MEMORY / middle)
+    seen = (hertz >= _SLOWEST * middle) & (hertz <= _FASTEST / problem.sample_time)
+    hertz, power = hertz[seen], power[seen]
+    if hertz.size < _FEWEST or not np.mean(power) > 0:  # a log far slower than the loop shows nothing of its answer
+        return None
+    shapes = np.column_stack([1.0 / (1.0 + (hertz / (c * middle)) ** 2) for c in _CORNERS] + [np.ones(hertz.size)])
+    columns = np.column_stack([shapes * _answer(problem, x, hertz)[:, np.newaxis], np.ones(hertz.size)])
+    # A spectrum's deviation is a share of itself, and where it is small, of what reaches there from its largest parts.
+    smooth = np.convolve(np.pad(power, 2, "edge"), np.full(5, 0.2), "valid")
+    weight = 1.0 / np.maximum(smooth, _LEAKAGE * np.max(smooth))
+    level = float(np.mean(power))  # the solver has tolerances of its own: it sees numbers about 1
+    try:
+        parts, _ = nnls(columns * (level * weight)[:, np.newaxis], power * weight)
+    except RuntimeError:  # too many iterations: columns that are alike, or no numbers
+        return None
+    found = RandomForce(hertz, level * (shapes @ parts[:-1]))
+    return found if found.rms > 0.0 else None
+
+
+def simulate_with_force(
+    problem: ClosedLoopProblem, x: FloatArray, force: RandomForce, pairs: int = _PAIRS
+) -> Iterator[FloatArray]:
+    """Yield the torque of the loop, (samples,), under each force of so many pairs of opposite ones."""
+    random = np.random.default_rng(0)
+    for _ in range(pairs):
+        pushed = force.draw(problem.measured.size, problem.sample_time, random)
+        yield problem.torque(x, partial(_with_force, force=pushed))
+        yield problem.torque(x, partial(_with_force, force=-pushed))
+
+
+def _with_force(driven: LoopInput, force: FloatArray) -> LoopInput:
+    """Return what drives a loop, with a force on its motor, given by sample of the log."""
+    extra = np.repeat(force, driven.every)[:: driven.repeat][: driven.after_limit.size]
+    extra = np.pad(extra, (0, driven.after_limit.size - extra.size))
+    return replace(driven, after_limit=driven.after_limit + extra)
+
+
+def _spectrum(
+    signal: FloatArray, chosen: FloatArray, sample_time: float, longest: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return frequencies and spectrum of the chosen samples of a signal, by pairs up to so many seconds apart."""
+    lags = max(min(round(longest / sample_time), signal.size // 4), 2)
+    size = 1 << (2 * signal.size - 1).bit_length()
+
+    def correlated(values: FloatArray) -> FloatArray:
+        return np.fft.irfft(np.abs(np.fft.rfft(values, size)) ** 2, size)[: lags + 1]
+
+    together = correlated(signal * chosen) / np.maximum(correlated(chosen), 1.0)
+    together *= 0.5 * (1.0 + np.cos(math.pi * np.arange(lags + 1) / lags))
+    power = np.real(np.fft.rfft(np.concatenate([together, together[-2:0:-1]])))
+    return np.arange(power.size) / (2 * lags * sample_time), power
+
+
+def _answer(problem: ClosedLoopProblem, x: FloatArray, hertz: FloatArray) -> FloatArray:
+    """Return ``|T|^2``: how much of a force on the motor the controller's torque answers to."""
+    own = {p.name for p in problem.joint.parameters}
+    values = {name: value for name, value in problem.values(x).items() if name in own}
+    law = problem.law_at(x)
+    late = np.exp(-2j * math.pi * hertz * (law.delay + 0.5 * law.period))
+    through = frequency_response(problem.joint, values, hertz, "motor_position") * law.feedback(hertz) * late
+    return np.asarray(np.abs(through / (1.0 - through)) ** 2)

@@ -1,0 +1,268 @@
+"""Identification without a controller: along a prescribed motion (the drive side), or under a prescribed torque.
+
+On the drive side, torque and motor position are enough, without a load encoder.
+The motor's motion is prescribed, the load is simulated behind it, and the torque this takes is compared with the
+measured one, filtered alike (`prescribed`). Bounded least squares with exact derivatives goes down from starts that
+need no guess: for each of a row of motor-locked frequencies, at which the motor sees an anti-resonance, a frictionless
+load of one unit is simulated, and everything else about the joint is then linear. The best few are refined.
+
+A motor inside a closed loop answers to what disturbs it, so its measured motion is correlated with the error, and least
+squares is biased (`endogeneity` tests that, and mends it where the record has a reference or an injected signal).
+
+In open loop the logged torque is prescribed, and the motor's position is compared, less its drift. This criterion needs
+no derivative of a position, and noise of the encoder does not bias it; but it takes the logged torque for exact, and a
+loop around the drive makes it as endogenous. It begins where the drive-side identification of the same record ends.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.messages import Progress
+from jointid.common.parameters import Parameter
+from jointid.common.settings import documented, setting
+from jointid.estimation.methods.endogeneity import judged
+from jointid.estimation.methods.registry import Method, Task
+from jointid.estimation.problems.base import LOG_DELAY, log_delay
+from jointid.estimation.problems.closed_loop import initial_of
+from jointid.estimation.problems.prescribed import CURRENT_LAG, DriveSideProblem, motion_problem, position_problem
+from jointid.estimation.problems.rest import SAID
+from jointid.estimation.result.build_estimate import build_prescribed_estimate
+from jointid.estimation.result.estimate import Estimate
+from jointid.models.joints import acts_on_whole
+from jointid.simulation.closed_loop import in_threads
+from jointid.simulation.prescribed import DriveSide, OpenLoop
+from jointid.solvers.bounded_least_squares import LevenbergMarquardt
+from jointid.solvers.solve import Multistart, Solution, Step, Watch, solve
+from jointid.uncertainty.covariance import Covariance, sandwich, with_bands
+
+_GUESSES = 28  # motor-locked frequencies to try, evenly on a logarithmic scale ...
+_LOWEST = 0.05  # ... from this share of the cut-off up to it
+_DAMPING = 0.05  # of the load that is tried: as wide as the steps of the grid
+_REFINED, _WORSE = 3, 3.0  # valleys of the grid that are refined, at most; and how much worse than the best
+
+
+@documented
+@dataclass(frozen=True, slots=True)
+class DriveSideFit(Method):
+    """Settings of the drive-side identification."""
+
+    name = "drive_side"
+    title = "the drive-side method"
+    default_for = DriveSide
+
+    log_delay: float | None = setting(
+        None,
+        "how much later than it acts the log shows the torque, negative for a command that comes first; without it "
+        "estimated",
+        unit="s",
+    )
+    current_lag: float | None = setting(
+        0.0,
+        "time constant between the log and the torque beside that delay: of the current loop behind a command, or of "
+        "the filter before a measured torque",
+        unit="s",
+        at_least=0,
+        none="estimated",
+    )
+    frequency: float | None = setting(
+        None, "motor-locked frequency of the start; without it the best of a grid", unit="Hz", above=0
+    )
+    instruments: Literal["tested", "always", "never"] = setting(
+        "tested",
+        "whether the reference and the injected signal replace least squares when they show that it is biased, "
+        "always or never",
+    )
+    tolerance: float = setting(1e-8, "change of the criterion or the parameters to stop at, as a share", above=0)
+
+    def surroundings(self, sample_time: float) -> tuple[Parameter, ...]:
+        """Return the parameters of the log, free where they are to be estimated."""
+        delay = log_delay(self.log_delay, sample_time)
+        lag = replace(CURRENT_LAG, free=True, start=0.3 * sample_time, lower=1e-3 * sample_time, upper=delay.upper)
+        return delay, lag if self.current_lag is None else CURRENT_LAG.fixed(self.current_lag)
+
+    def identify(self, task: Task) -> Estimate:
+        """Identify a joint from torque and motor position, whatever its controller.
+
+        Reference and injected signal serve as instruments. The position's cut-off should be five times the free-free
+        frequency or more, the other one above it.
+
+        Raises:
+            RecordError: a channel is missing, or at another rate.
+            MethodError: no start gives a joint with positive inertias.
+        """
+        record, closing = task.record, DriveSide(task.joint)
+        record.require(closing.channels, "Drive-side identification")
+        assert record.torque is not None
+        around = self.surroundings(record.torque.sample_time)
+        problem = motion_problem(record, closing, task.filtering, task.parameters, around)
+        starts, simulations = grid_starts(problem, self)
+        solver = Multistart(LevenbergMarquardt(self.tolerance))
+        solution = solve(problem, solver, np.array(starts), _reported(task.progress))
+        verdict = judged(record, problem, solution, self.instruments, task.progress)
+        resting = 1 - float(np.mean(problem.weights))
+        rest = f"the motor rests in {100 * resting:.0f} % of the record, where its torque says nothing of it"
+        how = "least squares" if verdict.x is None else "instrumental variables"
+        evaluations = solution.evaluations + simulations + verdict.simulations
+        return build_prescribed_estimate(
+            record,
+            problem,
+            solution.x if verdict.x is None else verdict.x,
+            replace(solution, evaluations=evaluations),
+            verdict.covariance or _covariance_of(solution),
+            ("torque", "motor_position", *verdict.channels),
+            ("drive_side", f"drive-side by {how}"),
+            after=(*((rest,) if resting > SAID else ()), *verdict.warnings),
+        )
+
+
+def grid_starts(problem: DriveSideProblem, settings: DriveSideFit) -> tuple[list[FloatArray], int]:
+    """Return the best few starts, and the simulations they took (see the module)."""
+    if problem.joint.model == "rigid":
+        return [_vector(problem, _linear(problem, None)[1])], 1
+    cutoff = problem.filtering.cutoff
+    assert cutoff is not None
+    grid = [settings.frequency or 0.0]
+    if settings.frequency is None:
+        grid = [cutoff * _LOWEST ** (1 - i / (_GUESSES - 1)) for i in range(_GUESSES)]
+    tried = in_threads(lambda frequency: _linear(problem, frequency), grid)
+    costs = np.array([cost for cost, _ in tried])
+    # A valley of the criterion is refined once; the ends of the row are no worse than what lies beyond them.
+    around = np.concatenate([[np.inf], costs, [np.inf]])
+    valleys = [i for i in range(costs.size) if costs[i] < np.inf and around[i] >= costs[i] <= around[i + 2]]
+    if not valleys:
+        raise MethodError(
+            "At no motor-locked frequency below the cut-off do torque and motor position give a joint with positive "
+            "inertias: one of them has the wrong sign (set sign = -1), or they do not belong together."
+        )
+    # One that explains much less of the torque than another will not overtake it.
+    lowest = float(min(costs))
+    best = sorted((i for i in valleys if costs[i] <= _WORSE * lowest), key=lambda i: float(costs[i]))[:_REFINED]
+    return [_vector(problem, tried[i][1]) for i in best], len(grid)
+
+
+def _linear(problem: DriveSideProblem, frequency: float | None) -> tuple[float, dict[str, float]]:
+    """Return what a joint with that motor-locked frequency leaves of the torque, and its parameters: one regression.
+
+    The load is frictionless and weighs nothing in the simulation, so that its inertia multiplies one column; what it
+    weighs is then a column, too, and a counterbalance is part of it. The log's delay is the factor of the measured
+    torque's slope.
+    """
+    flexible = frequency is not None
+    inertia, prefix = ("motor_inertia", "motor_") if flexible else ("inertia", "")
+    friction = tuple(p.name for p in problem.joint.friction.parameters(prefix, ""))
+    unit = {p.name: 0.0 for p in problem.parameters} | {inertia: 1.0}
+    if frequency is not None:
+        rate = 2 * math.pi * frequency
+        unit |= {"load_inertia": 1.0, "stiffness": rate**2, "damping": 2 * _DAMPING * rate}
+    forces = tuple(p.name for p in problem.joint.parameters if p.free and acts_on_whole(p.name))
+    names = (inertia, *friction, *forces)
+    sought = (replace(p, free=True) if p.name in names else p.fixed(unit[p.name]) for p in problem.parameters)
+    trial = replace(problem, parameters=tuple(sought))
+    x = np.array([unit[p.name] for p in trial.free])
+    error, J = trial.linearised(x)
+    W = [-column for column in J.T]
+    if flexible:
+        W.append(trial.filtered(problem.measured) - error + J[:, 0])  # the prediction, less the motor's inertia
+    if any(p.name == LOG_DELAY.name and p.free for p in problem.parameters):
+        W.append(-problem.filtered(np.gradient(problem.measured, problem.sample_time)))
+    columns = np.column_stack(W)
+    Y = problem.filtered(problem.measured)
+    norms = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    chi = np.linalg.lstsq(columns / norms, Y, rcond=1e-10)[0] / norms
+    found = dict(zip((p.name for p in trial.free), map(float, chi), strict=False))
+    if flexible:
+        load = float(chi[len(trial.free)])
+        found |= {name: load * unit[name] for name in ("load_inertia", "stiffness", "damping")}
+        for name in friction:  # what the regression finds is that of both sides
+            found[name] = 0.5 * max(found[name], 0.0)
+            found[name.replace("motor_", "load_")] = found[name]
+    positive = min(found[inertia], found.get("load_inertia", 1.0)) > 0
+    return (float(np.linalg.norm(Y - columns @ chi)) if positive else math.inf), found
+
+
+def _vector(problem: DriveSideProblem, found: Mapping[str, float]) -> FloatArray:
+    """Return a start: what the user gives goes before what was found."""
+    given = {p.name: p.start for p in problem.parameters if p.start is not None}
+    return problem.vector({**found, **given})
+
+
+def _covariance_of(solution: Solution) -> Covariance:
+    """Return the covariance of a least-squares estimate, by rows and by bands of frequency."""
+    J, error = solution.jacobian, solution.residual
+    return with_bands(sandwich(J, J, error), J, J, error)
+
+
+def _reported(progress: Progress) -> Watch:
+    """Return what tells the residual of every step."""
+    numbers = itertools.count(1)
+
+    def watch(step: Step) -> None:
+        progress(f"iteration {next(numbers)}: residual {step.norm:.6g}")
+
+    return watch
+
+
+@documented
+@dataclass(frozen=True, slots=True)
+class OpenLoopFit(Method):
+    """Settings of the open-loop identification."""
+
+    name = "open_loop"
+    title = "the open-loop method"
+    default_for = OpenLoop
+
+    log_delay: float | None = setting(
+        None,
+        "how much later than it acts the log shows the torque, negative for a command that comes first; without it "
+        "estimated",
+        unit="s",
+    )
+    highpass: float | None = setting(
+        None,
+        "frequency below which the position is drift, and not compared; without it 3 % of the cut-off",
+        unit="Hz",
+        above=0,
+    )
+    frequency: float | None = setting(
+        None, "motor-locked frequency of the start; without it the best of a grid", unit="Hz", above=0
+    )
+    tolerance: float = setting(1e-8, "change of the criterion or the parameters to stop at, as a share", above=0)
+
+    def identify(self, task: Task) -> Estimate:
+        """Identify a joint from the torque that drives it in open loop, and the motor position that follows.
+
+        The filter's borders should outlast the transient of a load that was not in steady motion at the first sample.
+
+        Raises:
+            RecordError: a channel is missing, or at another rate.
+            MethodError: no start gives a joint with positive inertias.
+        """
+        closing = OpenLoop(task.joint)
+        problem = position_problem(task.record, closing, task.filtering, task.parameters, self.log_delay, self.highpass)
+        task.progress("identifying the drive side for a start")
+        first = DriveSideFit(self.log_delay, 0.0, self.frequency, "never").identify(task)
+        found = {p.name: p.value for p in first.params if p.value is not None}
+        given = {p.name: p.start for p in problem.parameters if p.start is not None}
+        start, solver = problem.vector({**found, **given}), LevenbergMarquardt(self.tolerance)
+        solution = solve(problem, solver, start, _reported(task.progress))
+        drift = f"positions slower than {problem.highpass:g} Hz are drift in open loop, and were not compared"
+        estimate = build_prescribed_estimate(
+            task.record,
+            problem,
+            solution.x,
+            replace(solution, evaluations=solution.evaluations + first.fit.simulations),
+            _covariance_of(solution),
+            ("torque", "motor_position"),
+            ("open_loop", "open loop by least squares"),
+            before=(drift,),
+        )
+        return estimate.amended(fit={"initial": initial_of(problem.values(solution.x))})

@@ -1,0 +1,30 @@
+"""Where a mass rests: there friction takes what it must, and the inverse model's ``Fc sign(v)`` does not hold."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+
+_REST = 0.02  # of the root mean square speed: a mass slower than that ...
+_LONG = 3  # ... for so many samples rests, or sticks as it turns round
+_REACH = 3  # samples on each side that the window smears a rest over
+SAID = 0.02  # of a record: a larger share of rest is said
+
+
+def moving_weights(velocity: FloatArray, long: int = _LONG, reach: int = _REACH) -> FloatArray:
+    """Return 0 for the samples at which a mass rests, and 1 for the others.
+
+    Args:
+        velocity: (samples,).
+        long: samples in a row that are a rest.
+        reach: samples on each side that count with it.
+    """
+    speed = np.abs(velocity)
+    slow = speed < _REST * float(np.sqrt(np.mean(speed**2)))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], slow, [False]])))
+    weights = np.ones(speed.size)
+    for start, end in zip(edges[::2], edges[1::2], strict=True):
+        if end - start >= long:
+            weights[max(start - reach, 0) : end + reach] = 0.0
+    return weights

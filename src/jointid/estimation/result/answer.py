@@ -1,0 +1,310 @@
+"""The answer of an estimate in a line: the value that was asked for, and whether to rely on it.
+
+What was asked for is the stiffness of a flexible joint, the inertia of a rigid one. A check that fails speaks against
+it only where it would move it: a residual that is coloured, or repeats, is in the interval already, and a fault of the
+loop that moves a friction leaves the inertia what it is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any
+
+from jointid.common.messages import Message
+from jointid.common.text import interval, listed, number, rounded
+from jointid.models.joints import FlexibleJoint
+from jointid.uncertainty.verdict import POOR_FIT, Reason, Status, StiffnessBound, Subject, Verdict
+
+if TYPE_CHECKING:
+    from jointid.estimation.result.estimate import Estimate
+    from jointid.estimation.result.parts import EstimatedParameter
+
+_ASKED = ("stiffness", "inertia", "load_inertia", "motor_inertia")  # the first of them that is free is the answer
+_OF_SPRING = ("stiffness", "damping")  # what the difference of both encoders tells
+_WIDE = 0.5  # of the value: a wider 2-sigma interval says its order of magnitude only
+
+
+class Found(StrEnum):
+    """Kinds of value in an answer."""
+
+    VALUE = "value"
+    LOWER_BOUND = "lower_bound"
+    NOT_DETERMINED = "not_determined"
+
+
+class Trust(StrEnum):
+    """Whether to rely on an answer."""
+
+    RELIABLE = "reliable"
+    PARTLY = "reliable_but_not_all_parameters"
+    NOT_YET = "not_reliable_yet"
+    NOT_CHECKED = "not_checked"
+    REFUSED = "refused"
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """The first line of a result.
+
+    Attributes:
+        found: the value with its 2-sigma interval, of code `Found`; values: ``parameter``, ``value``, ``two_sigma``,
+            ``unit``, ``mode_hz`` (free-free) and ``lower_bound``, None where there is none.
+        trust: whether to rely on it, of code `Trust`; values: ``reasons``, the codes of what speaks against it, and
+            ``parameters``, those that a fault moves out of their intervals.
+    """
+
+    found: Message
+    trust: Message
+
+    @property
+    def reliable(self) -> bool:
+        """True if nothing that was checked speaks against the value."""
+        return self.trust.code in (Trust.RELIABLE, Trust.PARTLY)
+
+    def __str__(self) -> str:
+        """Return the line: ``Inertia 94.90 ± 0.92 kg. You can rely on it.``."""
+        return f"{self.found}. {self.trust}."
+
+
+def answer_of(estimate: Estimate) -> Answer:
+    """Return the first line of an estimate."""
+    rows = estimate.params
+    free = [
+        row
+        for name in _ASKED
+        for row in rows
+        if row.name == name and (row.free or row.value is None or row.at_bound is not None)
+    ]
+    own = [row for rows_of in rows.own[:1] for row in rows_of if row.name == "inertia" and row.free]
+    if own and not free:  # each record has an inertia of its own: the first one's is told
+        asked = replace(own[0], name="inertia@1")
+    else:
+        asked = next(iter([*free, *(row for row in rows if row.free), *rows]))
+    if asked.value is None:
+        return Answer(_not_determined(estimate, asked), _refused(estimate))
+    return Answer(_value(estimate, asked), _trust(estimate, asked))
+
+
+def _value(estimate: Estimate, asked: EstimatedParameter) -> Message:
+    assert asked.value is not None
+    if asked.at_bound is not None:
+        shown = f"{number(asked.at_bound)} {asked.unit}, at its bound"
+    elif asked.stderr is None:
+        shown = f"{number(asked.value)} {asked.unit}{'' if asked.free else ' (fixed)'}"
+    else:
+        shown = f"{interval(asked.value, 2 * asked.stderr)} {asked.unit}"
+    mode = _mode(estimate)
+    words = f"{_called(asked.name)} {shown}" + ("" if mode is None else f", mode {number(mode, 3)} Hz")
+    return Message(Found.VALUE, words, _values(asked, mode))
+
+
+def _not_determined(estimate: Estimate, asked: EstimatedParameter) -> Message:
+    """Return what is known of a value that is refused: of a stiffness the softest that the record allows."""
+    words = f"{_called(asked.name)} not determined by this record"
+    told = told_bounds(estimate)
+    bounds = [(b.stiffness, b.frequency, b.share) for b in told if b.stiffness and b.frequency]
+    if not bounds:
+        return Message(Found.NOT_DETERMINED, words, _values(asked, None))
+    least, mode, _ = min(bounds)
+    words += f": at least {number(rounded(least), 3)} {asked.unit}, mode above {number(mode, 2)} Hz"
+    if len(bounds) < len(told):
+        shares = [share for _, _, share in bounds]
+        words += f", for a load of {100 * min(shares):.0f} to {100 * max(shares):.0f} % of the inertia"
+    return Message(Found.LOWER_BOUND, words, _values(asked, mode) | {"lower_bound": least})
+
+
+def told_bounds(estimate: Estimate) -> tuple[StiffnessBound, ...]:
+    """Return the bounds of a refused stiffness; none where the model does not explain the torque they come from."""
+    return estimate.checks.bounds if estimate.fit.filtered_error <= POOR_FIT else ()
+
+
+def _values(asked: EstimatedParameter, mode: float | None) -> dict[str, Any]:
+    return {
+        "parameter": asked.name,
+        "value": asked.value,
+        "two_sigma": None if asked.stderr is None else 2 * asked.stderr,
+        "unit": asked.unit,
+        "mode_hz": mode,
+        "lower_bound": None,
+    }
+
+
+def _mode(estimate: Estimate) -> float | None:
+    """Return the free-free frequency of a flexible joint, Hz; None where there is none."""
+    needed = ("motor_inertia", "load_inertia", "stiffness")
+    values = estimate.values
+    held = any(p.at_bound is not None for p in estimate.params if p.name in needed)
+    if held or not all(values.get(name, 0.0) > 0 for name in needed):
+        return None
+    return FlexibleJoint.frequencies(values)["free_free"]
+
+
+def _refused(estimate: Estimate) -> Message:
+    """Return what can be relied on where the value itself is refused."""
+    loop, known = loop_verdict(estimate), estimate.checks.known
+    if loop is not None and loop.status is Status.FAILED:
+        return _not_yet([loop.reasons[0]])
+    flexible = isinstance(estimate.settings.joint, FlexibleJoint)
+    words = (
+        "Identify the joint as rigid, or record a motion that shows it" if flexible else "Record a motion that shows it"
+    )
+    for one in () if known is None else known.physical:
+        if one.combination.quantity == "inertia":
+            words += f"; the whole inertia is {interval(one.value, 2 * one.std)} {one.combination.unit}"
+    return Message(Trust.REFUSED, words, {"reasons": [], "parameters": []})
+
+
+def _trust(estimate: Estimate, asked: EstimatedParameter) -> Message:
+    """Return whether to rely on a value, and what speaks against it."""
+    against = _failed(estimate, asked)
+    if against:
+        return _not_yet(against)
+    moved = [row for row in estimate.params if row.name in moved_by_loop(estimate, beyond=2.0)]
+    if moved:
+        symbols, fault = listed([row.symbol for row in moved]), loop_verdict(estimate)
+        assert fault is not None
+        words = f"You can rely on it, but not on {symbols}: {fault.reasons[0].brief}"
+        return Message(
+            Trust.PARTLY,
+            words,
+            {"reasons": [str(fault.reasons[0].code)], "parameters": [row.name for row in moved]},
+        )
+    values: dict[str, Any] = {"reasons": [], "parameters": []}
+    if not asked.free:
+        return Message(Trust.NOT_CHECKED, "It was declared, not identified", values)
+    if not estimate.checks.verdicts:
+        left = f"{number(100 * estimate.fit.filtered_error, 2)} % of the {estimate.fit.compared} is not explained"
+        return Message(Trust.NOT_CHECKED, f"Checked by its fit only ({left}): validate it on another record", values)
+    loop = loop_verdict(estimate)
+    if estimate.settings.loop is not None and (loop is None or loop.status is Status.UNKNOWN):
+        return Message(
+            Trust.NOT_CHECKED, "You can rely on it if the controller is as declared, which was not checked", values
+        )
+    words = "You can rely on it"
+    if loop is not None and loop.status is Status.FAILED:
+        words += ": what is wrong with loop or log moves it by less than its interval"
+    return Message(Trust.RELIABLE, words, values)
+
+
+def _not_yet(against: list[Message]) -> Message:
+    words = "; ".join(one.brief for one in against[:2])
+    values = {"reasons": [str(one.code) for one in against], "parameters": []}
+    return Message(Trust.NOT_YET, f"Do not rely on it yet: {words}", values)
+
+
+class Against(StrEnum):
+    """What speaks against a value and is no reason of a verdict."""
+
+    NOT_CONVERGED = "not_converged"
+    TORQUE_UNEXPLAINED = "torque_unexplained"
+    AT_BOUND = "at_bound"
+    HELD = "others_at_bound"
+    RECORDS_DISAGREE = "records_disagree"
+    DRIFTS = "drifts"
+    WIDE = "wide_interval"
+    NO_INTERVAL = "no_interval"
+    ONLY_TOGETHER = "only_together"
+    INTERRUPTED = "interrupted"
+    ENCODER_LAG = "encoder_lag"
+
+
+def _failed(estimate: Estimate, asked: EstimatedParameter) -> list[Message]:
+    """Return what speaks against a value, the cause before its effects."""
+    loop = loop_verdict(estimate)
+    found = list(_effects(estimate, asked))
+    for reason in () if loop is None else loop.reasons:
+        by = reason.values["changes"].get(asked.name, 0.0) if reason.code is Reason.LAW_UNDECIDED else 0.0
+        if asked.value is not None and asked.stderr and abs(by) > 2.0 * asked.stderr:
+            words = f"it would be {number(asked.value + by, 4)} {asked.unit} if {reason.values['condition']}, "
+            words += "which this record does not exclude; see the drive's manual"
+            found.append(replace(reason, clause=words))
+    if loop is None or loop.status is not Status.FAILED:
+        return found
+    held = [row.symbol for row in estimate.params if row.of_joint and row.at_bound is not None]
+    if held:  # what is wrong is made up for by parameters: by how much a fault moves the others says little then
+        words = f"{listed(held)} {'end' if len(held) > 1 else 'ends'} at a bound"
+        found = [*found, Message(Against.HELD, words)]
+        return [loop.reasons[0], *found]
+    # Such a spring has no one stiffness, whatever a correction of first order changes.
+    springs = [one for one in loop.reasons if one.code is Reason.SPRING_NOT_LINEAR and asked.name in _OF_SPRING]
+    gross = not any("changes" in reason.values for reason in loop.reasons)
+    unexplained = any(one.code is Against.TORQUE_UNEXPLAINED for one in found)
+    if gross or unexplained or asked.name in moved_by_loop(estimate, beyond=2.0):
+        return [loop.reasons[0], *found]
+    return [*springs, *found]
+
+
+def _effects(estimate: Estimate, asked: EstimatedParameter) -> Iterator[Message]:
+    fit, checks = estimate.fit, estimate.checks
+    if fit.interrupted:
+        yield Message(Against.INTERRUPTED, "it was interrupted, and is of the record's beginning only")
+    elif not fit.converged:
+        yield Message(Against.NOT_CONVERGED, "the search did not converge")
+    if checks.encoder_lag is not None and asked.name in _OF_SPRING:
+        lag = f"{number(1e3 * checks.encoder_lag.lag, 2)} ms"
+        words = f"{checks.encoder_lag.late} seems {lag} late, which hides the spring"
+        yield Message(Against.ENCODER_LAG, words, {"lag": checks.encoder_lag.lag})
+    if not fit.filtered_error <= POOR_FIT:  # nor is it where the error is no number
+        left = f"{number(100 * fit.filtered_error, 2)} % of the {fit.compared} is not explained"
+        yield Message(Against.TORQUE_UNEXPLAINED, left, {"remaining": fit.filtered_error})
+    if asked.at_bound is not None:
+        yield Message(Against.AT_BOUND, "at a bound it does not follow the record")
+        return
+    if checks.agreement is not None and any(p.differs and p.name == asked.name for p in checks.agreement.parameters):
+        yield Message(Against.RECORDS_DISAGREE, "the records disagree in it by more than their intervals allow")
+    drift = checks.drift
+    if drift is not None and asked.name in drift.names:
+        yield Message(Against.DRIFTS, "it changes along the record by more than its intervals allow")
+    if not asked.free:
+        return
+    if not asked.identifiable:
+        yield Message(Against.ONLY_TOGETHER, "the record determines it only together with others")
+    if asked.value is None or asked.stderr is None or not math.isfinite(asked.value + asked.stderr):
+        yield Message(Against.NO_INTERVAL, "its interval is not known")
+    elif 2 * asked.stderr > _WIDE * abs(asked.value):
+        share = (
+            f"to {number(200 * asked.stderr / abs(asked.value), 2)} % only" if asked.value else "not even by its sign"
+        )
+        yield Message(Against.WIDE, f"it is known {share}")
+
+
+def loop_verdict(estimate: Estimate) -> Verdict | None:
+    """Return the verdict on controller and log, None where there is none."""
+    return next((v for v in estimate.checks.verdicts if v.subject is Subject.LOOP), None)
+
+
+def moved_by_loop(estimate: Estimate, beyond: float = 0.0) -> Mapping[str, float]:
+    """Return by how much the parameters change when the faults of loop and log that were found are corrected.
+
+    Where none was found, it is by how much another law would change them that the record does not exclude.
+
+    Args:
+        estimate: with the verdict of its loop check, or no parameter is moved.
+        beyond: standard errors that a parameter must be moved by.
+    """
+    loop = loop_verdict(estimate)
+    rows = {row.name: row.stderr or 0.0 for row in estimate.params}
+    total = sum_changes(() if loop is None else loop.reasons)
+    return {name: by for name, by in total.items() if abs(by) > beyond * rows.get(name, 0.0)}
+
+
+def sum_changes(reasons: Sequence[Message]) -> dict[str, float]:
+    """Return by how much the reasons of a loop check change each parameter; see `moved_by_loop`."""
+    total: dict[str, float] = {}
+    for reason in [one for one in reasons if one.code != Reason.LAW_UNDECIDED] or reasons:
+        for name, by in reason.values.get("changes", {}).items():
+            total[name] = total.get(name, 0.0) + by
+    return total
+
+
+def is_another_law(reasons: Sequence[Message]) -> bool:
+    """Return True if nothing is wrong with the loop, but another law is not excluded: its changes are of an `if`."""
+    return bool(reasons) and all(one.code == Reason.LAW_UNDECIDED for one in reasons)
+
+
+def _called(name: str) -> str:
+    plain, _, record = name.partition("@")
+    return plain.replace("_", " ").capitalize() + (f" of record {record}" if record else "")

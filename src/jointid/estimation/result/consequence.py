@@ -1,0 +1,67 @@
+"""What a check that did not pass means for the value that was asked for."""
+
+from __future__ import annotations
+
+from jointid.common.text import listed, signed
+from jointid.estimation.result.answer import Trust, moved_by_loop
+from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.parts import EstimatedParameter
+from jointid.uncertainty.verdict import Subject, Verdict
+
+
+def spares_answer(estimate: Estimate, verdict: Verdict) -> bool:
+    """Return True if a check that did not pass says nothing against a value that can otherwise be relied on."""
+    asked = estimate[estimate.answer.found.values["parameter"]]
+    return verdict.good is None or verdict.subject is Subject.LOOP or not _against(asked, verdict)
+
+
+def consequence(estimate: Estimate, verdict: Verdict) -> str:
+    """Return what a check that did not pass means for the value that was asked for, in a sentence.
+
+    Where something else speaks against the value, no check says that it may be used.
+    """
+    asked = estimate[estimate.answer.found.values["parameter"]]
+    value = asked.name.replace("_", " ")
+    if asked.value is None:
+        return f"Do not use a value of the {value}, only what is said of it above."
+    if verdict.subject is Subject.LOOP:
+        return _consequence_of_loop(estimate, asked, verdict)
+    if verdict.good is False and (why := _against(asked, verdict)):
+        return f"Do not use the {value}: {why}."
+    if verdict.good is None or estimate.answer.trust.code is Trust.NOT_YET:
+        return f"This says nothing against the {value}."
+    wide = verdict.subject in (Subject.WHITENESS, Subject.REPEATABLE)
+    return f"The {value} may be used{': its interval is wide enough for this' if wide else ''}."
+
+
+def _against(asked: EstimatedParameter, verdict: Verdict) -> str:
+    """Return why a check that failed speaks against a value, "" where it does not."""
+    why = {
+        Subject.SOLVER: "the search stopped on its way to it",
+        Subject.FIT: "it may be that of another joint",
+        Subject.STIFFNESS: "the record does not show it",
+    }
+    if not asked.identifiable:
+        why[Subject.IDENTIFIABILITY] = "the record determines it only together with others"
+    if asked.at_bound is not None:
+        why[Subject.BOUNDS] = "a bound holds it, not the record"
+    return why.get(verdict.subject, "")
+
+
+def _consequence_of_loop(estimate: Estimate, asked: EstimatedParameter, verdict: Verdict) -> str:
+    value, trust = asked.name.replace("_", " "), estimate.answer.trust
+    doubted = trust.code is Trust.NOT_YET
+    speaks = doubted and any(str(one.code) in trust.values["reasons"] for one in verdict.reasons)
+    by, far = moved_by_loop(estimate).get(asked.name), moved_by_loop(estimate, 2.0)
+    change = "" if not by else f" by {signed(by, 2)} {asked.unit}"
+    if verdict.good is None and speaks:
+        return f"Do not use the {value} before this is known."
+    if verdict.good is None:
+        return f"This says nothing against the {value}." if doubted else f"The {value} may be used if they are."
+    if speaks:
+        effect = f": correcting this changes it{change}, more than its interval" if asked.name in far else ""
+        return f"Do not use the {value} before this is corrected{effect}."
+    effect = f"changes it{change}, less than its interval" if by else "does not change it"
+    others = [estimate[name].symbol for name in far]
+    begin = f"This says nothing against the {value}" if doubted else f"The {value} may be used"
+    return f"{begin}: correcting this {effect}.{f' Do not use {listed(others)}.' if others else ''}"

@@ -1,1 +1,0 @@
-"""The search for the parameters: its history, starts and multistart."""

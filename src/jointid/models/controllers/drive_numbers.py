@@ -1,0 +1,43 @@
+"""A controller's number as its drive shows it: under the drive's name, in its unit, on its side of a transmission."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class DriveNumber:
+    """How a drive shows one number of a law.
+
+    Attributes:
+        number: of the law, as `jointid.models.controllers.numbers_of` has it.
+        name: in the drive: the same, integral_time for an integral gain, or a parameter's own.
+        unit: in which the drive shows it.
+        factor: what the number is multiplied by; of an inverse one, what is divided by it.
+        inverse: whether the drive shows a time for a gain.
+        declared: what the joint file says, in that unit; None where it says nothing.
+        per: another number of the law, per which this one is shown: the position gain of a PID with times; else empty.
+    """
+
+    number: str
+    name: str
+    unit: str
+    factor: float
+    inverse: bool = False
+    declared: float | None = None
+    per: str = ""
+
+    @property
+    def tells_more(self) -> bool:
+        """True if it is not the number as it is, without anything to compare it with."""
+        return self.inverse or self.factor != 1.0 or self.declared is not None
+
+    def of(self, value: float, law: Mapping[str, float]) -> float:
+        """Return a value of the number as the drive shows it, beside the other numbers of its law."""
+        per = law[self.per] if self.per else 1.0
+        share = value / per if per else math.inf
+        if self.inverse:
+            return self.factor / share if share else math.inf
+        return self.factor * share

@@ -1,0 +1,137 @@
+"""The summary of a report, two printed pages: the answer, the parameters, the checks, what to set in the drive."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+from jointid.common.document import Block, Heading, Listing, Paragraph, Tone, Verdicts
+from jointid.common.messages import Message
+from jointid.common.text import interval, listed, number, rounded
+from jointid.diagnostics.report_data import ReportData
+from jointid.estimation.methods.registry import method_of
+from jointid.estimation.result.answer import Trust, told_bounds
+from jointid.estimation.result.consequence import consequence
+from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.summary import parameters_table
+from jointid.output.report.wording import say_suspects, sentence
+from jointid.tuning.tuned import Tuned
+
+_TONES: dict[Trust, Tone] = {
+    Trust.RELIABLE: "good",
+    Trust.PARTLY: "good",
+    Trust.NOT_YET: "bad",
+    Trust.REFUSED: "bad",
+    Trust.NOT_CHECKED: "open",
+}
+_CHANNELS = {"injected": "injected signal"}
+
+
+def report_title(estimate: Estimate, name: str = "", date: str = "") -> str:
+    """Return the title of a report: the axis, and the date of its record where it is known."""
+    return f"{name or estimate.data.record}{f', {date}' if date else ''}"
+
+
+def summary_blocks(given: ReportData, tuned: Tuned | None, picture: Callable[[str], list[Block]]) -> Iterator[Block]:
+    """Yield the summary.
+
+    Args:
+        given: what is reported.
+        tuned: what to set in the drive; None where that is not known.
+        picture: returns the blocks of a picture by its name.
+    """
+    estimate = given.estimate
+    answer = estimate.answer
+    yield Heading("Result")
+    yield Paragraph(say_suspects(str(answer)), lead=True, tone=_TONES[Trust(answer.trust.code)])
+    yield Paragraph(_source(estimate))
+    yield from map(Paragraph, _results(estimate))
+    yield Heading("Parameters")
+    yield parameters_table(estimate, initial=False, letters=True)
+    yield Heading("Checks")
+    yield from _checks(estimate)
+    yield Heading("Position" if estimate.fit.compared == "position" else "Torque")
+    yield from picture("torque")
+    if tuned is not None:
+        yield Heading("Tuning")
+        yield Paragraph(tuned.sentence)
+        yield from tuned.proposal()
+
+
+def _source(estimate: Estimate) -> str:
+    """Return the model, the method, what was read, and on which side the values are."""
+    data, settings = estimate.data, estimate.settings
+    channels = listed([_CHANNELS.get(name, name.replace("_", " ")) for name in data.channels])
+    title = method_of(settings.method, settings.joint.model).title
+    gear = settings.joint.transmission
+    side = "" if gear is None else f" The transmission is {gear}."
+    return f"{settings.joint.model.capitalize()} joint, identified by {title} from {channels} of {data.record}.{side}"
+
+
+def _results(estimate: Estimate) -> Iterator[str]:
+    """Yield what is to be known beside the parameters, in sentences."""
+    fit = estimate.fit
+    if not fit.converged:
+        yield f"The search did not end well, and the values are where it stopped: {fit.stop}."
+    kind = "inverse model's" if estimate.settings.method == "idim" else "simulated"
+    yield (
+        f"The {kind} {fit.compared} errs by {100 * fit.relative_error:.2f} % of the measured one, and by "
+        f"{100 * fit.filtered_error:.2f} % after the filter through which both were compared. Numbers after ± are two "
+        "standard deviations."
+    )
+    known = [b for b in told_bounds(estimate) if b.stiffness is not None and b.frequency is not None]
+    if known:
+        unit = estimate["stiffness"].unit
+        softest = [(rounded(b.stiffness, 2), b) for b in (known[0], known[-1]) if b.stiffness is not None]
+        told = [
+            f"at least {number(least, 2)} {unit} (a mode at {b.frequency:.0f} Hz or above) if the load is "
+            f"{100 * b.share:.0f} % of the inertia"
+            for least, b in softest
+        ]
+        yield f"What is known of it is how soft it may be: {' and '.join(dict.fromkeys(told))}, with 95 % confidence."
+    if estimate.checks.known is not None:
+        sums = [
+            f"{one.combination.formula} = {interval(one.value, 2 * one.std)} {one.combination.unit}"
+            for one in estimate.checks.known.physical
+            if one.combination.kind == "sum" and one.verdict == "well"
+        ]
+        if sums:
+            yield f"Known best are the sums of both sides: {'; '.join(sums)}."
+
+
+# The checks
+
+
+def _checks(estimate: Estimate) -> Iterator[Block]:
+    """Yield the checks that failed first, each with what it means for the value that was asked for."""
+    verdicts = estimate.checks.verdicts
+    if not verdicts:
+        yield Paragraph("This method has no checks; its warnings and intervals say how far it can be trusted.")
+        return
+    failed = [verdict for verdict in verdicts if verdict.good is False]
+    unknown = [verdict for verdict in verdicts if verdict.good is None]
+    passed = [verdict for verdict in verdicts if verdict.good]
+    rows = [(v.subject.question, v.good, (_reasons(v.reasons), consequence(estimate, v))) for v in (*failed, *unknown)]
+    yield Paragraph(f"{len(passed)} of {len(verdicts)} checks passed. The appendix has the reasons in full.")
+    yield Verdicts((*rows, *((v.subject.question, True, ()) for v in passed)))
+    if estimate.checks.warnings:
+        yield Listing(tuple(sentence(say_suspects(warning)) for warning in estimate.checks.warnings))
+
+
+def verdicts_in_full(estimate: Estimate) -> Iterator[Block]:
+    """Yield every check with all its reasons, and the method's own tests."""
+    if estimate.checks.verdicts:
+        rows = []
+        for v in estimate.checks.verdicts:
+            reasons = tuple(sentence(say_suspects(str(reason))) for reason in v.reasons)
+            rows.append((v.subject.question, v.good, reasons))
+        yield Verdicts(tuple(rows))
+    else:
+        yield Paragraph("This method has no checks beyond the fit.")
+    if estimate.checks.tests:
+        yield Listing(tuple(f"{test.name}: {test.sentence}" for test in estimate.checks.tests))
+
+
+def _reasons(reasons: Sequence[Message]) -> str:
+    first, *others = (say_suspects(reason.brief) for reason in reasons)
+    more = f" (and {len(others)} more in the appendix)" if others else ""
+    return sentence(f"{first}{more}")

@@ -1,0 +1,145 @@
+"""The program of the process that reads files: orders on standard input, answers on standard output.
+
+An order is a line of JSON. An answer is JSON behind its length, eight bytes, and behind it the numbers of the columns
+that it lists. Nothing is pickled, and nothing but numbers and text is sent. `reader_process` starts this file by its
+path, and says what the orders are.
+
+The time of the processor that one file may take is bounded and, where the system can do that, so is the memory; no
+file can be written. The process ends with its standard input, which the one that reads holds, and with a pipe that this
+one keeps open.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from typing import IO, Any
+
+_LIBRARIES = 2**29  # bytes of addresses that the libraries of the formats take, most of which are never touched
+_TIRED = 2**28  # bytes more than at the beginning: what libraries keep of the files before
+
+
+def main(memory: int, lifeline: int | None) -> None:
+    """Follow orders until there are no more."""
+    if lifeline is not None:
+        _end_with(lifeline)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # who gave the orders is interrupted as well, and closes the input
+    orders, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what a library prints is no answer
+    from jointid.records.formats.table import Block
+
+    begin = _address_space()
+    _bound("RLIMIT_AS", begin + memory + _LIBRARIES)
+    _bound("RLIMIT_FSIZE", 0)
+    _bound("RLIMIT_CORE", 0)
+    blocks: Iterator[Block] = iter(())
+    block: Block | None = None
+    for line in orders:
+        order = json.loads(line)
+        try:
+            match order["do"]:
+                case "read":
+                    reader, path = _prepare(order)
+                    _send_table(answers, reader.read(path))
+                case "blocks":
+                    reader, path = _prepare(order)
+                    blocks = iter(reader.blocks(path, order["rows"]))
+                    _send(answers, {})
+                case "next":
+                    block = next(blocks, None)
+                    _send(answers, {"rows": None if block is None else block.rows})
+                case "take":
+                    assert block is not None
+                    _send_table(answers, block.table(order["rows"]))
+                case "close":
+                    blocks, block = iter(()), None
+                    _send(answers, {"free": _address_space() <= begin + _LIBRARIES + _TIRED})
+        except Exception as error:  # told to the process that reads, which knows what to make of it
+            blocks, block = iter(()), None
+            _send(answers, {"error": _describe(error)})
+
+
+def _end_with(lifeline: int) -> None:
+    """Have the system end this process when the other end of a pipe is closed, whatever a library is doing then.
+
+    Linux's order to end with the parent (`PR_SET_PDEATHSIG`) is of the thread that started this process, which may end
+    long before its process does; a thread that watches would wait for the library.
+    """
+    if sys.platform == "win32":
+        return
+    import fcntl
+    import select
+
+    signal.signal(signal.SIGIO, signal.SIG_DFL)  # it ends the process
+    with contextlib.suppress(OSError):  # a system without it ends this process with its input, once it reads it
+        fcntl.fcntl(lifeline, fcntl.F_SETOWN, os.getpid())
+        fcntl.fcntl(lifeline, fcntl.F_SETFL, fcntl.fcntl(lifeline, fcntl.F_GETFL) | os.O_ASYNC)
+    if select.select([lifeline], [], [], 0)[0]:  # it was closed before
+        sys.exit(1)
+
+
+def _prepare(order: dict[str, Any]) -> tuple[Any, Any]:
+    """Return the format and the path that an order names; from now on the file's own time runs."""
+    from pathlib import Path
+
+    from jointid.records.formats import format_of
+
+    _bound("RLIMIT_CPU", int(time.process_time()) + 1 + order["seconds"])
+    return format_of(order["path"], **order["options"]), Path(order["path"])
+
+
+def _describe(error: Exception) -> dict[str, Any]:
+    """Return an error as JSON has it: its kind, its sentences, and what the system says."""
+    faults = getattr(error, "faults", (str(error),))
+    told = {"kind": type(error).__name__, "faults": [str(fault) for fault in faults]}
+    return told | {"errno": error.errno, "strerror": error.strerror} if isinstance(error, OSError) else told
+
+
+def _send(answers: IO[bytes], answer: dict[str, Any]) -> None:
+    content = json.dumps(answer).encode()
+    answers.write(len(content).to_bytes(8, "little") + content)
+    answers.flush()
+
+
+def _send_table(answers: IO[bytes], table: Any) -> None:
+    described = {
+        "columns": [(name, values.size) for name, values in table.columns.items()],
+        "scalars": dict(table.scalars),
+        "source": table.source,
+        "units": dict(table.units),
+        "passed": dict(table.passed),
+        "clocks": dict(table.clocks),
+    }
+    _send(answers, {"table": described})
+    for values in table.columns.values():
+        answers.write(values.data.cast("B"))
+    answers.flush()
+
+
+def _address_space() -> int:
+    """Return how many bytes of addresses this process has; 0 where the system does not say it so."""
+    if sys.platform != "linux":
+        return 0
+    with open("/proc/self/statm", "rb") as file:  # noqa: PTH123 - one file of the system, and no import for it
+        return int(file.read().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def _bound(what: str, most: int) -> None:
+    """Bound a resource of this process, where the system can hold it to that."""
+    if sys.platform == "win32" or (what == "RLIMIT_AS" and sys.platform != "linux"):
+        return
+    import resource
+
+    kind = getattr(resource, what)
+    _, hard = resource.getrlimit(kind)
+    least = most if hard == resource.RLIM_INFINITY else min(most, hard)
+    resource.setrlimit(kind, (least, hard))
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), int(sys.argv[2]) if sys.argv[2:] else None)

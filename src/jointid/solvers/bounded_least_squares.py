@@ -1,0 +1,174 @@
+"""Bounded least squares: by Levenberg and Marquardt's steps, or by SciPy's trust region (Branch, Coleman and Li 1999).
+
+Every step of the former is the minimum of the damped linear problem inside the bounds (SciPy's bounded-variable least
+squares on the small triangular factor). A trust region reflects at a bound: where a Coulomb friction belongs on its
+bound of 0, as where a real friction law is not that of the model, it creeps towards it for a hundred evaluations; the
+steps take ten. The trust region has a stop that knows rounding.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray, column_norms
+from jointid.common.parameters import Bounds
+from jointid.solvers.solve import Counted, Problem, Solution, Status, Step, Watch
+
+if TYPE_CHECKING:
+    from scipy.optimize import OptimizeResult
+
+_DAMPING, _LEAST, _MOST = 1e-3, 1e-12, 1e12  # of the first step, in columns of norm 1; and its range
+_EASIER, _HARDER = 0.1, 5.0  # factors on the damping after a step that went down, and one that did not
+_IDLE = 1e-2  # of the residual
+_THERE = 1e-2  # of a tolerance
+_STATUS = {-2: Status.COST, 2: Status.COST, 3: Status.STEP, 4: Status.STEP_AND_COST}
+_CHANGED = {
+    Status.STEP: "the parameters",
+    Status.COST: "the criterion",
+    Status.STEP_AND_COST: "the criterion and the parameters",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class LevenbergMarquardt:
+    """Settings of bounded least squares by Levenberg-Marquardt.
+
+    Attributes:
+        tolerance: relative, on the criterion and the parameters.
+        evaluations: at most, each with the derivatives.
+    """
+
+    tolerance: float = 1e-8
+    evaluations: int = 60
+
+    def solve(self, problem: Problem, start: FloatArray, watch: Watch) -> Solution:
+        """Return where one descent ends; the trace begins with the start."""
+        counted, bounds, x = Counted.of(problem), Bounds.of(problem.free), start
+        before = counted.evaluations
+        error, J = counted.linearised(x)
+        trace, damping, used = [Step(x, float(np.linalg.norm(error)), counted.evaluations)], _DAMPING, 1
+        status = None if J.any() else Status.NOT_EVALUABLE
+        while status is None and used < self.evaluations:
+            norm = trace[-1].norm
+            step = damped_step(error, J, bounds.around(x), damping)
+            after, slopes = counted.linearised(x + step)
+            used += 1
+            gained = 1.0 - (float(np.linalg.norm(after)) / norm) ** 2 if norm else 0.0
+            small = bool(np.all(np.abs(step) <= self.tolerance * np.abs(x)))
+            if gained > 0.0:
+                x, error, J = x + step, after, slopes
+                trace.append(Step(x, float(np.linalg.norm(error)), counted.evaluations))
+                watch(trace[-1])
+            # A step that had to be damped so much is short for another reason than that the end is near.
+            if damping <= 1.0 and small:
+                status = Status.STEP
+            elif damping <= 1.0 and abs(gained) <= self.tolerance:
+                status = Status.COST
+            elif damping >= _MOST:
+                status = Status.NO_DESCENT
+            damping = max(damping * _EASIER, _LEAST) if gained > 0.0 else damping * _HARDER
+        status = status or Status.EVALUATION_LIMIT
+        message = explain(status, used, self.tolerance)
+        return Solution(x, error, J, status, message, tuple(trace), counted.evaluations - before)
+
+
+def damped_step(error: FloatArray, J: FloatArray, room: Bounds, damping: float) -> FloatArray:
+    """Return what minimises ``||e + J s||^2 + damping ||D s||^2`` within bounds, D the norms of the columns."""
+    from scipy.optimize import lsq_linear
+
+    norms = np.linalg.norm(J, axis=0)
+    # What moves nothing, from bound to bound, is not moved.
+    idle = norms * np.where(norms > 0, room.upper - room.lower, 0.0) <= _IDLE * np.linalg.norm(error)
+    J, norms = np.where(idle, 0.0, J), np.where(idle, 1.0, norms)
+    Q, R = np.linalg.qr(J / norms)
+    matrix = np.vstack([R, np.sqrt(damping) * np.eye(norms.size)])
+    target = np.concatenate([-Q.T @ error, np.zeros(norms.size)])
+    found = lsq_linear(matrix, target, (room.lower * norms, room.upper * norms), method="bvls")
+    return room.clip(found.x / norms)
+
+
+@dataclass(frozen=True, slots=True)
+class TrustRegion:
+    """Settings of bounded least squares by a trust region.
+
+    Attributes:
+        tolerance: relative, on the parameters, and on the criterion unless `cost_tolerance` says otherwise.
+        evaluations: at most, of the residual.
+        cost_tolerance: relative, on the criterion.
+        eager: whether every point that is tried is linearised, which also says when a step could gain no more than
+            rounding; otherwise only a point that is accepted is, which is cheaper where many are refused.
+        size: of the residual, which is searched in units of it, and every parameter in units of its start: then the
+            search is the same in any units. None searches in the problem's own.
+    """
+
+    tolerance: float = 1e-8
+    evaluations: int = 60
+    cost_tolerance: float | None = None
+    eager: bool = True
+    size: float | None = None
+
+    def solve(self, problem: Problem, start: FloatArray, watch: Watch) -> Solution:
+        """Return where one descent within the bounds ends; from where nothing can be evaluated there is none."""
+        from scipy.optimize import least_squares
+
+        counted, bounds, trace = Counted.of(problem), Bounds.of(problem.free), list[Step]()
+        before, unit, size = counted.evaluations, np.ones(start.size), self.size or 1.0
+        error, J = counted.linearised(start)
+        status = None if J.any() else Status.NOT_EVALUABLE
+        if self.eager and status is None and _arrived(bounds, start, error, J, self.tolerance):
+            status = Status.COST
+        if status is not None:
+            message = explain(status, 1, self.tolerance)
+            return Solution(start, error, J, status, message, (), counted.evaluations - before)
+        if self.size is not None:
+            unit = _units(start, error, J)
+
+        def residual(y: FloatArray) -> FloatArray:
+            return (counted.linearised(y * unit)[0] if self.eager else counted.residual(y * unit)) / size
+
+        def jacobian(y: FloatArray) -> FloatArray:
+            return counted.linearised(y * unit)[1] * (unit / size)
+
+        def step(intermediate_result: OptimizeResult) -> None:
+            at = np.asarray(intermediate_result.x * unit)
+            norm = size * math.sqrt(2 * float(intermediate_result.cost))
+            trace.append(Step(at, norm, counted.evaluations))
+            watch(trace[-1])
+            if self.eager and _arrived(bounds, at, *counted.linearised(at), self.tolerance):
+                raise StopIteration
+
+        scaled = bounds.in_units(unit)
+        found = least_squares(
+            residual, start / unit, jacobian, (scaled.lower, scaled.upper), x_scale="jac", xtol=self.tolerance,
+            ftol=self.cost_tolerance or self.tolerance, gtol=None, max_nfev=self.evaluations, callback=step,
+        )  # fmt: skip
+        x, error, J = (np.asarray(part) for part in (found.x * unit, found.fun * size, found.jac * (size / unit)))
+        status = _STATUS.get(int(found.status), Status.EVALUATION_LIMIT)
+        message = explain(status, int(found.nfev), self.tolerance)
+        return Solution(x, error, J, status, message, tuple(trace), counted.evaluations - before)
+
+
+def _arrived(bounds: Bounds, x: FloatArray, error: FloatArray, J: FloatArray, tolerance: float) -> bool:
+    """Whether so much less than the tolerance could be gained that a step would only follow rounding."""
+    moving = ~bounds.blocked(x, -(J.T @ error))
+    columns = J[:, moving] / column_norms(J[:, moving])
+    step = np.linalg.lstsq(columns, error, rcond=1e-12)[0]
+    return bool(np.sum((columns @ step) ** 2) < _THERE * tolerance * max(float(error @ error), 1e-300))
+
+
+def _units(x: FloatArray, error: FloatArray, J: FloatArray) -> FloatArray:
+    """Return the size of every parameter: its start, or where that is 0 what moves the residual by itself."""
+    norms = np.linalg.norm(J, axis=0)
+    sizes = float(np.linalg.norm(error)) / np.where(norms > 0, norms, np.inf)
+    return np.where(x != 0.0, np.abs(x), np.where(sizes > 0, sizes, 1.0))
+
+
+def explain(status: Status, evaluations: int, tolerance: float) -> str:
+    """Return why least squares ended, in a sentence with its numbers."""
+    if status in _CHANGED:
+        return f"converged: {_CHANGED[status]} changed by less than {100 * tolerance:g} %"
+    return f"not converged after {evaluations} evaluations"

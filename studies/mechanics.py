@@ -1,0 +1,262 @@
+"""Drives whose mechanics are not the model: what their stiffness is then said to be, and whether that is noticed.
+
+The drives are those of `studies.healthy`, each with one thing of its mechanics wrong, simulated by another hand: time
+steps of 10 us, in each of which friction is an impulse that at most stops its mass (J. J. Moreau, "Unilateral contact
+and dry friction in finite freedom dynamics", 1988). Their controller is the declared one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numba
+import numpy as np
+from scipy.signal import lfilter
+
+import jointid as ji
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import JointidError
+from jointid.simulation.loop_input import LoopInput, prepare
+from studies.healthy import Drive, drive
+
+FAULTS = (
+    "none", "cubic spring", "backlash", "load-dependent friction", "changing friction", "presliding", "cogging",
+    "second mode",
+)  # fmt: skip
+_STEP = 1e-5  # s
+
+# What the simulation reads, by its place in a row: the drive, then what is wrong with it.
+_ORDER = (
+    "motor_inertia", "motor_viscous", "motor_coulomb", "stiffness", "damping", "load_inertia", "load_viscous",
+    "load_coulomb", "offset",
+    "cubic",  # 1/rad2, the spring is stiffer by this times the square of its wind-up
+    "gap",  # rad, half of the backlash
+    "third_inertia", "third_stiffness", "third_damping",  # of what the load carries
+    "loss",  # friction of the load per torque through the spring
+    "presliding",  # rad of wind-up of the friction, for both masses
+    "cogging", "pitch",  # N m, rad
+    "warming",  # the viscous friction falls by this share from beginning to end
+)  # fmt: skip
+
+
+@numba.njit(cache=False)
+def _run(  # type: ignore[no-untyped-def]
+    d, A, Bq, C, D, state, feedforward, driven, after, lag, period, steps, first
+):  # pragma: no cover
+    periods = feedforward.size
+    h = period / steps
+    (m1, b1, f1, k, c, m2, b2, f2, offset, cubic, gap, m3, k3, c3, loss, soft, cogging, pitch, warming) = d
+    z = state.copy()
+    q1, q2, q3, v1, v2, v3 = first, first, first, 0.0, 0.0, 0.0
+    z1, z2 = 0.0, 0.0  # of the presliding friction, -1 to 1
+    out, acting = np.empty(periods), np.empty(periods)
+    wound = 0.0
+    for i in range(periods):
+        u = feedforward[i] + D * q1
+        for j in range(z.size):
+            u += C[j] * z[j]
+        z = A @ z + Bq * q1 + (driven[i] if driven.shape[0] else np.zeros(z.size))
+        out[i] = u
+        acting[i] = u + after[i]
+        torque = acting[i - lag] if i >= lag else acting[0]
+        left = 1.0 - warming * i / periods
+        for _ in range(steps):
+            e, de = q2 - q1, v2 - v1
+            open_e = e - min(max(e, -gap), gap)
+            spring = k * open_e * (1.0 + cubic * open_e * open_e)
+            if gap == 0.0 or open_e != 0.0:
+                spring += c * de
+            wound = max(wound, abs(e))
+            push1 = torque - offset + spring - left * b1 * v1
+            if cogging != 0.0:
+                push1 -= cogging * math.sin(2 * math.pi * q1 / pitch)
+            push2 = -spring - left * b2 * v2
+            held2 = f2 + loss * abs(spring)
+            if m3 > 0.0:
+                third = k3 * (q3 - q2) + c3 * (v3 - v2)
+                push2 += third
+                v3 -= h * third / m3
+                q3 += h * v3
+            if soft > 0.0:  # Dahl's: the friction winds up over a displacement
+                z1 += h * (v1 - abs(v1) * z1) / soft
+                z2 += h * (v2 - abs(v2) * z2) / soft
+                v1 += h * (push1 - f1 * z1) / m1
+                v2 += h * (push2 - held2 * z2) / m2
+            else:
+                v1 += h * push1 / m1
+                v2 += h * push2 / m2
+                v1 = math.copysign(max(abs(v1) - h * f1 / m1, 0.0), v1)
+                v2 = math.copysign(max(abs(v2) - h * held2 / m2, 0.0), v2)
+            q1 += h * v1
+            q2 += h * v2
+    return out, wound
+
+
+def simulate(axis: Drive, values: dict[str, float], after: FloatArray) -> tuple[FloatArray, LoopInput, float]:
+    """Return the controller's output at its instants, the loop's input, and the largest wind-up, by small steps."""
+    experiment = prepare(axis.loop, axis.record)
+    feedback, law = experiment.kernel, experiment.law
+    assert law.phases == 1 and experiment.lengths.size == 1  # a delay of whole periods
+    steps = max(round(law.period / _STEP), 1)
+    row = np.array([values.get(name, 0.0) for name in _ORDER])
+    first = float(experiment.inputs[0, 0])
+    state = experiment.state + experiment.memory[:, 0] * first
+    out, wound = _run(
+        row, feedback.A[0], feedback.Bq[0], feedback.C[0, law.output], float(feedback.D[0, law.output]), state,
+        np.ascontiguousarray(experiment.feedforward[law.output]), feedback.driven, after, int(experiment.lags[0]),
+        law.period, steps, first,
+    )  # fmt: skip
+    return out, experiment, float(wound)
+
+
+@dataclass(frozen=True)
+class Spoiled:
+    """A record of a drive whose mechanics are not the model, the drive, and how large the fault is."""
+
+    record: ji.Record
+    axis: Drive
+    size: float
+
+
+def spoiled(seed: int, fault: str, longest: float = 12.0) -> Spoiled | None:
+    """Return a drive of `studies.healthy` with one fault; None where its loop is not stable with it.
+
+    Springs that are 11 to 94 % stiffer at the largest wind-up, gaps of 0.1 to 2 such wind-ups, modes at 1.5 to 4 times
+    the first, friction of 2 to 15 % of the load's torque, friction that winds up over 1e-4 to 1e-2 of the travel,
+    cogging of 1 to 5 % of the torque, a viscous friction that falls by 20 to 60 %.
+    """
+    axis = drive(seed, longest)
+    rng = np.random.default_rng([seed, 19])
+    record, truth, about = axis.record, dict(axis.truth), axis.about
+    assert record.torque is not None and record.reference is not None
+    samples = record.torque.values.size
+    experiment = prepare(axis.loop, record)
+    clean, _, wound = simulate(axis, truth, experiment.after_limit)
+    scale, travel = float(np.std(clean)), float(np.ptp(record.reference.values))
+    size = {
+        "none": 0.0, "cubic spring": rng.uniform(0.11, 0.94), "backlash": 0.1 * 20 ** rng.uniform(),
+        "second mode": rng.uniform(1.5, 4.0), "load-dependent friction": rng.uniform(0.02, 0.15),
+        "presliding": 10 ** rng.uniform(-4, -2), "cogging": rng.uniform(0.01, 0.05),
+        "changing friction": rng.uniform(0.2, 0.6),
+    }[fault]  # fmt: skip
+    if fault == "cubic spring":
+        truth["cubic"] = size / wound**2
+    elif fault == "backlash":
+        truth["gap"] = 0.5 * size * wound
+    elif fault == "second mode":  # a third of the load on a spring of its own
+        third = truth["load_inertia"] / 3
+        pulsation = 2 * math.pi * about["mode"] * size
+        truth |= {"load_inertia": 2 * third, "third_inertia": third, "third_stiffness": third * pulsation**2}
+        truth["third_damping"] = 0.02 * third * pulsation
+    elif fault == "load-dependent friction":
+        truth["loss"] = size
+    elif fault == "presliding":
+        truth["presliding"] = size * travel
+    elif fault == "cogging":
+        truth |= {"cogging": size * scale, "pitch": travel / rng.uniform(5, 40)}
+    elif fault == "changing friction":
+        truth["warming"] = size
+    noise = rng.standard_normal(samples)
+    if about["noise"] == "coloured force":
+        noise = lfilter([1.0], [1.0, -math.exp(-about["period"] * 2 * math.pi * rng.uniform(2, 30))], noise)
+    noise *= about["size"] * scale / noise.std()
+    on_log = about["noise"] == "log"
+    out, _, _ = simulate(axis, truth, experiment.after_limit + (0.0 if on_log else noise))
+    shown = out + experiment.shown + (noise if on_log else 0.0)
+    if not np.all(np.isfinite(shown)) or np.abs(shown).max() > 10 * np.abs(clean).max():
+        return None
+    return Spoiled(replace(record, torque=replace(record.torque, values=shown)), axis, size)
+
+
+@dataclass(frozen=True)
+class Said:
+    """What was said of a drive: z of its stiffness, its deviation in percent, and what is trusted."""
+
+    seed: int
+    fault: str
+    size: float
+    about: dict[str, Any]
+    error: str
+    answer: str
+    trust: str
+    z: float | None
+    off: float | None
+    named: tuple[str, ...]
+
+    @property
+    def silent(self) -> bool:
+        """A stiffness more than 3 deviations off that may be relied on."""
+        return self.z is not None and abs(self.z) > 3 and self.trust.startswith("reliable")
+
+
+def judge(seed: int, fault: str, longest: float = 12.0) -> Said | None:
+    """Identify a drive with a fault; None where there is none."""
+    made = spoiled(seed, fault, longest)
+    if made is None:
+        return None
+    about = made.axis.about
+    try:
+        found = ji.identify(made.record, made.axis.loop)
+    except JointidError as error:
+        return Said(seed, fault, made.size, about, f"{type(error).__name__}: {error}", "", "", None, None, ())
+    row, truth = found["stiffness"], made.axis.truth["stiffness"]
+    named = [
+        str(reason.values.get("suspect", reason.values.get("law", "")))
+        for verdict in found.checks.verdicts
+        if str(verdict.subject) == "loop"
+        for reason in verdict.reasons
+    ]
+    return Said(
+        seed, fault, made.size, about, "", found.sentence, str(found.answer.trust.code),
+        (row.value - truth) / row.stderr if row.value is not None and row.stderr else None,
+        100 * (row.value / truth - 1) if row.value is not None else None,
+        tuple(filter(None, named)),
+    )  # fmt: skip
+
+
+def summarise(runs: Sequence[Said]) -> str:
+    """Return a row for each fault: how far stiffnesses are off, how many are silent, and what is named first."""
+    lines = ["fault, drives, given; off by %, median and 90 %; deviations, the same; relied on, silent; named first"]
+    for fault in dict.fromkeys(run.fault for run in runs):
+        here = [run for run in runs if run.fault == fault]
+        given = [run for run in here if run.z is not None]
+        off = np.abs([run.off for run in given if run.off is not None])
+        z = np.abs([run.z for run in given if run.z is not None])
+        sizes = [f"{np.median(a):.2g} {np.quantile(a, 0.9):.2g}" for a in (off, z) if a.size]
+        relied = sum(run.trust.startswith("reliable") for run in given)
+        named = Counter(run.named[0] if run.named else "nothing" for run in here).most_common()
+        lines.append(
+            f"{fault}, {len(here)}, {len(given)}; {'; '.join(sizes)}; {relied}, {sum(run.silent for run in given)}; "
+            + ", ".join(f"{name} {count}" for name, count in named)
+        )
+    return "\n".join(lines)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Write a line of JSON for each drive, and at the end, beside them, what they say together."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--count", type=int, default=16)
+    parser.add_argument("--longest", type=float, default=12.0)
+    parser.add_argument("--fault", action="append", choices=FAULTS)
+    given = parser.parse_args(arguments)
+    runs = []
+    for fault in given.fault or FAULTS:
+        for seed in range(given.first, given.first + given.count):
+            said = judge(seed, fault, given.longest)
+            if said is not None:
+                runs.append(said)
+                sys.stdout.write(json.dumps(asdict(said)) + "\n")
+                sys.stdout.flush()
+    sys.stderr.write(summarise(runs) + "\n")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,253 @@
+"""No command writes over what it reads, and no two outputs onto one file."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jointid.apps.cli.places import Outputs
+from jointid.apps.cli.streams import replace_unshowable
+from jointid.common.errors import RecordError
+from jointid.common.files import beside, write_folder, write_whole
+from jointid.config import load
+from jointid.output import json as answers
+from jointid.records.formats import Table, write_table
+from tests.apps.cli.test_commands import EMPS, run
+from tests.apps.commands import commands
+from tests.losses.runs import contents
+
+COMMANDS = (
+    "data inspect record.csv --json record.csv",
+    "data inspect record.csv --figure link.png",
+    "data convert record.csv record.csv",
+    "identify joint.toml --json record.csv",
+    "identify joint.toml --record record.csv --json record.csv",
+    "identify joint.toml --json joint.toml",
+    "identify joint.toml --figure link.png",
+    "identify joint.toml --record record.csv --record other.csv --json other.csv",
+    "identify joint.toml --json out.json --figure link.svg",
+    "controller joint.toml --write joint.toml",
+    "controller joint.toml --write link.png",
+    "controller joint.toml --write a.toml --json ./a.toml",
+    "tune joint.toml --json record.csv",
+    "tune joint.toml --json same.png --figure same.png",
+    "report joint.toml --html page.html",
+    "report joint.toml --json record.csv",
+    "report joint.toml --html new.html --json new.html",
+    "validate joint.toml --estimate estimate.json --json estimate.json",
+    "validate joint.toml --estimate estimate.json --figure a.png --residuals a.png",
+    "compare estimate.json other.json --json other.json",
+    "compare estimate.json other.json --json estimate.json",
+    "export joint.toml --estimate estimate.json --out joint.toml",
+    "export joint.toml --estimate estimate.json --out estimate.json",
+    "simulate joint.toml --out record.csv",
+    "simulate joint.toml --estimate estimate.json --json estimate.json",
+    "diagnose methods joint.toml --json record.csv",
+    "diagnose loop joint.toml --json joint.toml",
+    "diagnose sensors joint.toml --json record.csv",
+)
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A joint file that names a record, which has other names, too: a link that ends in .png, and another in .html."""
+    text = EMPS.read_text(encoding="utf-8")
+    (tmp_path / "joint.toml").write_text(text.replace("DATA_EMPS.mat", "record.csv"), encoding="utf-8")
+    write_table(tmp_path / "record.csv", Table({"t": np.arange(9) * 1e-3, "vir": np.ones(9), "qg": np.zeros(9)}))
+    for name in ("other.csv", "estimate.json", "other.json", "out.json"):
+        (tmp_path / name).write_text("{}", encoding="utf-8")
+    os.link(tmp_path / "record.csv", tmp_path / "link.png")
+    (tmp_path / "page.html").symlink_to("record.csv")
+    (tmp_path / "link.svg").symlink_to("out.json")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="links")
+@pytest.mark.parametrize("command", COMMANDS)
+def test_no_command_writes_over_what_it_reads(
+    command: str, place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(answers, "read_friction", lambda _: None)
+    monkeypatch.setattr("jointid.config.contents.JointFile.record", lambda *_: pytest.fail("the work has begun"))
+    before = contents(place)
+    assert run(*command.split()) == 2
+    said = capsys.readouterr().err
+    assert "which would be replaced" in said or "are both" in said or "is not written over" in said
+    assert contents(place) == before
+
+
+LONG = "x" * 300
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="long names")
+@pytest.mark.parametrize(
+    "command",
+    (
+        f"data inspect {LONG}.csv",
+        f"identify {LONG}.toml",
+        f"identify joint.toml --record {LONG}.csv",
+        f"identify joint.toml --json {LONG}.json",
+        f"compare {LONG}.json estimate.json",
+        f"report joint.toml --html {LONG}.html",
+        f"simulate joint.toml --out {LONG}.csv",
+    ),
+)
+@pytest.mark.usefixtures("place")
+def test_a_name_that_no_file_can_have_is_a_sentence(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(*command.split()) == 2
+    said = capsys.readouterr().err
+    assert f"{LONG}." in said
+    assert "is longer than the name of a file may be" in said
+
+
+def test_the_sentence_names_both(place: Path) -> None:
+    with pytest.raises(RecordError, match=r"^--figure and --residuals are both a.png; name two places.$"):
+        Outputs(figures={"--figure": Path("a.png"), "--residuals": Path("a.png")})
+    with pytest.raises(RecordError, match=r"^--json link.png is the file that --record names, which would be replaced"):
+        Outputs({"--json": Path("link.png")}).spare("--record", Path("record.csv"))
+    with pytest.raises(RecordError, match=r"^--json record.csv is the file that joint.toml names"):
+        Outputs({"--json": Path("record.csv")}).spare_records(Path("joint.toml"), load("joint.toml"))
+    (place / "bag").mkdir()
+    (place / "bag" / "bag.mcap").write_bytes(b"")
+    with pytest.raises(RecordError, match="is the file that SOURCE names"):
+        Outputs({"TARGET": Path("bag/bag.mcap")}).spare("SOURCE", Path("bag"))
+    Outputs({"--json": Path("/dev/null"), "--out": Path("/dev/null")})
+
+
+def test_the_demo_does_not_write_over_another_s_files(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = contents(place)
+    assert run("demo", place, "-q") == 2
+    assert "joint.toml is there, and is not, or is no longer, what the demo writes" in capsys.readouterr().err
+    assert contents(place) == before
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="rights and links")
+def test_what_is_replaced_keeps_its_rights_and_a_link_stays(tmp_path: Path) -> None:
+    (tmp_path / "old.json").write_text("old", encoding="utf-8")
+    (tmp_path / "old.json").chmod(0o640)
+    (tmp_path / "link.json").symlink_to("old.json")
+    write_whole(tmp_path / "link.json", "new ±\udcff")
+    assert (tmp_path / "link.json").is_symlink()
+    assert (tmp_path / "old.json").read_bytes() == "new ±\\udcff".encode()
+    assert stat.S_IMODE((tmp_path / "old.json").stat().st_mode) == 0o640
+    write_whole(tmp_path / "fresh.json", b"")
+    (tmp_path / "plain").touch()
+    assert (tmp_path / "fresh.json").stat().st_mode == (tmp_path / "plain").stat().st_mode
+    write_whole("/dev/null", b"gone")
+    assert not Path("/dev/null").is_file()
+    with pytest.raises(RecordError, match="cannot be written"):
+        write_whole(tmp_path, b"a folder")
+
+
+def test_half_a_result_is_never_seen(tmp_path: Path) -> None:
+    (tmp_path / "old.json").write_text("old", encoding="utf-8")
+    for error in (KeyboardInterrupt, OSError(28, "No space left on device")):
+        with pytest.raises((KeyboardInterrupt, RecordError)), beside(tmp_path / "old.json") as fresh:
+            fresh.write_text("half", encoding="utf-8")
+            raise error
+        assert contents(tmp_path) == {"old.json": b"old"}
+    kept = r"space left on device\), and what was there is as it was; free space there"
+    with pytest.raises(RecordError, match=kept), beside(tmp_path / "old.json"):
+        raise OSError(28, "No space left on device")
+    assert [path.name for path in write_folder(tmp_path / "a" / "b", {"x": b"1", "y": b"2"})] == ["x", "y"]
+    write_folder(tmp_path / "a" / "b", {"x": b"3"})
+    assert contents(tmp_path / "a") == {"b/x": b"3", "b/y": b"2"}
+    assert not list(tmp_path.rglob(".jointid-*"))
+
+
+def test_a_disk_without_an_order_to_store_is_written_and_one_that_fails_is_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(number: int) -> None:
+        monkeypatch.setattr(os, "fsync", lambda _: (_ for _ in ()).throw(OSError(number, os.strerror(number))))
+
+    refuse(errno.EINVAL)  # as some disks in a network do
+    write_whole(tmp_path / "a.json", "old")
+    refuse(errno.EIO)
+    with pytest.raises(RecordError, match="input/output error"):
+        write_whole(tmp_path / "a.json", "new")
+    assert contents(tmp_path) == {"a.json": b"old"}
+
+
+def test_an_output_without_the_characters_gets_others() -> None:
+    def shown(text: str, encoding: str) -> bytes:
+        error = UnicodeEncodeError(encoding, text, 0, len(text), "")
+        return replace_unshowable(error)[0]  # type: ignore[return-value]
+
+    assert shown("±█é\udcff中", "ascii") == b"+-#e\\udcff?"
+
+
+def test_a_file_that_is_read_only_is_refused_before_anything_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The administrator may write everywhere, so that the system's answer is made up."""
+    (tmp_path / "mine.json").write_text("{}")
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != tmp_path / "mine.json")
+    with pytest.raises(RecordError, match=r"mine\.json cannot be written, because it is read-only; name another file"):
+        Outputs({"--json": tmp_path / "mine.json"})
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="/dev/full")
+def test_a_full_device_is_refused_before_anything_runs() -> None:
+    with pytest.raises(RecordError, match=r"/dev/full cannot be written \(no space left on device\)"):
+        Outputs({"--json": Path("/dev/full")})
+    Outputs({"--json": Path("/dev/null")})
+
+
+OUTPUTS: dict[str, tuple[str, dict[str, str]]] = {
+    "compare": ("estimate.json other.json", {"--json": "x.json"}),
+    "controller": ("joint.toml", {"--json": "x.json", "--write": "x.toml"}),
+    "data convert": ("record.csv", {"TARGET": "x"}),
+    "data inspect": ("record.csv", {"--json": "x.json", "--figure": "x.png"}),
+    "demo": ("", {"FOLDER": "x"}),
+    "diagnose intervals": ("joint.toml", {}),
+    "diagnose loop": ("joint.toml", {"--json": "x.json"}),
+    "diagnose methods": ("joint.toml", {"--json": "x.json"}),
+    "diagnose sensors": ("joint.toml", {"--json": "x.json"}),
+    "export": ("joint.toml --estimate estimate.json", {"--out": "x.urdf"}),
+    "identify": ("joint.toml", {"--json": "x.json", "--figure": "x.png"}),
+    "report": ("joint.toml", {"--html": "x.html", "--json": "x.json", "--markdown": "x", "--figures": "."}),
+    "reproduce": ("", {"--out": "x"}),
+    "serve": ("", {"--folder": "x"}),
+    "simulate": ("joint.toml", {"--json": "x.json", "--out": "x.csv"}),
+    "tune": ("joint.toml", {"--json": "x.json", "--figure": "x.png"}),
+    "validate": (
+        "joint.toml --estimate estimate.json",
+        {"--json": "x.json", "--figure": "x.png", "--residuals": "x.png"},
+    ),
+}
+"""Where every command writes, and what else it is given."""
+_READ = {"JOINT", "FILE", "SOURCE", "BEFORE", "AFTER", "--record", "--estimate"}
+
+
+def test_every_place_where_a_command_writes_is_listed() -> None:
+    places = {name: {a.name for a in given if "Path" in str(a.hint)} - _READ for name, given in commands().items()}
+    assert places == {name: set(outputs) for name, (_, outputs) in OUTPUTS.items()}
+
+
+@pytest.mark.parametrize("reason", [errno.ENOSPC, errno.EACCES, errno.EROFS])
+@pytest.mark.parametrize("command", OUTPUTS)
+def test_an_output_that_cannot_be_written_is_refused_before_anything_runs(
+    command: str, reason: int, place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A full disk takes folders and no byte, a folder that is closed or read-only takes nothing."""
+    there, (given, outputs) = contents(place), OUTPUTS[command]
+
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(reason, os.strerror(reason))
+
+    monkeypatch.setattr(*((Path, "write_bytes") if reason == errno.ENOSPC else (tempfile, "mkdtemp")), refuse)
+    for option, path in outputs.items():
+        assert run(*f"{command} {given} {option if option.startswith('-') else ''} {path}".split()) == 2
+        printed = capsys.readouterr()
+        assert f"cannot be written ({os.strerror(reason).lower()})" in printed.err, option
+        assert printed.out == "", option
+        assert contents(place) == there, option

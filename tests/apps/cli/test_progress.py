@@ -1,0 +1,166 @@
+"""Long work as a user sees it: bars on a terminal, a line now and then elsewhere, nothing where none is wanted."""
+
+from __future__ import annotations
+
+import io
+import math
+import sys
+from itertools import count
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+import jointid as ji
+from jointid.apps.cli import console
+from jointid.apps.cli.bars import Bars
+from jointid.common.messages import Work, describe_pace, describe_time, follow, silent
+from jointid.common.parameters import Parameter, Quantity
+from jointid.common.text import ordinal
+from jointid.estimation.methods.search import History
+from jointid.uncertainty.resampling import Bootstrapping, bootstrap_estimate
+
+
+class Drawn:
+    """A listener that remembers what it hears."""
+
+    def __init__(self) -> None:
+        self.said: list[str] = []
+        self.drawn: list[tuple[str, float, float, str]] = []
+
+    def __call__(self, message: str) -> None:
+        self.said.append(message)
+
+    def draw(self, what: str, done: float, total: float, unit: str) -> None:
+        self.drawn.append((what, done, total, unit))
+
+
+def test_a_rate_and_the_time_left_are_of_what_was_done() -> None:
+    assert describe_pace(30, 120, "draws", 10.0) == "30 of 120 draws, 30 s left, 3/s"
+    assert describe_pace(25.0, 100.0, "%", 60.0) == "25 %, 3 min left"
+    assert describe_pace(0, 120, "draws", 10.0) == "0 of 120 draws"
+    assert [describe_time(s) for s in (0.2, 99.0, 300.0, 7200.0)] == ["1 s", "99 s", "5 min", "2.0 h"]
+
+
+def test_where_no_bar_is_drawn_a_line_comes_every_ten_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
+    seconds = count()
+    monkeypatch.setattr("time.monotonic", lambda: float(next(seconds)))
+    said: list[str] = []
+    assert list(follow(range(35), said.append, "bootstrapping", 35, "draws")) == list(range(35))
+    assert len(said) == 3
+    assert said[0] == "bootstrapping: 9 of 35 draws, 29 s left, 0.9/s"
+    list(follow(range(9), said.append, "short", 9, "draws"))
+    assert len(said) == 3
+
+
+def test_work_of_unknown_length_tells_what_is_done_and_how_fast() -> None:
+    assert describe_pace(30, math.inf, "windows", 10.0) == "30 windows, 3/s"
+    drawn = Drawn()
+    assert list(follow("abc", drawn, "passing over the log", math.inf, "windows")) == ["a", "b", "c"]
+    assert drawn.drawn[-1] == ("passing over the log", math.inf, math.inf, "windows")
+    out = io.StringIO()
+    bars = Bars(Console(file=out, force_terminal=True, width=80))
+    for done in (0, 3):
+        bars.draw("passing over the log", done, math.inf, "windows")
+    bars._progress.refresh()
+    assert "3 windows" in out.getvalue()
+    bars.draw("passing over the log", math.inf, math.inf, "windows")
+    assert not bars._progress.live.is_started
+
+
+@pytest.fixture(scope="module")
+def flexible_twin() -> tuple[ji.Record, ji.Estimate]:
+    """The twin's record from torque alone, and its estimate."""
+    axis = ji.twin(noise="white")
+    record = axis.record.without("motor_position", "load_position")
+    return record, ji.identify(record, axis.loop, ji.FlexibleDIDIM(frequency=30.0), loop_check=False)
+
+
+def test_tuning_and_predictions_are_drawn_to_their_end(flexible_twin: tuple[ji.Record, ji.Estimate]) -> None:
+    record, estimate = flexible_twin
+    for run in (
+        lambda drawn: ji.advise(estimate, record, progress=drawn),
+        lambda drawn: ji.tune(estimate, progress=drawn),
+    ):
+        drawn = Drawn()
+        run(drawn)
+        (what,) = {one[0] for one in drawn.drawn}
+        assert what in ("predicting other experiments", "tuning")
+        done = [one[1] for one in drawn.drawn]
+        assert done == sorted(done) and done[-1] == drawn.drawn[0][2]
+
+
+def test_the_first_pass_over_a_log_is_drawn_too() -> None:
+    loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0))
+    reference = ji.excitation.trapezoids((0.1, 0.2), 2.0, 0.1, 1e-3, duration=30.0)
+    truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
+    drawn = Drawn()
+    record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
+    ji.identify(record, loop, windows=ji.Windowing(length=6.0), progress=drawn)
+    first, second = [one for one in drawn.drawn if one[0] == "passing over the log"][:2]
+    assert first == ("passing over the log", 0, math.inf, "windows")
+    assert second == ("passing over the log", 1, math.inf, "windows")
+
+
+def test_a_bar_is_told_of_every_step() -> None:
+    drawn = Drawn()
+    work = Work(drawn, "profiling", 3, "quantities")
+    assert list(work.along("abc")) == ["a", "b", "c"]
+    assert drawn.drawn == [("profiling", n, 3, "quantities") for n in (0, 1, 2, 3)]
+
+
+def test_a_bootstrap_tells_its_draws() -> None:
+    drawn, random = Drawn(), np.random.default_rng(0)
+    J, free = random.standard_normal((2000, 1)), [Parameter("inertia", "ZZ", Quantity.INERTIA)]
+    bootstrap_estimate(
+        free, np.ones(1), random.standard_normal(2000), J, settings=Bootstrapping(draws=50), progress=drawn
+    )
+    assert drawn.drawn[-1][1:] == (50, 50, "draws")
+    assert drawn.drawn[10][1] == 10
+
+
+def test_bars_show_rate_and_time_left_and_leave_nothing_behind() -> None:
+    file = io.StringIO()
+    bars = Bars(Console(file=file, force_terminal=True, width=110))
+    bars.draw("bootstrapping", 0, 40, "draws")
+    bars.draw("bootstrapping", 12, 40, "draws")
+    bars("a sentence [of a file]")
+    bars._progress.refresh()
+    shown = file.getvalue()
+    assert "bootstrapping" in shown and "12 of 40 draws" in shown and "left" in shown
+    assert "a sentence [of a file]" in shown
+    bars.draw("bootstrapping", 40, 40, "draws")
+    assert not bars._progress.live.is_started
+    bars.draw("profiling", 1, 3, "quantities")
+    bars.clear()
+    assert not bars._progress.live.is_started and not bars._progress.tasks
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_who_listens_depends_on_the_terminal(terminal: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal, raising=False)
+    assert console.listen(quiet=True) is silent
+    assert isinstance(console.listen(quiet=False), Bars) == terminal
+
+
+def test_another_start_does_not_read_as_divergence() -> None:
+    said: list[str] = []
+    history = History(said.append)
+    history.begin()
+    history.tell(1, 0.09)
+    history.tell(2, 0.04)
+    history.begin()
+    history.tell(3, 0.3)
+    history.tell(4, 0.02)
+    assert said == [
+        "iteration 1: torque error 9.0000 %",
+        "iteration 2: torque error 4.0000 %",
+        "start 2, iteration 3: torque error 30.0000 % (best so far 4.0000 %)",
+        "start 2, iteration 4: torque error 2.0000 %",
+    ]
+
+
+def test_places_in_a_row_are_said_as_people_do() -> None:
+    assert [ordinal(n) for n in (1, 2, 3, 4, 11, 12, 13, 21, 22, 101, 111)] == [
+        "1st", "2nd", "3rd", "4th", "11th", "12th", "13th", "21st", "22nd", "101st", "111th",
+    ]  # fmt: skip

@@ -1,0 +1,286 @@
+"""Requests that mean no good: each is answered or cut off, none is a fault of ours, and the page goes on."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from urllib.parse import quote
+
+import pytest
+
+from jointid.apps.web import serving
+from jointid.apps.web.folder import Limits
+from tests.apps.web.asking import MULTIPART, TOKEN, Served, parts
+
+pytestmark = pytest.mark.hostile
+
+SECRET = "kept-out-of-sight"
+FORM = "application/x-www-form-urlencoded"
+HOST = "127.0.0.1"
+SCRIPT = "<script>alert(1)</script>"
+PATHS = (
+    "/../../etc/passwd",
+    "/%2e%2e/%2e%2e/etc/passwd",
+    "/..%2f..%2fsecret.txt",
+    "/static/../worker.py",
+    "/static/..%2fworker.py",
+    "/static/%2e%2e/%2e%2e/secret.txt",
+    "/static//etc/passwd",
+    "/static/page.js%00.html",
+    "/static/%ff%fe",
+    "/static/" + "a" * 5000,
+    "/runs/1/../../secret.txt",
+    "/runs/1/%2e%2e%2f%2e%2e%2fsecret.txt",
+    "/runs/-1",
+    "/runs/1e3",
+    "/runs/%00",
+    "/runs/999999999",
+    "/runs/0x1/events",
+    "/runs/1/run.json",
+    "/runs/1/work.json%00",
+    "/plot/-1.svg",
+    "/plot/999999999.svg",
+    "/plot/..svg",
+    "/joint?imported=" + quote(SCRIPT),
+    "/joint?imported=" + "%00" * 50,
+    "/" + "%2F" * 500,
+    "/\\..\\..\\secret.txt",
+    "/;/..;/..;/secret.txt",
+    "//evil.example/",
+    "/?" + "a=" * 2000,
+    "/%E2%80%AE",
+    "/record.json",
+    "/draft.json",
+    "/channels/%0d%0aX: 1",
+)
+METHODS = (
+    "PUT",
+    "DELETE",
+    "PATCH",
+    "OPTIONS",
+    "TRACE",
+    "CONNECT",
+    "PROPFIND",
+    "get",
+    "A" * 300,
+    "G\x00T",
+    "\u00e9".encode().decode("latin-1"),
+)
+HEADERS = (
+    "content-length: -1",
+    "content-length: 99999999999999999999",
+    "content-length: 1e9",
+    "content-length: 1\r\ncontent-length: 2",
+    "transfer-encoding: gzip, chunked",
+    "transfer-encoding: chunked\r\ncontent-length: 4",
+    "range: bytes=0-" + "9" * 40,
+    "range: bytes=" + "0-1," * 500,
+    "if-none-match: " + "x" * 4000,
+    "if-modified-since: never",
+    "last-event-id: \xb2",
+    "accept: \xff\xfe",
+    "expect: 100-continue",
+    "connection: upgrade\r\nupgrade: websocket",
+    "connection: upgrade\r\nupgrade: h2c",
+    "cookie: " + "a=b; " * 900,
+    "x-forwarded-host: evil.example",
+    "origin: https://evil.example",
+    "sec-fetch-site: cross-site",
+    "referer: https://evil.example/",
+    "content-type: multipart/form-data",
+    "content-type: multipart/form-data; boundary=",
+    "content-type: " + "a" * 5000,
+    "x: " + "y" * 60000,
+    *(f"x-{i}: y" for i in (1,)),
+    "\r\n".join(f"x-{i}: y" for i in range(150)),
+    "no colon",
+    ": empty",
+)
+NAMES = (
+    "../../secret.csv",
+    "..\\..\\secret.csv",
+    "/etc/passwd.csv",
+    "a\x00b.csv",
+    "a\r\nX-Injected: 1\r\n\r\n.csv",
+    f"{SCRIPT}.csv",
+    ".csv",
+    "..",
+    "CON.csv",
+    "a" * 5000 + ".csv",
+    "\u202egpj.csv",
+    "a.csv/",
+    "a.csv\x7f",
+    "'; drop table x; --.csv",
+    "$(reboot).csv",
+    "`id`.csv",
+    "%2e%2e%2fx.csv",
+    "runs",
+    "record.json",
+    "draft.json.csv",
+    "\udcff.csv",
+)
+CONTENTS = (
+    b"",
+    b"\x00" * 1000,
+    b"\xff\xfe" + b"1,2\n" * 50,
+    b"," * 5000,
+    b'"' * 5000,
+    b"1" * 20000,
+    b"\x89HDF\r\n\x1a\n" + b"\xff" * 500,
+)
+JOINT_FILES = (
+    b"a" + b".a" * 6000 + b" = 1",
+    b"[" * 19000,
+    b"a = " + b"[" * 9000,
+    b"a = {" * 3000,
+    b"\xff\xfe",
+    b"\x00" * 500,
+    b'kind = "',
+    b"x = 1e999999",
+    b"x = " + b"9" * 19000,
+    b'[joint]\nkind = ""',
+    b"[controller]\nlaw = []",
+    b"controller = 3",
+    b"[controller]\ntorque_filters = 3\nlaw = 'pd'",
+    b"record = 3",
+    b"[[records]]\nfile = '/etc/passwd'",
+    b"[record]\nfile = '/etc/passwd'",
+    b'[joint]\nname = "<script>"',
+    b"x = 1979-05-27",
+)
+BODIES = (
+    b"rubbish",
+    b"--x",
+    b"--x--\r\n",
+    b"--x\r\n\r\n",
+    b"--x\r\nContent-Disposition: form-data\r\n\r\n1\r\n--x--\r\n",
+    b'--x\r\nContent-Disposition: form-data; name="file"; filename="a.csv"\r\n\r\n1,2\n',
+    b'--x\r\nContent-Disposition: form-data; name="file"; filename="a.csv"\r\nContent-Type: '
+    + b"a" * 9000
+    + b"\r\n\r\n1\r\n--x--\r\n",
+    b'--x\r\nContent-Disposition: form-data; name="file"\r\n\r\n' + b"1" * 5000 + b"\r\n--x--\r\n",
+    b"--x\r\n" + b"A: b\r\n" * 3000 + b"\r\n1\r\n--x--\r\n",
+    b"".join(b'--x\r\nContent-Disposition: form-data; name="f%d"\r\n\r\n1\r\n' % i for i in range(2000)) + b"--x--\r\n",
+    b"".join(
+        b'--x\r\nContent-Disposition: form-data; name="file"; filename="%d.csv"\r\n\r\n1\r\n' % i for i in range(5)
+    )
+    + b"--x--\r\n",
+    b"--y\r\n\r\n--x--\r\n" * 100,
+)
+ENTRIES = (
+    "joint.kind=",
+    "joint.kind=x",
+    "joint.kind=%00",
+    "controller.law=",
+    "controller.law=learn",
+    "controller.velocity_filter.kind=",
+    "extra=%5Bjoint%5D%0Akind%3D%22%22",
+    "extra=" + quote("[controller]\nlaw = []"),
+    "extra=" + quote("a" + ".a" * 30000 + " = 1"),
+    "extra=" + quote("[[" * 40000),
+    "extra=" + "%ff" * 500,
+    "__class__=1",
+    "record.file=/etc/passwd",
+    "=" * 5000,
+    "&" * 50000,
+    "controller.position_gain=" + "9" * 100000,
+    "controller.position_gain=1e999",
+    "record.delimiter=%00",
+    "record.delimiter=" + "%22" * 40,
+)
+
+
+def request(method: str, path: str, *headers: str, body: bytes = b"", host: str = HOST, kind: str = "") -> bytes:
+    head = [f"{method} {path} HTTP/1.1", f"host: {host}", "connection: close", *headers]
+    if kind:
+        head.append(f"content-type: {kind}")
+    if body:
+        head.append(f"content-length: {len(body)}")
+    return "\r\n".join([*head, "", ""]).encode("latin-1", "replace") + body
+
+
+def file_form(name: str, content: bytes) -> bytes:
+    return parts(content, name.encode("utf-8", "surrogateescape").decode("latin-1"))
+
+
+def attacks() -> Iterator[bytes]:
+    """Yield requests, whole as they go over the wire."""
+    root = f"/{TOKEN}"
+    for path in PATHS:
+        yield request("GET", root + path)
+    for method in METHODS:
+        yield request(method, f"{root}/record")
+        yield request(method, "*")
+    for header in HEADERS:
+        yield request("POST", f"{root}/draft", header)
+        yield request("GET", f"{root}/static/page.js", header)
+    for token in ("", "wrong", TOKEN[:-1], TOKEN.upper(), "%00", "%FF", quote(SCRIPT), "a" * 20000, f"x/{TOKEN}"):
+        yield request("GET", f"/{token}/")
+        yield request("POST", f"/{token}/record", body=parts(b"1,2\n"), kind=MULTIPART)
+    for host in ("evil.example", "", "[", "127.0.0.1@evil.example", "a" * 5000, "\x00", f"{HOST}:99999999"):
+        yield request("GET", f"{root}/", host=host)
+    for site, path in itertools.product(("cross-site", "same-site"), ("/record", "/joint", "/draft", "/runs/1/cancel")):
+        yield request("POST", root + path, f"sec-fetch-site: {site}")
+    for body, path in itertools.product(BODIES, ("/record", "/jointfile", "/draft", "/again", "/channels")):
+        yield request("POST", root + path, body=body, kind=MULTIPART)
+    for name in NAMES:
+        yield request("POST", f"{root}/record", body=file_form(name, b"rubbish"), kind=MULTIPART)
+    for content in CONTENTS:
+        yield request("POST", f"{root}/record", body=file_form("a.csv", content), kind=MULTIPART)
+    for suffix in (".mat", ".npy", ".h5", ".parquet", ".mcap", ".tdms", ".db3"):
+        yield request("POST", f"{root}/record", body=file_form(f"a{suffix}", b"\x00rubbish"), kind=MULTIPART)
+    for text in JOINT_FILES:
+        yield request("POST", f"{root}/jointfile", body=file_form("a.toml", text), kind=MULTIPART)
+    for entries, path in itertools.product(ENTRIES, ("/joint", "/draft")):
+        yield request("POST", root + path, body=entries.encode(), kind=FORM)
+        if path == "/draft":
+            yield request("GET", f"{root}/channels")
+            yield request("GET", f"{root}/joint")
+    yield b"\x16\x03\x01\x02\x00" + b"\xff" * 200  # as a browser begins to encrypt
+    yield b"GET /" + b"a" * 100000
+    yield b"\x00" * 5000
+    yield b"GET / HTTP/9.9\r\n\r\n"
+    yield b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"
+    yield request("GET", f"{root}/", "transfer-encoding: chunked") + b"zz\r\n\r\n"
+    yield request("POST", f"{root}/draft", "transfer-encoding: chunked", kind=FORM) + b"fffffffffffffffff\r\na"
+    yield request("GET", f"{root}/") * 50  # one behind the other
+
+
+@pytest.fixture
+def limits() -> Limits:
+    return Limits(upload=2_000_000, joint_file=20_000, idle=1.0)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # Starlette leaves its spool open
+def test_no_request_brings_the_page_down_or_has_it_tell_what_it_should_not(
+    served: Served,
+    folder: Path,
+    log: bytes,
+    caplog: pytest.LogCaptureFixture,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(serving, "_HEADERS", 1.0)
+    (folder.parent / "secret.txt").write_text(SECRET)
+    assert served.ask("POST", "/record", parts(log), MULTIPART)[0] == 303
+    sent = list(attacks())
+    assert len(sent) > 300
+    with ThreadPoolExecutor(8) as attackers:
+        answers = list(attackers.map(served.send, sent))
+    for attack, answer in zip(sent, answers, strict=True):
+        status = int(answer.split(b" ", 2)[1]) if answer.startswith(b"HTTP/1.1 ") else 0
+        assert status != 500, (attack[:300], answer[-2000:])
+        for told in (SECRET.encode(), b"root:x:", bytes(folder), b"Traceback", SCRIPT.encode(), b"\r\nX-Injected"):
+            assert told not in answer, (attack[:300], told)
+        if status == 403:
+            assert TOKEN.encode() not in answer
+    said = caplog.text + "".join(capfd.readouterr())
+    assert "Traceback" not in said
+    assert "Exception" not in said
+    assert {path.name for path in folder.parent.iterdir()} == {"page", "secret.txt"}
+    assert served.ask("GET", "/")[0] == 200
+    assert served.ask("POST", "/record", parts(log), MULTIPART)[0] == 303
+    assert len([*folder.glob("upload-*.csv")]) == 1
+    assert not [*folder.glob("form-*")]

@@ -1,0 +1,186 @@
+"""Learned numbers as the drive shows them: by its names, in its units, on its side of a gear, beside the declared."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jointid.config import learned_text, load_to_learn, loads
+from jointid.controller_id.in_drive import numbers_in_drive
+from jointid.controller_id.intervals import LearnedNumber
+from jointid.controller_id.learned_loop import LearnedLoop
+from jointid.controller_id.limitations import LimitationCode
+from jointid.controller_id.structures import Structure
+from jointid.models.controllers import PD, PID, Cascade, Controller, FirstOrder
+from jointid.models.controllers.drive_numbers import DriveNumber
+
+GEARED = """
+[joint]
+kind = "revolute"
+torque_constant = "0.72 N m/A"
+[transmission]
+ratio = 100
+[record.channels]
+torque = { column = "i", unit = "A" }
+reference = { column = "r" }
+motor_position = { column = "q" }
+"""
+DECLARED = """
+[controller]
+law = "cascade"
+position_gain = "30 1/s"
+velocity_gain = "0.8 A s/rad"
+integral_time = "6 ms"
+"""
+
+
+def shown(text: str, made: Controller, folder: Path, **values: float) -> LearnedLoop:
+    """What was learned of a joint file's drive: that law, with those of its numbers known to 1 %."""
+    path = folder / "joint.toml"
+    path.write_text(text, encoding="utf-8")
+    file = load_to_learn(path)
+    numbers = tuple(LearnedNumber(n, v, 0.005 * v, "", 0.99 * v, 1.01 * v) for n, v in values.items())
+    learned = LearnedLoop(
+        made, Structure(), numbers, np.eye(len(numbers)), (), (), (), 1.0, 0.01, 1.0, 1.0, 100.0, np.zeros(1), "N m",
+        "rad", "run 1", file.joint.transmission,
+    )  # fmt: skip
+    return learned.beside(file.drive_numbers(made))
+
+
+def test_a_gain_that_may_be_below_0_has_a_time_from_its_upper_end() -> None:
+    """Of an integral gain between -50 and 200 1/s the time is 5 ms or more; below 0 there is none."""
+    to = DriveNumber("integral_gain", "integral_time", "ms", 1e3, inverse=True)
+    [time] = numbers_in_drive([LearnedNumber("integral_gain", 75.0, 62.5, "1/s", -50.0, 200.0)], np.eye(1), [to])
+    assert (time.lower, time.upper) == (pytest.approx(5.0), np.inf)
+
+
+def test_a_gain_on_the_load_is_the_drive_s_on_the_motor(tmp_path: Path) -> None:
+    """72 N m of the load are one ampere, and a radian of the load 100 of the motor."""
+    made = Cascade(position_gain=30.0, velocity_gain=84.0, integral_gain=160.0, gain=72.0)
+    values = {"position_gain": 30.0, "velocity_gain": 84.0, "integral_gain": 160.0}
+    position, velocity, time = shown(GEARED + DECLARED, made, tmp_path, **values).in_drive
+    assert (velocity.value, velocity.unit, velocity.declared) == (pytest.approx(0.84), "A s/rad", pytest.approx(0.8))
+    assert velocity.difference == pytest.approx(0.05)
+    assert velocity.spread == pytest.approx(0.0084)
+    assert (time.name, time.value, time.unit) == ("integral_time", pytest.approx(6.25), "ms")
+    assert time.declared == pytest.approx(6.0)
+    assert time.lower < 6.25 < time.upper
+    assert (position.value, position.difference) == (pytest.approx(30.0), pytest.approx(0.0))
+
+
+def test_a_law_that_speaks_torque_on_the_load_is_in_ampere_on_the_motor(tmp_path: Path) -> None:
+    made = Cascade(position_gain=30.0, velocity_gain=72.0 * 84.0)
+    (velocity,) = shown(GEARED + DECLARED, made, tmp_path, velocity_gain=72.0 * 84.0).in_drive
+    assert velocity.value == pytest.approx(0.84)
+
+
+def test_the_torque_constant_alone_tells_the_drive_s_unit(tmp_path: Path) -> None:
+    made = Cascade(position_gain=30.0, velocity_gain=84.0, integral_gain=160.0, gain=72.0)
+    velocity, time = shown(GEARED, made, tmp_path, velocity_gain=84.0, integral_gain=160.0).in_drive
+    assert (velocity.value, velocity.unit, velocity.declared) == (pytest.approx(0.84), "A s/rad", None)
+    assert (time.value, time.unit, time.declared) == (pytest.approx(6.25), "ms", None)  # no stand-in is declared
+
+
+@pytest.mark.parametrize(
+    ("said", "name", "value"),
+    [("integral_time = 0.02", "integral_time", 20.0), ("integral_gain = 50", "integral_gain", 50.0)],
+)
+def test_an_integral_is_told_as_the_file_declares_it(said: str, name: str, value: float) -> None:
+    law = f'[controller]\nlaw = "cascade"\nposition_gain = 30.0\nvelocity_gain = 84.0\n{said}\n'
+    told = {one.number: one for one in loads(GEARED + law).declared_numbers}["integral_gain"]
+    assert (told.name, told.of(50.0, {})) == (name, pytest.approx(value))
+
+
+PID_BY_TIMES = """
+[controller]
+law = "pid"
+position_gain = "4 A/rad"
+derivative_time = "66 ms"
+integral_time = "0.3 s"
+"""
+
+
+def test_a_pid_that_is_declared_by_times_is_told_by_times() -> None:
+    """kd = kp Td and ki = kp / Ti: both times change with the position gain where their own gains stay."""
+    file = loads(GEARED + PID_BY_TIMES)
+    told = {one.number: one for one in file.declared_numbers}
+    law = {"position_gain": 8.0, "derivative_gain": 0.264, "integral_gain": 4.0 / 0.3}
+    times = [(told[n].name, told[n].of(law[n], law), told[n].unit, told[n].declared) for n in list(law)[1:]]
+    assert times == [
+        ("derivative_time", pytest.approx(33.0), "ms", pytest.approx(66.0)),
+        ("integral_time", pytest.approx(0.6), "s", pytest.approx(0.3)),
+    ]
+    assert told["acceleration_feedforward"].unit == "A s2/rad"
+    by_gains = PID_BY_TIMES.replace("derivative_time", "derivative_gain").replace('"66 ms"', '"0.264 A s/rad"')
+    told = {one.number: one for one in loads(GEARED + by_gains).declared_numbers}
+    assert (told["derivative_gain"].name, told["integral_gain"].name) == ("derivative_gain", "integral_time")
+
+
+def test_a_law_that_is_written_has_the_drive_s_own_numbers_beside_it(tmp_path: Path) -> None:
+    (tmp_path / "joint.toml").write_text(GEARED + PID_BY_TIMES, encoding="utf-8")
+    file = load_to_learn(tmp_path / "joint.toml")
+    made = PID(position_gain=400.0, derivative_gain=26.0, integral_gain=1300.0, gain=72.0)
+    text = learned_text(file, made)
+    assert "position_gain = 400.0  # 4.000 A/rad in the drive\n" in text
+    assert "derivative_gain = 26.0  # derivative_time 65.00 ms in the drive\n" in text
+    assert "integral_gain = 1300.0  # integral_time 0.3077 s in the drive\n" in text
+    assert "controller units" not in text
+
+
+def test_the_interval_of_a_time_is_that_of_a_ratio() -> None:
+    """Both gains of it are 1 % uncertain: alone the time is by root 2 more, and by nothing where they err alike."""
+    numbers = [LearnedNumber("position_gain", 4.0, 0.02, "", 3.96, 4.04)]
+    numbers.append(LearnedNumber("derivative_gain", 0.264, 0.00132, "", 0.26136, 0.26664))
+    to = DriveNumber("derivative_gain", "derivative_time", "ms", 1e3, per="position_gain")
+    for alike, far in ((0.0, 0.66 * 2**0.5), (1.0, 0.0)):
+        [time] = numbers_in_drive(numbers, np.array([[1.0, alike], [alike, 1.0]]), [to])
+        assert (time.value, time.spread) == (pytest.approx(66.0), pytest.approx(far, abs=1e-6))
+
+
+def test_a_profile_has_names_and_units(tmp_path: Path) -> None:
+    text = GEARED.replace("[record", '[drive]\nprofile = "twincat"\n[record', 1)
+    made = Cascade(position_gain=50.0, velocity_gain=84.0, gain=72.0)
+    position, velocity = shown(text, made, tmp_path, position_gain=50.0, velocity_gain=84.0).in_drive
+    assert (position.name, position.value, position.unit) == ("S-0-0104 position_gain", pytest.approx(3.0), "1000/min")
+    assert (velocity.name, velocity.value) == ("S-0-0100 velocity_gain", pytest.approx(0.84))
+
+
+def test_another_law_than_declared_is_compared_with_nothing(tmp_path: Path) -> None:
+    learned = shown(
+        GEARED + DECLARED, PD(position_gain=1.0, derivative_gain=84.0, gain=72.0), tmp_path, derivative_gain=84.0
+    )
+    (gain,) = learned.in_drive
+    assert (gain.value, gain.unit, gain.declared) == (pytest.approx(0.84), "A s/rad", None)
+
+
+def test_plain_numbers_in_si_show_nothing_more_and_a_time_of_a_filter_what_was_declared(tmp_path: Path) -> None:
+    plain = '[joint]\nkind = "prismatic"\n[record.channels]\ntorque = {column = "f"}\nreference = {column = "r"}\n'
+    plain += 'motor_position = {column = "q"}\n'
+    made = Cascade(position_gain=30.0, velocity_gain=84.0, velocity_filter=FirstOrder(1e-3))
+    assert shown(plain, made, tmp_path, position_gain=30.0, velocity_gain=84.0).in_drive == ()
+    plain += '[controller]\nlaw = "cascade"\nvelocity_filter = { time_constant = "2 ms" }\n'
+    learned = shown(plain, made, tmp_path, **{"velocity_filter.time_constant": 1e-3})
+    (time,) = [one for one in learned.in_drive if one.name.endswith("time_constant")]
+    assert (time.value, time.unit, time.difference) == (pytest.approx(1.0), "ms", pytest.approx(-0.5))
+
+
+def test_the_table_is_in_the_drive_s_units_and_in_si_and_fits_the_screen(tmp_path: Path) -> None:
+    made = Cascade(position_gain=30.0, velocity_gain=84.0, integral_gain=160.0, gain=72.0)
+    values = {"position_gain": 30.0, "velocity_gain": 84.0, "integral_gain": 160.0}
+    learned = shown(GEARED + DECLARED, made, tmp_path, **values)
+    learned = replace(
+        learned,
+        numbers=tuple(
+            replace(n, unit=unit)
+            for n, unit in zip(learned.numbers, ("1/s", "controller units per rad/s", "1/s"), strict=True)
+        ),
+    )
+    text = str(learned)
+    rows = [line.split() for line in text.splitlines()]
+    assert ["velocity_gain", "0.84000", "0.0084", "A", "s/rad", "0.8", "+5", "%"] in rows
+    assert ["velocity_gain", "6048.00", "60", "N", "m", "s/rad", "1.0"] in rows
+    assert max(map(len, text.splitlines())) <= 80
+    assert LimitationCode.INDISTINGUISHABLE not in text

@@ -1,0 +1,32 @@
+"""What is kept of a declared controller that stands on the other side of a gear than the learned one."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from jointid.config.contents import JointFile
+from jointid.controller_id import learn
+from jointid.controller_id.limitations import keep_declared
+from jointid.models.controllers import Cascade, Controller
+
+MOTOR = Cascade(position_gain=1.0, velocity_gain=1.0, gain=0.5, ratio=10.0, limit=40.0)  # 40 A, 20 N m, 200 on the load
+
+
+@pytest.mark.parametrize(
+    ("declared", "gain"),
+    [(MOTOR, 5.0), (Cascade(position_gain=1.0, velocity_gain=1.0, ratio=10.0), 1.0), (None, 1.0)],
+)
+def test_a_unit_of_the_drive_is_the_same_on_the_load(
+    declared: Controller | None, gain: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(learn, "learn_loop", lambda _, **given: given["gain"])
+    file: Any = SimpleNamespace(controller=declared, joint=SimpleNamespace(transmission=None))
+    record: Any = None
+    assert JointFile.learn_controller(file, record) == gain
+
+
+def test_a_declared_limit_stays_the_torque_that_it_is() -> None:
+    amperes, _ = keep_declared(Cascade(position_gain=1.0, velocity_gain=1.0, gain=5.0), MOTOR)
+    newtons, _ = keep_declared(Cascade(position_gain=1.0, velocity_gain=1.0), MOTOR)
+    assert (amperes.limit, newtons.limit) == (40.0, 200.0)  # type: ignore[attr-defined]

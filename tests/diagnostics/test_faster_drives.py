@@ -1,0 +1,144 @@
+"""A drive that runs faster than its log, and whose period is not declared: its law is simulated at the log's rate."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from jointid.diagnostics import check_loop as checking
+from jointid.diagnostics import find_causes as searching
+from jointid.diagnostics.check_loop import LoopTests, add_loop_verdict, check_loop
+from jointid.diagnostics.find_causes import find_causes
+from jointid.diagnostics.hypotheses import Cause
+from jointid.diagnostics.loop_findings import LoopCheck
+from jointid.diagnostics.other_laws import PERIOD
+from jointid.estimation.identify import identify
+from jointid.models.controllers import PD, Cascade
+from jointid.models.joints import ClosedLoop
+from jointid.records.record import Record
+from jointid.uncertainty.verdict import Reason, Status
+from tests.faster_drives import CASCADE, FLEXIBLE, LOG, RIGID, SERVO, drive
+
+
+def _checked(record: Record, loop: ClosedLoop, asked: str) -> tuple[LoopCheck, float, float, float]:
+    """The check, value and two deviations of what is asked, and the value with the first finding corrected."""
+    estimate = identify(record, loop)
+    check, row = check_loop(estimate, record), estimate[asked]
+    assert row.value is not None
+    assert row.stderr is not None
+    by = check.findings[0].changes[asked].by if check.findings else 0.0
+    return check, row.value, 2 * row.stderr, row.value + by
+
+
+@pytest.mark.parametrize("times", [2, 8])
+def test_a_drive_that_runs_faster_than_its_log_is_named(times: int) -> None:
+    """With the rate that fits best, and before the delay that would explain much of it."""
+    check, value, _, corrected = _checked(*drive(CASCADE, times, noise=0.05), "inertia")
+    first = check.findings[0]
+    assert first.test.name == PERIOD
+    assert first.test.size == pytest.approx(1.0, abs=0.2)
+    assert first.law is not None
+    assert first.law.rate == pytest.approx(1e3 * times)
+    assert check.sentences[0].startswith(f"the controller runs faster than the log, at {times} kHz")
+    assert f"declare its period, {1 / times:g} ms" in check.sentences[0]
+    assert abs(corrected - RIGID["inertia"]) < abs(value - RIGID["inertia"])
+    assert corrected == pytest.approx(RIGID["inertia"], rel=2e-3)
+
+
+def test_what_the_log_leaves_open_of_the_reference_is_tried_both_ways() -> None:
+    """A law that differentiates it sees straight lines late, and another rate would make up for that."""
+    check, _, _, _ = _checked(*drive(SERVO, 8, noise=0.05), "inertia")
+    first = check.findings[0]
+    assert first.law is not None
+    assert 'interpolation = "cubic"' in check.sentences[0]
+    assert first.law.rate >= 4e3
+
+
+@pytest.mark.parametrize("law", [CASCADE, SERVO])
+def test_a_drive_that_runs_at_the_rate_of_its_log_is_not_blamed(law: Cascade | PD) -> None:
+    check, _, _, _ = _checked(*drive(law, 1, noise=0.05), "inertia")
+    assert PERIOD not in [one.test.name for one in check.findings]
+    assert check.undecided is None
+
+
+def test_a_declared_period_is_not_doubted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is simulated at another one."""
+
+    def fails(*_: object) -> Any:
+        raise AssertionError
+
+    monkeypatch.setattr(checking, "faster_problem", fails)
+    record, loop = drive(CASCADE, 8)
+    declared = replace(loop, controller=replace(CASCADE, delay=LOG / 8, period=LOG / 8))
+    assert check_loop(identify(record, declared), record).as_declared
+
+
+def test_the_check_of_one_fault_leaves_the_period_out() -> None:
+    record, loop = drive(CASCADE, 8, noise=0.05)
+    estimate = identify(record, loop)
+    only = check_loop(estimate, record, LoopTests(faults=("delay",)))
+    assert [one.test.name for one in only.findings] == ["delay"]
+    both = check_loop(estimate, record, LoopTests(faults=("delay", PERIOD)))
+    assert both.findings[0].test.name == PERIOD
+
+
+def test_no_other_cause_is_looked_for_where_the_period_is_all_that_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object, **__: object) -> Any:
+        raise AssertionError
+
+    monkeypatch.setattr(searching, "find_causes", fails)
+    record, loop = drive(CASCADE, 8, noise=0.05)
+    verdict = add_loop_verdict(identify(record, loop), record).checks.verdicts[-1]
+    assert verdict.reasons[0].code is Reason.LOOP_NOT_AS_DECLARED
+    assert verdict.reasons[0].values["suspect"] == PERIOD
+
+
+def test_the_search_for_a_cause_tries_the_period() -> None:
+    record, loop = drive(CASCADE, 8, noise=0.05)
+    first = find_causes(record, loop).tried[0]
+    assert first.cause is Cause.PERIOD
+    assert first.words.startswith("the controller runs faster than the log: declare its period, about 0.1")
+
+
+@pytest.mark.slow
+def test_a_stiffness_of_a_faster_drive_is_not_relied_on() -> None:
+    """Without pulses it was several deviations off, and called reliable; corrected it is the true one."""
+    record, loop = drive(CASCADE, 8, flexible=True)
+    check, value, spread, corrected = _checked(record, loop, "stiffness")
+    assert abs(value - FLEXIBLE["stiffness"]) > 1.5 * spread
+    assert check.findings[0].test.name == PERIOD
+    assert corrected == pytest.approx(FLEXIBLE["stiffness"], rel=0.02)
+    answer = add_loop_verdict(identify(record, loop), record).answer
+    assert not answer.reliable
+    assert "the controller runs faster than the log, at 8 kHz" in str(answer)
+    assert "declare its period" in str(answer)
+
+
+@pytest.mark.parametrize("times", [4, 8])
+def test_pulses_blame_the_period_and_no_gain(times: int) -> None:
+    record, loop = drive(CASCADE, times, flexible=True, pulsed=True)
+    estimate = add_loop_verdict(identify(record, loop), record)
+    verdict = estimate.checks.verdicts[-1]
+    assert verdict.reasons[0].values["suspect"] == PERIOD
+    assert f"at {times} kHz" in str(estimate.answer)
+
+
+@pytest.mark.slow
+def test_what_a_record_does_not_exclude_speaks_against_the_stiffness() -> None:
+    """Where noise hides whether a drive is faster, the first line says what the stiffness would be."""
+    record, loop = drive(CASCADE, 8, flexible=True, noise=1.0)
+    found = identify(record, loop)
+    if found["stiffness"].value is None:  # under a law that is not the drive's another spring explains as much
+        assert not add_loop_verdict(found, record).answer.reliable
+        return
+    check, value, spread, _ = _checked(record, loop, "stiffness")
+    told = check.findings[:1] or ([check.undecided] if check.undecided else [])
+    answer = add_loop_verdict(identify(record, loop), record).answer
+    if abs(value - FLEXIBLE["stiffness"]) > spread:
+        assert [one.test.name for one in told] == [PERIOD]
+        assert not answer.reliable
+    if not check.findings and check.undecided is not None:
+        assert check.status is Status.UNKNOWN
+        assert "if it has the log's period, declare that" in check.sentences[0]

@@ -1,0 +1,490 @@
+"""The cause that is named where a record does not fit the declared drive: twenty mistakes on two axes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from jointid.common.errors import FaultsError, JointidError, MethodError, RecordError
+from jointid.diagnostics import check_loop
+from jointid.diagnostics import find_causes as searching
+from jointid.diagnostics.cause_words import Explanation
+from jointid.diagnostics.cause_words import tell as tell_cause
+from jointid.diagnostics.check_loop import add_loop_verdict
+from jointid.diagnostics.fault_tests import FaultTest
+from jointid.diagnostics.find_causes import explain_failure, find_causes
+from jointid.diagnostics.hypotheses import Cause
+from jointid.diagnostics.linear_response import find_unexplained_share
+from jointid.diagnostics.plain_causes import find_plain_cause, find_steps
+from jointid.estimation.identify import identify
+from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.models.controllers import Cascade, with_numbers
+from jointid.models.controllers.drive_numbers import DriveNumber
+from jointid.models.joints import ClosedLoop, RigidJoint
+from jointid.paper.twin import twin
+from jointid.simulation.excitation import trapezoids
+from jointid.simulation.synthesis import simulated_record
+from jointid.uncertainty.verdict import Reason, Status, Subject
+from studies.healthy import drive
+from tests.mistakes import (
+    MISTAKES,
+    MORE,
+    AxisName,
+    Mistake,
+    axis,
+    cut,
+    mistakes_of,
+    more_mistakes_of,
+    pulsed,
+    tell,
+    varied,
+    without_mistake,
+    without_positions,
+)
+
+BY_NAME = {mistake.name: mistake for mistake in MISTAKES}
+FIRST_WORDS = {
+    "torque turned round": "the torque has the wrong sign, or the reference has the wrong sign",
+    "torque and reference swapped": "torque and reference are swapped",
+    "reference in degrees": "the reference is in degrees, not rad",
+    "sample time ten times as long": "the sample time is about 10 times too long",
+}
+
+
+@pytest.mark.parametrize("name", FIRST_WORDS)
+def test_names_the_cause_of_a_record_that_nothing_can_be_identified_from(name: str) -> None:
+    """No estimate is needed, and the cause stands before the error that was raised."""
+    mistake = BY_NAME[name]
+    record, loop = mistake.make(axis("rigid"), 1)
+    with pytest.raises(JointidError) as raised:
+        identify(record, loop)
+    told = explain_failure(raised.value, record, loop)
+    assert type(told) is type(raised.value)
+    assert str(told).startswith(FIRST_WORDS[name])
+    # What is wrong in the record is to be put right, too; how the search ended is an effect of the cause.
+    assert (str(raised.value) in str(told)) is isinstance(raised.value, FaultsError)
+
+
+@pytest.mark.slow
+def test_verdict_of_the_loop_is_the_cause() -> None:
+    """A torque that is twice as large is said to be, with all that cannot be told from it, and the factor."""
+    record, loop = BY_NAME["torque twice as large"].make(axis("rigid"), 1)
+    said: list[str] = []
+    estimate = add_loop_verdict(identify(record, loop), record, said.append)
+    verdict = estimate.checks.verdicts[-1]
+    assert verdict.subject is Subject.LOOP
+    assert verdict.good is False
+    [reason] = verdict.reasons
+    assert reason.code is Reason.CAUSE_FOUND
+    causes = reason.values["causes"]
+    assert [one["cause"] for one in causes] == [Cause.TORQUE_SCALE, Cause.LAW_GAIN, Cause.REFERENCE_SCALE]
+    assert causes[0]["value"] == pytest.approx(2.0, rel=0.05)
+    assert causes[2]["value"] == pytest.approx(0.5, rel=0.05)
+    assert "the torque is about 2.0 times too large" in verdict.said
+    assert "looking for the cause" in said[0]
+
+
+def test_nothing_is_looked_for_where_the_record_fits() -> None:
+    """A healthy record costs nothing more."""
+    record, loop = without_mistake(axis("rigid"))
+    said: list[str] = []
+    estimate = add_loop_verdict(identify(record, loop), record, said.append)
+    assert estimate.checks.verdicts[-1].good
+    assert not said
+
+
+def test_small_deviation_is_left_to_its_sensitivity() -> None:
+    """position_gain that is a tenth too large is said with its interval."""
+    record, loop = without_mistake(axis("rigid"))
+    off = replace(loop, controller=with_numbers(loop.controller, {"position_gain": 27.5}))
+    verdict = add_loop_verdict(identify(record, off), record).checks.verdicts[-1]
+    assert verdict.reasons[0].code is Reason.LOOP_NOT_AS_DECLARED
+    assert "position gain" in verdict.said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["rigid", "flexible"])
+def test_healthy_record_has_no_cause(name: AxisName) -> None:
+    """Nothing explains what is not there, even where it is asked for."""
+    causes = find_causes(*without_mistake(axis(name), seed=3))
+    assert causes.explanations == ()
+    assert causes.message.code is Reason.NO_CAUSE_FOUND
+    assert causes.declared_error < 0.05
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("loop", ["L19", "L30"])
+def test_healthy_twin_has_no_cause(loop: str) -> None:
+    """Nor on the paper's axis, with 8 % of the torque left."""
+    made = twin(loop)  # type: ignore[arg-type]
+    assert find_causes(made.record, made.loop).explanations == ()
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize("name", ["direct", "lift"])
+def test_healthy_drives_of_other_sizes_have_no_cause(name: AxisName) -> None:
+    """Twice otherwise made, under other gains; `tests.cause_table` has the other axes."""
+    for seed in (1, 2):
+        record, loop = without_mistake(varied(axis(name), seed), seed)
+        assert find_causes(record, loop).explanations == ()
+
+
+@pytest.mark.slow
+def test_a_factor_that_is_found_near_a_known_one_is_that_one() -> None:
+    """A ripple moves the factor of an angle in degrees; the factor 57.3 leaves as little."""
+    made = axis("screw")
+    record, loop = BY_NAME["reference in degrees"].make(made, 1)
+    [first, *_] = find_causes(record, loop).explanations
+    assert first.cause is Cause.REFERENCE_SCALE
+    assert "in degrees, not rad" in first.words
+    record, loop = BY_NAME["torque constant said twice"].make(made, 1)
+    [first, *_] = find_causes(record, loop).explanations
+    assert first.cause is Cause.TORQUE_CONSTANT
+    assert first.value == pytest.approx(0.55)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("factor", [4.0, 8.0, 0.2])
+def test_a_wrong_sample_time_is_named_by_its_factor(factor: float) -> None:
+    record, loop = without_mistake(axis("rigid"))
+    timed = {n: replace(c, sample_time=factor * c.sample_time) for n, c in record.items()}
+    causes = find_causes(record.with_channels(timed), loop)
+    assert [one.cause for one in causes.explanations] == [Cause.SAMPLE_TIME]
+    assert causes.explanations[0].value == pytest.approx(1 / factor)  # what puts it right
+    assert f"{max(factor, 1 / factor):.1f} times too {'long' if factor > 1 else 'short'}" in causes.message.words
+
+
+@pytest.mark.xfail(
+    strict=True, reason="another position_gain makes up for both, and leaves 3.5 % where the right loop leaves 2.8 %"
+)
+@pytest.mark.slow
+def test_two_mistakes_at_once_are_not_told_as_one() -> None:
+    """No single cause explains swapped gains behind a wrong sample time."""
+    record, loop = BY_NAME["position_gain and velocity_gain swapped"].make(axis("rigid"), 1)
+    timed = {n: replace(c, sample_time=3.0 * c.sample_time) for n, c in record.items()}
+    causes = find_causes(record.with_channels(timed), loop)
+    assert causes.explanations == ()
+    assert "none of the usual causes" in causes.message.words
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize("name", ["rigid", "flexible"])
+def test_twenty_mistakes(name: AxisName) -> None:
+    """At least 18 of 21 are named, or are among three at most; where they are not, nothing wrong is said.
+
+    A period that is forgotten need not be where it moves nothing.
+
+    `tests.cause_table` has the other axes, a minute or more each.
+    """
+    mistakes = mistakes_of(axis(name))
+    assert len(mistakes) == 21
+    told = {mistake.name: tell(*mistake.make(axis(name), 1)) for mistake in mistakes}
+    assert all(len(named) <= 3 for named, _ in told.values())
+    right = [m.name for m in mistakes if m.right & set(told[m.name][0])]
+    wrong = [m.name for m in mistakes if told[m.name][0] and not m.right & set(told[m.name][0])]
+    assert wrong == []
+    assert len(right) >= 18
+
+
+def test_none_in_the_place_of_declared_taps_is_a_cause() -> None:
+    """A free filter that ends at no time at all is near to none, and far from taps."""
+    made = without_mistake(axis("rigid"))[1]
+    plain, taps = (replace(made, controller=replace(made.controller, velocity_filter=f)) for f in ((1.0,), (0.2,) * 5))  # type: ignore[call-arg]
+    none = Explanation(Cause.VELOCITY_FILTER, "", 1e-9, 0.01)
+    assert searching._is_small(none, plain, 1e-3)
+    assert not searching._is_small(none, taps, 1e-3)
+
+
+def test_swapped_gains_of_a_pd_law_are_no_scale() -> None:
+    """A scale of the loop leaves three times as much, and is not named."""
+    made = axis("direct")
+    record, loop = without_mistake(made)
+    gains = {"position_gain": made.controller.derivative_gain, "derivative_gain": made.controller.position_gain}
+    causes = find_causes(record, replace(loop, controller=with_numbers(loop.controller, gains)))
+    assert [one.cause for one in causes.explanations] == [Cause.SWAPPED_GAINS]
+    assert causes.message.brief == "position gain and derivative gain are swapped"
+
+
+@pytest.mark.slow
+def test_two_mistakes_that_no_number_makes_up_for_are_said_to_be_more_than_one() -> None:
+    """A torque ten times too large and a threefold position gain: the nearest cause is told, but not as the cause."""
+    record, loop = BY_NAME["torque ten times as large"].make(axis("direct"), 1)
+    gains = {"position_gain": 3 * loop.controller.position_gain}  # type: ignore[attr-defined]
+    causes = find_causes(record, replace(loop, controller=with_numbers(loop.controller, gains)))
+    assert causes.explanations == ()
+    assert causes.nearest is not None
+    assert causes.nearest.error > 1.3 * causes.unexplained
+    assert causes.message.code is Reason.NO_CAUSE_FOUND
+    assert causes.message.brief.startswith("more than one thing is wrong")
+    assert causes.nearest.words in causes.message.words
+
+
+def test_share_that_is_no_response_to_the_reference_needs_no_drive() -> None:
+    """It is about what the right loop leaves, whatever loop is declared, and all of it for another motion."""
+    record, loop = without_mistake(axis("direct"))
+    assert record.reference is not None
+    right = identify(record, loop)
+    for gain in (0.1, 1.0):
+        other = replace(loop, controller=with_numbers(loop.controller, {"gain": gain}))
+        problem = torque_problem(record, other, right.settings.filtering, loop.joint.parameters)
+        share = find_unexplained_share(problem, record.reference.values)
+        assert share == pytest.approx(right.fit.filtered_error, rel=0.15)
+        assert find_unexplained_share(problem, record.reference.values[::-1].copy()) > 0.5
+
+
+@pytest.mark.parametrize("seconds", [2e-7, 0.0])
+def test_a_time_that_no_drive_keeps_is_none(seconds: float) -> None:
+    _, loop = without_mistake(axis("rigid"))
+    late, none = (replace(loop, controller=with_numbers(loop.controller, {"delay": one})) for one in (5e-4, 0.0))
+    assert tell_cause(Cause.DELAY, seconds, 0.01, late)[0].words == "the delay is about 0 ms, not 0.50 ms"
+    assert tell_cause(Cause.DELAY, 5e-4, 0.01, none)[0].words == "the delay is about 0.50 ms, not 0 ms"
+
+
+def test_every_fault_of_an_error_stays_a_line_of_its_own() -> None:
+    record, loop = BY_NAME["torque turned round"].make(axis("rigid"), 1)
+    told = explain_failure(RecordError(["one is wrong.", "another is wrong."]), record, loop)
+    assert isinstance(told, RecordError)
+    assert told.faults[0].endswith(". one is wrong.")
+    assert told.faults[1:] == ("another is wrong.",)
+
+
+@pytest.mark.parametrize("failure", [MethodError("the search failed"), np.linalg.LinAlgError("no convergence")])
+def test_a_search_that_fails_hides_no_error_and_ends_no_identification(
+    failure: Exception, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise failure
+
+    record, loop = without_mistake(axis("rigid"))
+    monkeypatch.setattr(searching, "find_causes", fails)
+    raised = RecordError("it is wrong.")
+    assert explain_failure(raised, record, loop) is raised
+    monkeypatch.setattr(check_loop, "explain_misfit", fails)
+    assert add_loop_verdict(identify(record, loop), record).checks.verdicts[-1].subject is Subject.LOOP
+
+
+def test_a_factor_that_putting_right_does_not_help_is_not_blamed() -> None:
+    """A flexible joint that is taken for a rigid one, up to beyond its resonance: the drive is as declared."""
+    healthy = twin("L19", noise="white")
+    record = healthy.record.without("motor_position", "load_position")
+    loop = replace(healthy.loop, joint=healthy.loop.joint.rigid)
+    estimate = add_loop_verdict(identify(record, loop), record)
+    assert "wrong by a" not in str(estimate.answer)
+    [reason] = estimate.checks.verdicts[-1].reasons
+    [cause] = reason.values["causes"]
+    assert (reason.code, cause["cause"]) == (Reason.CAUSE_FOUND, Cause.FLEXIBLE)
+    assert cause["value"] == pytest.approx(31.4, rel=0.1)  # Hz, the twin's mode
+    assert 'the joint is flexible (model = "flexible")' in str(estimate.answer)
+    assert not estimate.answer.reliable
+
+
+def test_a_torque_of_nothing_keeps_the_sentence_that_says_so() -> None:
+    record, loop = without_mistake(axis("direct"))
+    assert record.torque is not None
+    dead = record.with_channels({"torque": replace(record.torque, values=0.0 * record.torque.values)})
+    with pytest.raises(RecordError, match=r"The torque is 0 .* in every sample") as raised:
+        identify(dead, loop)
+    assert explain_failure(raised.value, dead, loop) is raised.value
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize("name", ["rigid", "screw", "fast"])
+def test_further_mistakes_are_named_and_a_smooth_friction_is_not_blamed_on_gains(name: AxisName) -> None:
+    """Half a second of a lively motion may be enough; then nothing is to be named."""
+    for mistake in more_mistakes_of(axis(name)):
+        named, words = tell(*mistake.make(axis(name), 1))
+        if not named or "friction" in mistake.name:
+            assert "friction" in mistake.name or "half a second" in mistake.name, words
+            assert set(named) <= mistake.right, words
+        else:
+            assert mistake.right & set(named), words
+            assert len(named) <= 3
+            assert mistake.said in words
+
+
+@pytest.mark.parametrize("name", ["rigid", "direct", "screw"])
+@pytest.mark.parametrize("mistake", MORE, ids=[one.name for one in MORE])
+def test_what_the_samples_show_is_said_without_a_search(
+    name: AxisName, mistake: Mistake, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A record that is too short, and a signal that was injected and is not declared."""
+
+    def searches(*_: object) -> None:
+        raise AssertionError("causes were put right in turn")
+
+    monkeypatch.setattr(searching, "list_hypotheses", searches)
+    named, words = tell(*mistake.make(axis(name), 1))
+    assert set(named) == mistake.right
+    assert mistake.said in words
+
+
+@pytest.mark.parametrize("name", ["rigid", "flexible", "direct", "screw", "fast", "table", "lift"])
+def test_nothing_is_plain_of_a_healthy_record(name: AxisName) -> None:
+    record, _ = without_mistake(axis(name))
+    assert find_plain_cause(record) is None
+    assert record.torque is not None
+    step = float(np.std(record.torque.values)) / 50
+    rough = replace(record.torque, values=np.round(record.torque.values / step) * step)
+    assert find_steps(record.with_channels({"torque": rough})) is None
+
+
+def test_a_record_that_moves_one_way_only_tells_nothing_however_long_it_is() -> None:
+    """Coulomb friction and offset are one number then: a factor of 7,500 was named."""
+    record, loop = without_mistake(axis("rigid"))
+    one_way = cut(without_positions(record), 2.0)
+    message = find_causes(one_way, loop).message
+    assert message.code is Reason.RECORD_TOO_SHORT
+    assert "one way only" in message.words
+    assert message.values["needed"] == 2.0
+
+
+def test_a_record_too_short_is_not_relied_on_however_well_it_fits() -> None:
+    """The frictions of a flexible axis came out wrong at 0.3 s."""
+    law = Cascade(position_gain=40.0, velocity_gain=2000.0)
+    loop = ClosedLoop(RigidJoint(), law)
+    values = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
+    for seconds, reliable in ((0.7, False), (3.0, True)):
+        reference = trapezoids((0.1,), 2.0, 0.02, 1e-3, rest=0.02, duration=seconds)
+        noise = 0.1 * np.random.default_rng(1).standard_normal(reference.size)
+        record = simulated_record(loop, reference, values, sample_time=1e-3, torque_noise=noise)
+        answer = add_loop_verdict(identify(record, loop), record).answer
+        assert answer.reliable is reliable
+        assert ("the record is too short to rely on" in str(answer)) is not reliable
+
+
+def test_a_time_far_below_a_period_is_no_cause() -> None:
+    """A first-order filter of 0.0013 ms was told of an axis that hardly moves."""
+    _, loop = without_mistake(axis("rigid"))
+    found = tuple((Explanation(Cause.TORQUE_FILTER, "", seconds, 0.01),) for seconds in (1.3e-6, 8e-3))
+    assert searching._explaining(found[:1], 1.0, loop, 1e-3) == ()
+    assert searching._explaining(found[1:], 1.0, loop, 1e-3) == found[1]
+
+
+def test_a_search_begins_where_parameters_end_at_a_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They make up for what is wrong: a forgotten integral was told as a limit of the output."""
+    record, loop = without_mistake(axis("rigid"))
+    estimate = identify(record, loop)
+    fault = FaultTest("delay", (), 5e-4, 1e-5, 1e-6, 10.0, 0.0)
+
+    def searches(*_: object, **__: object) -> None:
+        raise MethodError("it was asked")
+
+    monkeypatch.setattr(searching, "find_causes", searches)
+    assert searching.explain_misfit(estimate, record, (fault,)) is None
+    rows = tuple(replace(p, at_bound=0.0) if p.name == "viscous" else p for p in estimate.params.rows)
+    with pytest.raises(MethodError, match="it was asked"):
+        searching.explain_misfit(estimate.amended(params={"rows": rows}), record, (fault,))
+
+
+def test_a_refused_spring_at_its_bounds_is_no_reason_to_look_for_a_cause(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A healthy drive that moves one way only, whose stiffness is refused, was told that as what is wrong."""
+    plant = drive(323, 12.0)
+    estimate = identify(plant.record, plant.loop)
+    assert estimate["stiffness"].value is None
+    assert any(p.at_bound is not None for p in estimate.params)
+    monkeypatch.setattr(searching, "find_causes", lambda *_, **__: pytest.fail("it was asked"))
+    verdict = add_loop_verdict(estimate, plant.record).checks.verdicts[-1]
+    assert verdict.status is Status.UNKNOWN
+
+
+def test_a_cause_explains_no_more_than_the_declared_drive_does_from_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A filter of a third of a period was told, since the search with it alone had found the joint."""
+    record, loop = without_mistake(axis("rigid"))
+    found_all = searching._fit_rigid
+
+    def astray(*given: Any) -> list[searching._Fit]:
+        fits = found_all(*given)
+        if len(fits) == 1:
+            return fits
+        declared = next(fit for fit in fits if fit.hypothesis.cause is None)
+        [other, *_] = [fit for fit in fits if fit.hypothesis.cause is Cause.TORQUE_FILTER]
+        return [other, replace(declared, error=1.0)]
+
+    monkeypatch.setattr(searching, "_fit_rigid", astray)
+    estimate = identify(record, loop)
+    poor = estimate.amended(fit={"filtered_error": 1.0})
+    causes = find_causes(record, loop, poor)
+    assert causes.declared_error < 0.1
+    assert causes.explanations == ()
+
+
+def test_steps_that_the_torque_makes_at_rest_only_are_counted() -> None:
+    """A controller slower than the log makes steps, too, but only where it moves."""
+    record = pulsed(axis("direct"), 1)
+    message = find_steps(record)
+    assert message is not None
+    assert message.values["causes"][0]["value"] > 200
+    assert record.torque is not None and record.reference is not None
+    moving = np.gradient(record.reference.values)
+    slow = np.repeat(moving[::8], 8)[: moving.size] * 10 / np.max(np.abs(moving))
+    assert find_steps(record.with_channels({"torque": replace(record.torque, values=slow)})) is None
+
+
+def test_an_integral_time_in_the_wrong_unit_is_told_in_the_drive_s_unit() -> None:
+    _, loop = without_mistake(axis("rigid"))
+    long = replace(loop, controller=with_numbers(loop.controller, {"integral_gain": 0.05}))
+    shown = [DriveNumber("integral_gain", "integral_time", "ms", 1e3, inverse=True)]
+    [told] = tell_cause(Cause.INTEGRAL, 50.0, 0.01, long, shown)
+    expected = "integral_time is about 20.0 ms, not 20000 ms: about 1000 times less; its unit may be ms, not s"
+    assert told.words == expected
+    [told] = tell_cause(Cause.INTEGRAL, 50.0, 0.01, long)
+    assert told.words.startswith("the integral gain is about 50.0, not 0.0500: about 1000 times more")
+    [told] = tell_cause(Cause.INTEGRAL, 0.5, 0.01, long, shown)
+    assert "unit" not in told.words
+
+
+def test_a_pid_that_is_declared_by_times_is_told_by_times() -> None:
+    """A position gain takes both gains along as its drive has it; where they stay, the times change."""
+    _, loop = without_mistake(axis("lift"))
+    law = replace(loop.controller, position_gain=0.25, derivative_gain=0.00625, integral_gain=2.5, gain=60.0)
+    loop = replace(loop, controller=law)
+    shown = [
+        DriveNumber("position_gain", "position_gain", "A/rad", 1.0),
+        DriveNumber("derivative_gain", "derivative_time", "ms", 1e3, per="position_gain"),
+        DriveNumber("integral_gain", "integral_time", "ms", 1e3, inverse=True, per="position_gain"),
+    ]
+    said = {
+        Cause.DERIVATIVE_GAIN: (0.0125, "derivative_time is about 50.0 ms, not 25.0 ms"),
+        Cause.INTEGRAL: (5.0, "integral_time is about 50.0 ms, not 100 ms"),
+        Cause.POSITION_GAIN: (
+            0.5,
+            "position_gain is about 0.500 A/rad, not 0.250 A/rad, with derivative_time 12.5 ms, with integral_time "
+            "200 ms",
+        ),
+    }
+    for cause, (value, words) in said.items():
+        assert [one.words for one in tell_cause(cause, value, 0.01, loop, shown)] == [words]
+    [none] = tell_cause(Cause.INTEGRAL, None, 0.01, loop, shown)
+    assert none.words == "the declared integral_time is not there"
+    told = {one.cause: one.words for one in tell_cause(Cause.LAW_GAIN, 600.0, 0.01, loop, shown)}
+    assert "the law's gain (position_gain or gain)" in told[Cause.LAW_GAIN]
+    assert told[Cause.LAW_GAIN].endswith("where position_gain would be 2.50 A/rad")
+
+
+def test_a_torque_constant_is_the_field_to_look_at() -> None:
+    """Half of it makes half of the logged torque; where it scales gains and torque alike no record shows it."""
+    _, loop = without_mistake(axis("rigid"))
+    shown = [DriveNumber("torque_constant", "torque_constant", "N m/A", 1.0, declared=0.55)]
+    told = {one.cause: one.words for one in tell_cause(Cause.LAW_GAIN, 0.4 / 2, 0.01, loop, shown)}
+    half = "the torque is about 2.0 times too small: torque_constant below [joint] would be 1.10, not 0.550 N m/A"
+    assert told[Cause.TORQUE_CONSTANT] == half
+    assert Cause.TORQUE_SCALE not in told
+
+
+def test_a_factor_is_told_with_the_gear_that_may_make_it() -> None:
+    """Of a gear's ratio the side, and which; of any other factor the ratio itself, and the gain in its unit."""
+    _, loop = without_mistake(axis("rigid"))
+    [side, *_] = tell_cause(Cause.LAW_GAIN, 0.4 * 50, 0.01, loop)
+    assert side.cause is Cause.GEAR_SIDE
+    assert side.words.endswith("it is the load's and read as the motor's (give its channel side = \"load\")")
+    [side, *_] = tell_cause(Cause.LAW_GAIN, 0.4 / 50, 0.01, loop)
+    assert side.words.endswith("it is the motor's and read as the load's (give its channel side = \"motor\")")
+    [side, *_] = tell_cause(Cause.LAW_GAIN, 0.4 * 2500, 0.01, loop)
+    assert "the controller is on the wrong side of the 50:1 gear" in side.words
+    shown = [DriveNumber("velocity_gain", "velocity_gain", "A s/rad", 1.0)]
+    told = {one.cause: one.words for one in tell_cause(Cause.LAW_GAIN, 0.4 * 10, 0.01, loop, shown)}
+    assert told[Cause.REFERENCE_SCALE].endswith("as by another gear than 50:1")
+    assert told[Cause.LAW_GAIN].endswith("where velocity_gain would be 21.0 A s/rad")

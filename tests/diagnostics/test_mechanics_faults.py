@@ -1,0 +1,93 @@
+"""A flexible joint whose mechanics are not the model's: said, and its stiffness is not relied on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import jointid as ji
+from jointid.diagnostics.check_loop import check_loop
+from jointid.diagnostics.mechanics_faults import (
+    BACKLASH,
+    CHANGING_FRICTION,
+    CUBIC_SPRING,
+    LOAD_DEPENDENT_FRICTION,
+    MECHANICS,
+    _through_the_spring,
+    _with_force,
+    vary_mechanics,
+)
+from jointid.estimation.identify import identify
+from jointid.estimation.result.answer import Trust
+from jointid.simulation.closed_loop import simulate as simulate_exactly
+from jointid.simulation.loop_input import prepare
+from jointid.uncertainty.verdict import Reason
+from studies.healthy import drive
+from studies.mechanics import simulate, spoiled
+from tests.faults import problem, setting
+
+
+@pytest.mark.parametrize("seed", [3001, 3005])  # P-PI and PID
+def test_the_study_s_small_steps_are_the_exact_simulation(seed: int) -> None:
+    axis = drive(seed, 3.0)
+    experiment = prepare(axis.loop, axis.record)
+    out, _, _ = simulate(axis, dict(axis.truth), experiment.after_limit)
+    exact = simulate_exactly(axis.loop, experiment, axis.truth)
+    assert np.std(out + experiment.shown - exact.torque) < 1e-3 * np.std(out)
+
+
+def test_forces_on_motor_and_load_act_as_one_on_the_motor() -> None:
+    """A spring that is a little stiffer is a pair of forces, whose effect is also known exactly."""
+    where = setting("L19")
+    made = problem(where, None, None)
+    x = made.vector(where.truth)
+    run, stiffness = made.simulate(x), where.truth["stiffness"]
+    assert run.load_position is not None
+    small = 1e-4 * stiffness * (run.motor_position - run.load_position)
+    force = _through_the_spring(small, where.truth, made.sample_time) - small
+    shown = made.filtered(_with_force(made, x, force) - made.torque(x))
+    names = [p.name for p in made.free]
+    exact = -1e-4 * stiffness * made.linearised(x)[1][:, names.index("stiffness")]
+    assert np.linalg.norm(shown - exact) < 0.2 * np.linalg.norm(exact)  # a load that rests, and forces that are held
+
+
+@pytest.mark.parametrize(
+    ("fault", "seed", "name"),
+    [
+        ("cubic spring", 3005, CUBIC_SPRING),
+        ("load-dependent friction", 3003, LOAD_DEPENDENT_FRICTION),
+        pytest.param("changing friction", 3003, CHANGING_FRICTION, marks=pytest.mark.slow),
+        pytest.param("backlash", 3010, BACKLASH, marks=pytest.mark.slow),
+    ],
+)
+def test_what_is_wrong_is_named_first(fault: str, seed: int, name: str) -> None:
+    made = spoiled(seed, fault)
+    assert made is not None
+    check = check_loop(identify(made.record, made.axis.loop), made.record)
+    assert check.findings[0].test.name == name
+    assert {CUBIC_SPRING, BACKLASH} - {one.test.name for one in check.findings}  # two words for one thing
+
+
+@pytest.mark.slow
+def test_a_spring_that_is_not_linear_has_no_stiffness_to_rely_on() -> None:
+    made = spoiled(3005, "cubic spring")
+    assert made is not None
+    found = ji.identify(made.record, made.axis.loop)
+    assert found.answer.trust.code == Trust.NOT_YET
+    assert found.answer.trust.values["reasons"] == [Reason.SPRING_NOT_LINEAR]
+    assert "the spring is not linear: 11 % or more stiffer at the largest torque than near none" in found.sentence
+
+
+def test_a_rigid_joint_has_no_spring() -> None:
+    axis = ji.twin(noise="white")
+    rigid = ji.ClosedLoop(ji.RigidJoint(kind=axis.loop.joint.kind), axis.loop.controller)
+    record = axis.record.without("motor_position", "load_position")
+    estimate = identify(record, rigid, ji.DIDIM())
+    assert not {one.name for one in check_loop(estimate, record).tests} & set(MECHANICS)
+
+
+def test_a_healthy_joint_has_none_of_them() -> None:
+    where = setting("L19")
+    made = problem(where, None, None)
+    x = made.vector(where.truth)
+    assert {one.name for one in vary_mechanics(made, x)} == set(MECHANICS)

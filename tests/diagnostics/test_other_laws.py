@@ -1,0 +1,202 @@
+"""The law that a drive may run instead of the declared one: an integral that takes in the present sample."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jointid.diagnostics.check_loop import LoopTests, add_loop_verdict, check_loop
+from jointid.diagnostics.fault_tests import FaultTest
+from jointid.diagnostics.loop_findings import Finding, LoopCheck, ParameterShift
+from jointid.diagnostics.other_laws import MEASURED_VELOCITY, PERIOD, PRESENT_SAMPLE, OtherLaw, list_other_laws
+from jointid.estimation.identify import identify
+from jointid.estimation.result.answer import Trust, moved_by_loop
+from jointid.estimation.result.estimate import Estimate
+from jointid.models.controllers import (
+    INPUTS,
+    PD,
+    PID,
+    POSITION,
+    REFERENCE,
+    Cascade,
+    FirstOrder,
+    respond,
+    with_present_sample,
+)
+from jointid.models.joints import ClosedLoop
+from jointid.records.record import Record
+from jointid.uncertainty.verdict import Reason, Status, Subject, Verdict
+from tests.mistakes import Axis, axis, run
+
+T = 1e-3
+
+
+@pytest.mark.parametrize(
+    "declared",
+    [
+        Cascade(position_gain=20.0, velocity_gain=3.0, integral_gain=50.0),
+        PID(position_gain=20.0, derivative_gain=0.5, integral_gain=300.0),
+    ],
+)
+def test_the_other_law_is_backward_eulers(declared: Cascade | PID) -> None:
+    """Written out: the sum has the present error before the output is made."""
+    rng = np.random.default_rng(0)
+    inputs = np.zeros((200, INPUTS))
+    inputs[1:, REFERENCE], inputs[1:, POSITION] = rng.standard_normal((2, 199))
+    reference, position = inputs[:, REFERENCE], inputs[:, POSITION]
+    error, velocity = reference - position, np.diff(position, prepend=0.0) / T
+    if isinstance(declared, Cascade):
+        slip = declared.position_gain * error - velocity
+        expected = declared.velocity_gain * (slip + declared.integral_gain * T * np.cumsum(slip))
+    else:
+        rate = np.diff(error, prepend=0.0) / T
+        expected = declared.position_gain * error + declared.derivative_gain * rate
+        expected += declared.integral_gain * T * np.cumsum(error)
+    law = with_present_sample(declared, T).law(T)
+    shown = respond(law, inputs, np.zeros(law.A.shape[-1]))[:, law.output]
+    assert shown == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+def test_only_a_law_with_an_integral_has_another_one() -> None:
+    assert not list(list_other_laws(PD(position_gain=1.0, derivative_gain=1.0, velocity_filter=FirstOrder(1e-3)), T))
+    filtered = FirstOrder(1e-3)
+    assert not list(list_other_laws(Cascade(position_gain=1.0, velocity_gain=1.0, velocity_filter=filtered), T))
+    [other, *_] = list_other_laws(Cascade(position_gain=1.0, velocity_gain=1.0, integral_gain=50.0), T)
+    assert other.remedy == "velocity_gain 5.0 % larger and the integral time 1.00 ms longer"
+    [other, *_] = list_other_laws(PID(position_gain=1.0, derivative_gain=1.0, integral_gain=50.0), T)
+    assert other.remedy == "position_gain 5.0 % larger"
+
+
+def test_a_velocity_that_is_no_difference_is_named_before_a_faster_drive() -> None:
+    """Of a sensor, or an observer: it is half a period earlier, which a drive of twice the rate is, too."""
+    made = _quiet()
+    declared = replace(made.controller, velocity_filter=(1.0,))
+    earlier = replace(declared, velocity_filter=(1.5, -0.5))
+    record, loop = run(made, earlier), ClosedLoop(made.joint, declared)
+    check = check_loop(identify(record, loop), record, LoopTests(most=1))
+    [first] = check.findings
+    assert first.test.name == MEASURED_VELOCITY
+    assert check.sentences[0].startswith("the velocity is measured or observed, half a period earlier")
+    assert "declare velocity_filter = [1.5, -0.5]" in check.reasons[0].brief
+
+
+@pytest.mark.slow
+def test_a_law_of_two_parts_is_named_as_both_and_neither_is_looked_for_again() -> None:
+    made = _quiet()
+    declared = replace(made.controller, velocity_filter=(1.0,))
+    true = replace(with_present_sample(declared, made.rate), velocity_filter=(1.5, -0.5))
+    record, loop = run(made, true), ClosedLoop(made.joint, declared)
+    check = check_loop(identify(record, loop), record)
+    [first, *others] = [one.test.name for one in check.findings]
+    assert first == f"{MEASURED_VELOCITY} and {PRESENT_SAMPLE}"
+    assert not {MEASURED_VELOCITY, PRESENT_SAMPLE} & {*others}
+    only = check_loop(identify(record, loop), record, LoopTests(faults=(MEASURED_VELOCITY, "delay")))
+    assert first not in [one.test.name for one in only.findings]
+
+
+def test_laws_that_explain_as_much_are_told_once() -> None:
+    """Each of its own name; of rates one, with the others beside it; and what is left open is told as that only."""
+    declared = Cascade(position_gain=1.0, velocity_gain=1.0, integral_gain=50.0)
+    present, measured, both = list_other_laws(declared, T)
+    assert len({present.name, measured.name, both.name}) == 3
+    rates = [
+        OtherLaw((PERIOD,), f"it runs at {kilo} kHz", f"{1 / kilo} ms", declared, 1e3 * kilo) for kilo in (2, 4, 8)
+    ]
+    test = FaultTest(measured.name, (), 0.0, 1.0, 0.1, 10.0, 1e-9)
+    changes = {"inertia": ParameterShift(1.0, 5.0)}
+    first = Finding(test, None, (), changes, measured, 0.01, (both, *rates))
+    check = LoopCheck((first,), (), 0.05, {"inertia": "ZZ"}, {"inertia": "kg", "torque": "N", "velocity": "m/s"})
+    [told] = check.sentences
+    assert told.startswith(f"{measured.words}: declare {measured.remedy}; or {both.words}, which this record does not")
+    assert "; or it runs at 2 kHz (or 4, 8 kHz), which this record does not tell apart: 0.5 ms" in told
+    open_ = replace(first, test=replace(test, name=PERIOD), law=rates[1], alike=())
+    told, left = replace(check, undecided=open_).sentences
+    assert "it runs at 2 kHz (or 8 kHz)" in told
+    assert left.startswith("it may be that it runs at 4 kHz")
+
+
+def _quiet() -> Axis:
+    """The rigid axis of the mistakes, with little friction that no model has."""
+    made = axis("rigid")
+    return replace(made, ripple=0.1, noise=0.5, log_noise=0.3)
+
+
+def _checked(*, present: bool) -> tuple[Estimate, Record, LoopCheck]:
+    made = _quiet()
+    true = with_present_sample(made.controller, made.rate) if present else made.controller
+    record = run(made, true)
+    estimate = identify(record, ClosedLoop(made.joint, made.controller))
+    return estimate, record, check_loop(estimate, record)
+
+
+def test_an_integral_that_takes_in_the_present_sample_is_named() -> None:
+    """Both gains move together, and the inertia is the true one with it."""
+    estimate, record, check = _checked(present=True)
+    found = check.findings[0]
+    assert found.test.name == PRESENT_SAMPLE
+    assert found.test.size == pytest.approx(1.0, abs=3 * found.test.std)
+    assert check.sentences[0].startswith("the integral takes in the present sample, too: declare velocity_gain 6.0 %")
+    truth, inertia = _quiet().values["inertia"], estimate.params["inertia"]
+    assert inertia.value is not None
+    corrected = inertia.value + found.changes["inertia"].by
+    assert abs(corrected - truth) < abs(inertia.value - truth)
+    assert corrected == pytest.approx(truth, rel=0.01)
+    verdict = add_loop_verdict(estimate, record).checks.verdicts[-1]
+    assert verdict.reasons[0].values["suspect"] == PRESENT_SAMPLE
+
+
+def test_a_law_that_is_as_declared_is_not_blamed() -> None:
+    _, _, check = _checked(present=False)
+    assert PRESENT_SAMPLE not in [one.test.name for one in check.findings]
+    assert check.undecided is None
+
+
+def test_what_the_record_does_not_exclude_speaks_against_the_value_where_it_would_move_it() -> None:
+    """The sentence says the other value, and where to look; within the interval nothing is said."""
+    estimate, _, check = _checked(present=True)
+    found, inertia = check.findings[0], estimate.params["inertia"]
+    assert inertia.stderr is not None
+    assert inertia.value is not None
+    for sigmas in (-5.0, 1.0):
+        changes = {"inertia": ParameterShift(sigmas * inertia.stderr, sigmas)}
+        open_ = replace(check, findings=(), undecided=replace(found, changes=changes))
+        assert open_.as_declared
+        assert open_.status is Status.UNKNOWN
+        [reason] = open_.reasons
+        assert reason.code is Reason.LAW_UNDECIDED
+        assert "declare velocity_gain 6.0 % larger" in reason.words
+        verdict = Verdict(Subject.LOOP, open_.status, open_.reasons)
+        answer = estimate.amended(checks={"verdicts": (*estimate.checks.verdicts, verdict)}).answer
+        if sigmas == -5.0:
+            assert answer.trust.code is Trust.NOT_YET
+            moved = inertia.value + changes["inertia"].by
+            assert f"it would be {moved:.4g}" in str(answer)
+            assert "see the drive's manual" in str(answer)
+        else:
+            assert answer.trust.code is not Trust.NOT_YET
+
+
+def test_the_check_of_one_fault_leaves_the_law_out() -> None:
+    estimate, record, _ = _checked(present=True)
+    check = check_loop(estimate, record, LoopTests(faults=("delay",)))
+    assert PRESENT_SAMPLE not in [one.test.name for one in check.findings]
+    [found, *_] = check_loop(estimate, record, LoopTests(faults=(PRESENT_SAMPLE, "delay"))).findings
+    assert found.test.name == PRESENT_SAMPLE
+
+
+def test_beside_a_fault_that_moves_nothing_the_other_law_still_speaks_against_the_value() -> None:
+    estimate, _, check = _checked(present=True)
+    found, inertia = check.findings[0], estimate.params["inertia"]
+    assert inertia.stderr is not None
+    late = replace(found, test=replace(found.test, name="delay", size=1e-4, std=1e-5), changes={}, law=None)
+    moved = replace(found, changes={"inertia": ParameterShift(-5.0 * inertia.stderr, -5.0)})
+    both = replace(check, findings=(late,), undecided=moved)
+    assert both.status is Status.FAILED
+    assert [one.code for one in both.reasons] == [Reason.LOOP_NOT_AS_DECLARED, Reason.LAW_UNDECIDED]
+    verdict = Verdict(Subject.LOOP, both.status, both.reasons)
+    answer = estimate.amended(checks={"verdicts": (*estimate.checks.verdicts, verdict)}).answer
+    assert answer.trust.code is Trust.NOT_YET
+    assert answer.trust.values["reasons"] == [Reason.LAW_UNDECIDED]
+    assert moved_by_loop(estimate.amended(checks={"verdicts": (verdict,)})) == {}

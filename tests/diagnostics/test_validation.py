@@ -1,0 +1,73 @@
+"""A validation begins with its answer: whether the joint predicts the record, within what noise allows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import jointid as ji
+from jointid.diagnostics.validation import Prediction
+
+RATE = 1e-3
+LAW = ji.Cascade(position_gain=40.0, velocity_gain=2000.0)
+LOOP = ji.ClosedLoop(ji.RigidJoint(), LAW)
+TRUTH = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
+
+
+def made(speed: float, seed: int, **other: float) -> ji.Record:
+    reference = ji.excitation.trapezoids((speed, 2 * speed), 2.0, 0.1, RATE, rest=0.1, duration=4.0)
+    noise = 0.5 * np.random.default_rng(seed).standard_normal(reference.size)
+    return ji.simulated_record(LOOP, reference, TRUTH | other, sample_time=RATE, torque_noise=noise, name=f"run{seed}")
+
+
+@cache
+def identified() -> tuple[ji.Estimate, ji.Record]:
+    record = made(0.1, 1)
+    return ji.identify(record, LOOP, loop_check=False), record
+
+
+def answer(record: ji.Record) -> tuple[str, str]:
+    checked = ji.validate(identified()[0], record)
+    assert checked.document().title == checked.sentence
+    return checked.answer.code, checked.sentence
+
+
+def test_the_same_axis_is_predicted_and_a_changed_one_is_not() -> None:
+    code, words = answer(made(0.13, 2))
+    assert code is Prediction.PREDICTED
+    assert words.startswith("The joint predicts run2: it leaves ")
+    code, words = answer(made(0.13, 3, inertia=33.0))  # 10 %: far less is left than a right model may leave
+    assert code is Prediction.ANOTHER_JOINT
+    assert words.endswith("identify it from this record, too, and compare both estimates.")
+
+
+def test_its_own_record_is_no_test_of_it() -> None:
+    assert answer(identified()[1])[0] is Prediction.OWN_RECORD
+    poor = replace(ji.validate(*identified()), filtered_error=0.4)
+    assert poor.answer.code is Prediction.OWN_RECORD
+
+
+def test_without_a_joint_to_compare_with_nothing_is_promised() -> None:
+    alone = replace(ji.validate(identified()[0], made(0.13, 2)), attainable_error=None)
+    assert alone.answer.code is Prediction.NOT_COMPARED
+    assert "could not be found" in alone.sentence
+
+
+def test_a_record_that_no_joint_explains_is_not_as_declared() -> None:
+    record = made(0.13, 4)
+    assert record.torque is not None
+    turned = record.with_channels({"torque": replace(record.torque, values=-record.torque.values)})
+    code, words = answer(turned)
+    assert code is Prediction.NOT_AS_DECLARED
+    assert "identify it from this record, too, and see what is said of the fit" in words
+
+
+@pytest.mark.parametrize("inertia", [30.0, 33.0])
+def test_by_measured_positions_too(inertia: float) -> None:
+    joint = ji.RigidJoint()
+    estimate = ji.identify(made(0.1, 1), joint)
+    code = ji.validate(estimate, made(0.13, 2, inertia=inertia)).answer.code
+    assert code is (Prediction.PREDICTED if inertia == 30.0 else Prediction.ANOTHER_JOINT)

@@ -1,0 +1,144 @@
+"""A random force in the loop lets friction slide: the intervals have to hold what that moves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+import jointid as ji
+from jointid.common.messages import silent
+from jointid.estimation.methods.force_in_loop import allow_for_force, find_force
+from jointid.estimation.methods.search import History, least_squares
+from jointid.estimation.problems.base import INITIAL
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
+from jointid.models.controllers import Cascade
+from jointid.paper.twin import twin
+from jointid.records.signals.filtering import Filtering
+from jointid.simulation.excitation import trapezoids
+from jointid.simulation.synthesis import simulated_record
+from jointid.solvers.solve import Solution, solve
+from jointid.uncertainty.position_dependent_error import uncertainty
+from tests.servos import Servo, servo
+
+RESTING = (5, 8, 14, 25)
+"""Servos under forces of 1 to 6 % of the torque of their ramps: their Coulomb friction comes out 13 to 45 % small."""
+
+
+def solved(axis: Servo) -> tuple[ClosedLoopProblem, Solution]:
+    """Return where plain least squares ends on a servo that begins at rest."""
+    problem = torque_problem(axis.record, axis.loop, Filtering(), axis.loop.joint.parameters)
+    problem = problem.keeping({"initial_velocity": 0.0})
+    found = ji.identify(axis.record, axis.loop, loop_check=False)
+    start = problem.vector({row.name: row.value or 0.0 for row in found.params})
+    return problem, solve(problem, least_squares(problem, 1e-7), start)
+
+
+@pytest.mark.parametrize("seed", RESTING)
+def test_intervals_hold_what_a_force_moves(seed: int) -> None:
+    axis = servo(seed)
+    found = ji.identify(axis.record, axis.loop, loop_check=False)
+    coulomb, viscous = found["coulomb"], found["viscous"]
+    for row in (coulomb, viscous):
+        assert row.value is not None and row.stderr is not None
+        assert abs(row.value - axis.truth[row.name]) <= 2 * row.stderr
+    assert "force of about" in found.params.basis
+    assert any("force in the loop" in note for note in found.checks.notes)
+
+
+@pytest.mark.parametrize("seed", RESTING)
+def test_the_force_is_found_and_allowed_for(seed: int) -> None:
+    axis = servo(seed)
+    problem, end = solved(axis)
+    names = [p.name for p in problem.free]
+    at, truth = names.index("coulomb"), axis.truth["coulomb"]
+    before = end.x[at] - truth
+    assert before < -0.1 * truth  # too little friction, without the force
+    found = allow_for_force(problem, end.x, -end.jacobian, np.zeros(end.x.size), History(silent))
+    assert found is not None
+    there, force = found
+    assert abs(there[at] - truth) < 0.25 * abs(before)
+    assert force.rms == pytest.approx(axis.force, rel=0.3)
+
+
+def test_noise_on_the_log_is_no_force() -> None:
+    axis = servo(9)
+    assert axis.force == 0.0
+    problem, end = solved(axis)
+    run = problem.simulate(end.x)
+    found = find_force(problem, end.x, run, problem.measured - run.torque)
+    assert found is None or found.rms < 0.02 * float(np.std(problem.measured))
+
+
+@pytest.mark.parametrize("noise", ["disturbance", "white"])
+def test_an_axis_that_never_rests_is_not_moved(noise: str) -> None:
+    """The twin's force is 8 % of its torque; friction never holds it, and its intervals stay as they are."""
+    axis = twin("L19", noise=noise)  # type: ignore[arg-type]
+    problem = torque_problem(axis.record, axis.loop, Filtering(cutoff=60.0), axis.loop.joint.parameters)
+    problem = problem.keeping({"initial_velocity": 0.0})
+    x = problem.vector({**axis.truth, "initial_position": 0.0})
+    error, slopes = problem.linearised(x)
+    std = uncertainty(slopes, slopes, error, problem.cells(problem.simulate(x)), [p.name for p in problem.free])
+    assert allow_for_force(problem, x, -slopes, std.covariance.std, History(silent)) is None
+
+
+def test_what_the_record_shows_of_a_force_is_said() -> None:
+    axis = servo(25)
+    found = ji.identify(axis.record, axis.loop, loop_check=False)
+    (note,) = [note for note in found.checks.notes if "force in the loop" in note]
+    assert "coulomb" in note
+
+
+def test_intervals_hold_what_a_force_moves_where_a_gain_is_free_too() -> None:
+    axis = servo(25)
+    found = ji.identify(axis.record, axis.loop, ji.DIDIM(free=("velocity_gain",)), loop_check=False)
+    for name in ("coulomb", "viscous"):
+        row = found[name]
+        assert row.value is not None and row.stderr is not None
+        assert abs(row.value - axis.truth[name]) <= 2 * row.stderr
+    assert any("force in the loop" in note for note in found.checks.notes)
+
+
+def test_intervals_of_several_records_hold_what_their_forces_move() -> None:
+    period, truth = 1e-3, {"inertia": 0.1, "viscous": 0.2, "coulomb": 2.0, "offset": 0.3}
+    law = Cascade(position_gain=30.0, velocity_gain=20.0, integral_gain=100.0, delay=0.5e-3, period=period)
+    loop = ji.ClosedLoop(ji.RigidJoint(kind="revolute"), law)
+    records = []
+    for seed, swing in enumerate((1.5, 1.2)):
+        random = np.random.default_rng(seed)
+        reference = trapezoids((1.0, 2.0, 3.0), 10.0, swing, period, rest=0.5, duration=12.0)
+        force = lfilter([1.0], [1.0, -0.97], random.standard_normal(reference.size))
+        noise = 0.02 * random.standard_normal(reference.size)
+        forces = {"disturbance": 0.15 * force / force.std(), "torque_noise": noise}
+        whole = simulated_record(loop, reference, truth, sample_time=period, **forces)
+        records.append(whole.without("motor_position"))
+    found = ji.identify(records, loop, loop_check=False)
+    for name in ("viscous", "coulomb"):
+        row = found[name]
+        assert row.value is not None and row.stderr is not None
+        assert abs(row.value - truth[name]) <= 2 * row.stderr
+    assert "force in the loop" in found.params.basis
+
+
+def test_a_log_far_slower_than_the_loop_shows_no_force() -> None:
+    """The loop's crossover is at 160 Hz, and the log at 16 Hz: no frequency is left to look at."""
+    axis, every = servo(25), 64
+    truth = {"inertia": 0.1, "viscous": 0.2, "coulomb": 2.0, "offset": 0.3}
+    loop = replace(axis.loop, controller=Cascade(position_gain=30.0, velocity_gain=100.0, period=1e-3))
+    reference = trapezoids((1.0, 2.0, 3.0), 10.0, 1.5, 1e-3, rest=0.5, duration=12.0)
+    whole = simulated_record(loop, reference, truth, sample_time=1e-3)
+    assert whole.torque is not None
+    slow = [
+        ji.Channel(v[::every], unit, every * 1e-3) for v, unit in ((whole.torque.values, "N m"), (reference, "rad"))
+    ]
+    record = ji.Record(torque=slow[0], reference=slow[1])
+    problem = torque_problem(record, loop, Filtering(), loop.joint.parameters)
+    x = problem.vector(truth | dict.fromkeys(INITIAL, 0.0))
+    assert find_force(problem, x, problem.simulate(x), problem.measured) is None
+
+
+def test_a_residual_of_nothing_shows_no_force() -> None:
+    problem, end = solved(servo(9))
+    assert find_force(problem, end.x, problem.simulate(end.x), np.zeros(problem.measured.size)) is None

@@ -1,0 +1,68 @@
+"""Deviations by the spectrum in bands: noise that is loudest where a fit takes most of it away."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from jointid.common.arrays import FloatArray
+from jointid.uncertainty.covariance import by_spectrum, stationary
+from jointid.uncertainty.spectral import spectral_covariance
+
+ROWS, RUNS = 600, 200
+
+
+def slow_columns(rows: int) -> FloatArray:
+    """Return an offset, and columns of the slowest frequencies: what friction and inertia are on a short record."""
+    turn = 2 * np.pi * np.arange(rows) / rows
+    return np.column_stack([np.ones(rows), np.sign(np.sin(2.3 * turn)), np.cos(2.3 * turn), np.sin(0.7 * turn)])
+
+
+def slow_noise(random: np.random.Generator, rows: int) -> FloatArray:
+    """Return noise that is correlated over a fiftieth of the record."""
+    return np.asarray(lfilter([1.0], [1.0, -0.9], random.standard_normal(rows + 200))[200:])
+
+
+def test_an_offset_under_slow_noise_is_held() -> None:
+    random, W = np.random.default_rng(11), slow_columns(ROWS)
+    inverse, inside = np.linalg.pinv(W), {by_spectrum: np.zeros(4), stationary: np.zeros(4)}
+    for _ in range(RUNS):
+        error = slow_noise(random, ROWS)
+        x = inverse @ error
+        for of in inside:
+            inside[of] += np.abs(x) <= 2 * of(W, W, error - W @ x).std
+    assert np.all(inside[by_spectrum] / RUNS >= 0.88)
+    assert inside[by_spectrum].mean() / RUNS >= 0.92
+    assert inside[stationary].mean() / RUNS < 0.9
+
+
+@pytest.mark.parametrize("instruments", [False, True])
+def test_what_the_fit_took_of_a_band_is_given_back(instruments: bool) -> None:
+    """The covariance is right on the average over many residuals of white noise, of short records, too."""
+    random, J = np.random.default_rng(12), slow_columns(120)
+    Z = J + 0.3 * random.standard_normal(J.shape) if instruments else J
+    A = np.linalg.solve(Z.T @ J, Z.T)
+    found = []
+    for _ in range(RUNS):
+        noise = random.standard_normal(120)
+        found.append(spectral_covariance(A.T, J, noise - J @ (A @ noise), [slice(0, 120)])[0])
+    assert np.diag(np.mean(found, axis=0)) == pytest.approx(np.diag(A @ A.T), rel=0.1)
+
+
+def test_few_frequencies_are_known_as_students_quantile_says() -> None:
+    """An offset is told by one band of four frequencies, less what is lost to it; a fast column by many."""
+    random = np.random.default_rng(13)
+    J = np.column_stack([np.ones(4000), random.standard_normal(4000)])
+    A = np.linalg.pinv(J)
+    noise = random.standard_normal(4000)
+    _, (slow, fast) = spectral_covariance(A.T, J, noise - J @ (A @ noise), [slice(0, 4000)])
+    assert slow == pytest.approx(1.26, abs=0.03)  # Student's of six degrees of freedom, over two
+    assert 1.0 < fast < 1.01
+
+
+def test_nothing_left_has_no_deviation() -> None:
+    J = slow_columns(200)
+    covariance, factor = spectral_covariance(np.linalg.pinv(J).T, J, np.zeros(200), [slice(0, 200)])
+    assert not np.any(covariance)
+    assert np.all(factor == 1.0)

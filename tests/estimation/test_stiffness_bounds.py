@@ -1,0 +1,131 @@
+"""A joint by inertia, share, mode and damping ratio, and how soft it may be where its cost is given."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.estimation.result.stiffness_bounds import (
+    Fit,
+    ModeProfile,
+    SpringProblem,
+    bound_all,
+    bound_stiffness,
+    profile_modes,
+    spring,
+    spring_slopes,
+)
+from jointid.models.joints import FlexibleJoint
+from jointid.records.signals.filtering import Filtering
+from jointid.uncertainty.verdict import StiffnessBound
+from studies.stiffness_bounds import random_plant
+
+DIP = 200.0
+"""At 30 Hz, where the compliance costs 123."""
+
+DESCRIBED = {"inertia": 3.0, "ratio": 0.04, "share": 0.3, "mode": 25.0}
+
+
+def test_a_described_joint_has_the_mode_the_share_and_the_damping_it_is_described_by() -> None:
+    values = spring(DESCRIBED)
+    assert FlexibleJoint.frequencies(values)["free_free"] == pytest.approx(25.0)
+    assert values["load_inertia"] == pytest.approx(0.9)
+    assert values["motor_inertia"] == pytest.approx(2.1)
+    reduced = 0.9 * 2.1 / 3.0
+    assert values["damping"] == pytest.approx(2 * 0.04 * np.sqrt(values["stiffness"] * reduced))
+
+
+@pytest.mark.parametrize("name", ["inertia", "ratio", "share", "mode"])
+def test_slopes_are_those_of_small_changes(name: str) -> None:
+    step = 1e-6 * DESCRIBED[name]
+    up, down = (spring({**DESCRIBED, name: DESCRIBED[name] + side * step}) for side in (1, -1))
+    for what, slope in spring_slopes(DESCRIBED)[name].items():
+        scale = abs(spring(DESCRIBED)[what]) / DESCRIBED[name]
+        assert (up[what] - down[what]) / (2 * step) == pytest.approx(slope, rel=1e-6, abs=1e-8 * scale)
+
+
+def test_a_joint_without_inertia_has_slopes() -> None:
+    """A search whose bound it is may stand there."""
+    assert spring_slopes({**DESCRIBED, "inertia": 0.0})["inertia"] == spring_slopes(DESCRIBED)["inertia"]
+
+
+def test_a_problem_s_derivatives_are_those_of_its_residual() -> None:
+    plant = random_plant(3)
+    problem = torque_problem(plant.record, plant.loop, Filtering(), plant.loop.joint.parameters)
+    names = ("motor_viscous", "load_viscous", "offset")
+    at = SpringProblem(problem.all_free(), names, None, None, (1.0, 400.0))
+    known = {"inertia": 1.1 * (plant.truth["motor_inertia"] + plant.truth["load_inertia"]), "ratio": 0.05}
+    known |= {"share": 0.3, "mode": 50.0} | {name: plant.truth[name] for name in names}
+    x = np.array([known[p.name] for p in at.free])
+    assert at.described(x) == pytest.approx(known)
+    _, J = at.linearised(x)
+    for i, p in enumerate(at.free):
+        step = np.zeros(x.size)
+        step[i] = 1e-6 * abs(x[i])
+        difference = (at.residual(x + step) - at.residual(x - step)) / (2 * step[i])
+        assert np.linalg.norm(difference - J[:, i]) <= 1e-3 * np.linalg.norm(J[:, i]), p.name
+
+
+class Told(ModeProfile):
+    """A profile whose cost is known: of a compliance of 1 / mode^2, and of a dip at some mode."""
+
+    __slots__ = ()
+
+    def cost(self, mode: float) -> float:
+        return 100.0 + (1e4 / mode**2) ** 2 - DIP * (abs(mode - 30.0) < 1e-6)
+
+    def fit(self, start: Mapping[str, float], share: float | None, mode: float | None, evaluations: int) -> Fit:
+        at = {**start, "share": share or start["share"], "mode": mode or start["mode"]}
+        self.simulations += evaluations
+        return Fit(at, self.cost(at["mode"]), self.cost(at["mode"]))
+
+
+def told(threshold: float, *, dip: bool = False) -> Told:
+    made = Told(None, (), (10.0, 300.0), {}, threshold)  # type: ignore[arg-type]  # its cost needs no problem
+    start = {"inertia": 2.0, "ratio": 0.03, "share": 0.3}
+    made.stiff = made.fit(start, None, 300.0, 1)
+    made.points = [made.fit(start, None, float(mode), 1) for mode in np.geomspace(300.0, 10.0, 10)[1:]]
+    made.minima = [made.fit(start, None, 30.0, 1)] if dip else []
+    return made
+
+
+@pytest.mark.parametrize("threshold", [4.0, 25.0])
+def test_a_bound_is_where_the_cost_passes_the_threshold(threshold: float) -> None:
+    """From below, and as near as three halvings of a step between modes are."""
+    limit = 100.0 / threshold**0.25
+    bound = bound_stiffness(told(threshold), 0.2, 0.0)
+    assert bound.frequency is not None and bound.stiffness is not None
+    assert limit / 1.05 < bound.frequency <= limit
+    assert bound.stiffness == pytest.approx(0.2 * 0.8 * 2.0 * (2 * np.pi * bound.frequency) ** 2)
+
+
+def test_a_dip_between_two_modes_makes_the_bound_softer() -> None:
+    """The modes on both sides of it are excluded."""
+    bound = bound_stiffness(told(4.0, dip=True), 0.2, 0.0)
+    assert bound.frequency is not None
+    assert 20.0 < bound.frequency <= 30.0
+
+
+def test_a_mode_that_a_smaller_share_excludes_is_excluded() -> None:
+    bound = bound_stiffness(told(4.0), 0.2, 150.0)
+    assert bound.frequency is not None
+    assert 100.0 < bound.frequency <= 150.0
+    assert [one.share for one in bound_all(told(4.0), (0.2, 0.1))] == [0.1, 0.2]
+
+
+def test_where_nothing_is_excluded_there_is_no_bound() -> None:
+    assert bound_stiffness(told(math.inf), 0.2, 0.0) == StiffnessBound(0.2, None, None)
+
+
+def test_a_rigid_joint_that_explains_nothing_excludes_nothing() -> None:
+    """Its loop is unstable: the threshold was no number, and every mode that was tried excluded."""
+    plant = random_plant(3)
+    problem = torque_problem(plant.record, plant.loop, Filtering(), plant.loop.joint.parameters)
+    rigid = {"inertia": 1e-5, "viscous": 0.1, "coulomb": 0.1, "offset": 0.0}
+    made = profile_modes(problem, rigid, plant.truth, thorough=False)
+    assert made.threshold == math.inf
+    assert bound_stiffness(made, 0.2, 0.0) == StiffnessBound(0.2, None, None)

@@ -1,0 +1,70 @@
+"""Drives that run faster than they log: their log, and their loop without the period."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.models.controllers import PD, Cascade, FirstOrder
+from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
+from jointid.records.record import Channel, Record
+from jointid.simulation.excitation import trapezoids
+from jointid.simulation.synthesis import simulated_record
+
+LOG = 1e-3  # s
+RIGID = {"inertia": 1.0, "viscous": 1.7, "coulomb": 4.5, "offset": 0.3}
+FLEXIBLE = {
+    "motor_inertia": 0.45, "motor_viscous": 0.9, "motor_coulomb": 2.5, "stiffness": 9000.0, "damping": 2.5,
+    "load_inertia": 0.55, "load_viscous": 0.8, "load_coulomb": 2.0, "offset": 0.3,
+}  # fmt: skip
+CASCADE = Cascade(position_gain=25.0, velocity_gain=110.0)
+SERVO = PD(position_gain=2500.0, derivative_gain=95.0, velocity_filter=FirstOrder(0.8e-3))
+
+
+def _pulses(samples: int, fine: float) -> FloatArray:
+    """A known torque for 20 ms about every 0.4 s."""
+    rng = np.random.default_rng(5)
+    pulses, begin = np.zeros(samples), 0.3
+    while begin < samples * fine - 0.1:
+        first = round(begin / fine)
+        pulses[first : first + round(0.02 / fine)] = 12.0 * rng.choice([-1, 1])
+        begin += round(rng.uniform(0.3, 0.5), 3)
+    return pulses
+
+
+def drive(
+    law: Cascade | PD,
+    times: int,
+    *,
+    flexible: bool = False,
+    pulsed: bool = False,
+    noise: float = 0.3,
+    force: float = 0.0,
+) -> tuple[Record, ClosedLoop]:
+    """The log, at 1 kHz, of a drive that runs so many times as fast, and its loop without the period."""
+    fine, rng = LOG / times, np.random.default_rng(1)
+    controller = replace(law, delay=fine)
+    joint = FlexibleJoint("revolute") if flexible else RigidJoint("revolute")
+    reference = trapezoids((0.4, 0.8, 1.2), 8.0, 0.6, fine, duration=12.0 if flexible else 6.0)
+    record = simulated_record(
+        ClosedLoop(joint, controller), reference, FLEXIBLE if flexible else RIGID, sample_time=fine,
+        injected=_pulses(reference.size, fine) if pulsed else None,
+        disturbance=np.repeat(force * rng.standard_normal(reference.size // times + 1), times)[: reference.size],
+        name="drive",
+    )  # fmt: skip
+
+    def logged(channel: Channel) -> Channel:
+        return replace(channel, values=channel.values[::times].copy(), sample_time=LOG)
+
+    assert record.torque is not None
+    assert record.reference is not None
+    torque = logged(record.torque)
+    torque = replace(torque, values=torque.values + noise * rng.standard_normal(torque.values.size))
+    injected = None if record.injected is None else replace(record.injected, channel=logged(record.injected.channel))
+    shown = replace(
+        record, torque=torque, reference=logged(record.reference), motor_position=None, load_position=None,
+        injected=injected,
+    )  # fmt: skip
+    return shown, ClosedLoop(joint, controller)

@@ -1,0 +1,165 @@
+"""Results in a notebook: a sentence and a table, short and escaped; as data frames; and their pictures."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from functools import cache
+from html.parser import HTMLParser
+from typing import Any
+
+import numpy as np
+import pytest
+
+import jointid as ji
+from jointid.common.document import Document, Heading, Listing, Table, notebook_html
+from jointid.controller_id.learned_loop import LearnedLoop
+from jointid.output.json import read_report
+from tests.output.report import reports
+
+MOST = 4000  # characters
+
+
+@cache
+def results() -> dict[str, Any]:
+    """Every kind of result that a notebook shows, of a record with a hostile name."""
+    record, loop = reports.rigid_record(name=reports.EVIL)
+    estimate = ji.identify(record, loop)
+    return {"record": record, "estimate": estimate, "validation": ji.validate(estimate, record)}
+
+
+@cache
+def learned() -> LearnedLoop:
+    record, _ = reports.rigid_record(name=reports.EVIL)
+    return ji.learn_loop(record)
+
+
+@cache
+def tuned() -> Any:
+    return ji.tune(results()["estimate"])
+
+
+def comparison() -> Any:
+    record, loop = reports.rigid_record(seed=2, name=reports.EVIL)
+    return ji.compare_methods(record, loop)
+
+
+def change(tmp_path: Any) -> Any:
+    path = results()["estimate"].save(tmp_path / "a.json")
+    return ji.compare_estimates(read_report(path), read_report(path))
+
+
+class Tags(HTMLParser):
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.seen: list[str] = []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: object) -> None:
+        del attrs
+        self.seen.append(tag)
+        self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def check(html: str, sentence: str) -> None:
+    """It is short, has a table, begins with the sentence, and its tags are closed; no name makes one."""
+    found = Tags(html)
+    assert len(html) <= MOST
+    assert found.open == []
+    assert "script" not in found.seen
+    assert "a" not in found.seen
+    assert sentence
+    assert html.index("<p>") < html.index("<table") if "<table" in html else True
+
+
+@pytest.mark.parametrize("name", ["record", "estimate", "validation"])
+def test_a_notebook_shows_a_sentence_and_a_table(name: str) -> None:
+    made = results()[name]
+    html = made._repr_html_()
+    check(html, made.sentence)
+    words = made.sentence.split("<")[0][:30]
+    assert f"<p>{words}" in html or f"<p><strong>{words}" in html  # a title that is the answer is not said again
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make", [learned, tuned, comparison])
+def test_a_notebook_shows_what_takes_longer_to_make(make: Callable[[], Any]) -> None:
+    made = make()
+    html = made._repr_html_()
+    check(html, made.sentence)
+    assert "<table" in html
+    assert len(made.to_dataframe()) > 0
+
+
+def test_a_comparison_begins_with_whether_anything_changed(tmp_path: Any) -> None:
+    made = change(tmp_path)
+    check(made._repr_html_(), made.sentence)
+    assert made.to_dataframe().loc["inertia", "difference"] == 0.0
+
+
+def test_the_report_shows_the_answer_and_the_parameters() -> None:
+    html = reports.rigid()._repr_html_()
+    check(html, str(reports.rigid().estimate.answer))
+    assert "Inertia" in html.split("</p>")[0]
+    assert len(repr(reports.rigid())) < 200
+
+
+def test_what_is_too_long_is_cut_and_says_so() -> None:
+    rows = tuple((f"row {i}", "1.0") for i in range(500))
+    many = Document("title" * 200, (Table(("name", "value"), rows), Heading("more"), Listing(("word " * 2000,))))
+    html = notebook_html(many, "the sentence")
+    assert len(html) <= MOST
+    assert "row 0" in html
+    assert "row 499" not in html
+    assert "There is more: print it." in html
+    assert "There is more" not in notebook_html(Document("title", (Table(("a",), (("1",),)),)))
+    assert Tags(html).open == []
+
+
+def test_a_record_is_a_data_frame_over_time() -> None:
+    pytest.importorskip("pandas")
+    record = results()["record"]
+    frame = record.to_dataframe()
+    assert tuple(frame.columns) == record.channels
+    assert frame.index.name == "time"
+    np.testing.assert_array_equal(frame["torque"], record.torque.values)
+    slow = ji.Record(
+        torque=ji.Channel(np.arange(4.0), "N", 1e-3), reference=ji.Channel(np.arange(2.0), "m", 2e-3), name="two rates"
+    ).to_dataframe()
+    assert np.isnan(slow["reference"]).tolist() == [False, True, False, True]
+
+
+def test_a_validation_is_a_data_frame_over_time() -> None:
+    pytest.importorskip("pandas")
+    made = results()["validation"]
+    frame = made.to_dataframe()
+    np.testing.assert_array_equal(frame["error"], made.measured - made.predicted)
+    assert frame.index[1] == made.sample_time
+
+
+def test_without_pandas_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    for name in ("record", "validation"):
+        with pytest.raises(ji.ExtraError, match=r"jointid\[dataframe\]"):
+            results()[name].to_dataframe()
+
+
+def test_pictures_are_a_word_away() -> None:
+    record, estimate, validation = results().values()
+    assert [axes.get_ylabel() for axes in record.plot().axes] == [
+        f"{name.replace('_', ' ')} [{channel.unit}]" for name, channel in record.items()
+    ]
+    assert record.plot().axes[-1].get_xlabel() == "time [s]"
+    for figure in (estimate.plot(), validation.plot()):
+        assert figure.axes[0].get_ylabel() == "torque [N m]"
+
+
+def test_a_long_sentence_is_cut_and_the_title_is_not_said_twice() -> None:
+    made = notebook_html(Document("<" * 3000, ()), '"' * 3000)
+    assert len(made) <= MOST
+    assert notebook_html(Document("the answer", ()), "the answer").count("the answer") == 1
