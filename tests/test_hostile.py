@@ -215,14 +215,14 @@ def test_any_bytes_are_read_or_refused(spoil: Callable[..., Path], content: byte
         ji.read(path, {"torque": "i", "reference": "r"}, resample=Resampling(1e-3, "cubic"))
 
 
-def test_100_000_columns_are_read_and_more_are_refused(
+def test_10_000_columns_are_read_and_more_are_refused(
     spoil: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def wide(count: int) -> bytes:
         return (",".join(f"c{k}" for k in range(count)) + "\n" + (",".join(["1"] * count) + "\n") * 2).encode()
 
-    assert len(read_table(spoil(wide(csv.WIDEST))).columns) == 100_000
-    with pytest.raises(RecordError, match="100001 columns \\(at most 100000 are read\\)"):
+    assert len(read_table(spoil(wide(csv.WIDEST))).columns) == 10_000
+    with pytest.raises(RecordError, match="10001 columns \\(at most 10000 are read\\)"):
         read_table(spoil(wide(csv.WIDEST + 1)))
 
 
