@@ -428,7 +428,7 @@ def test_an_integral_time_in_the_wrong_unit_is_told_in_the_drive_s_unit() -> Non
     long = replace(loop, controller=with_numbers(loop.controller, {"integral_gain": 0.05}))
     shown = [DriveNumber("integral_gain", "integral_time", "ms", 1e3, inverse=True)]
     [told] = tell_cause(Cause.INTEGRAL, 50.0, 0.01, long, shown)
-    expected = "integral_time is about 20.0 ms, not 20000 ms: about 1000 times less; its unit may be ms, not s"
+    expected = "the integral time is about 20.0 ms, not 20000 ms: about 1000 times less; its unit may be ms, not s"
     assert told.words == expected
     [told] = tell_cause(Cause.INTEGRAL, 50.0, 0.01, long)
     assert told.words.startswith("the integral gain is about 50.0, not 0.0500: about 1000 times more")
@@ -447,21 +447,21 @@ def test_a_pid_that_is_declared_by_times_is_told_by_times() -> None:
         DriveNumber("integral_gain", "integral_time", "ms", 1e3, inverse=True, per="position_gain"),
     ]
     said = {
-        Cause.DERIVATIVE_GAIN: (0.0125, "derivative_time is about 50.0 ms, not 25.0 ms"),
-        Cause.INTEGRAL: (5.0, "integral_time is about 50.0 ms, not 100 ms"),
+        Cause.DERIVATIVE_GAIN: (0.0125, "the derivative time is about 50.0 ms, not 25.0 ms"),
+        Cause.INTEGRAL: (5.0, "the integral time is about 50.0 ms, not 100 ms"),
         Cause.POSITION_GAIN: (
             0.5,
-            "position_gain is about 0.500 A/rad, not 0.250 A/rad, with derivative_time 12.5 ms, with integral_time "
-            "200 ms",
+            "the position gain is about 0.500 A/rad, not 0.250 A/rad, with the derivative time 12.5 ms, with the "
+            "integral time 200 ms",
         ),
     }
     for cause, (value, words) in said.items():
         assert [one.words for one in tell_cause(cause, value, 0.01, loop, shown)] == [words]
     [none] = tell_cause(Cause.INTEGRAL, None, 0.01, loop, shown)
-    assert none.words == "the declared integral_time is not there"
+    assert none.words == "the declared integral time is not there"
     told = {one.cause: one.words for one in tell_cause(Cause.LAW_GAIN, 600.0, 0.01, loop, shown)}
     assert "the law's gain (position_gain or gain)" in told[Cause.LAW_GAIN]
-    assert told[Cause.LAW_GAIN].endswith("where position_gain would be 2.50 A/rad")
+    assert told[Cause.LAW_GAIN].endswith("where the position gain would be 2.50 A/rad")
 
 
 def test_a_torque_constant_is_the_field_to_look_at() -> None:
@@ -487,4 +487,4 @@ def test_a_factor_is_told_with_the_gear_that_may_make_it() -> None:
     shown = [DriveNumber("velocity_gain", "velocity_gain", "A s/rad", 1.0)]
     told = {one.cause: one.words for one in tell_cause(Cause.LAW_GAIN, 0.4 * 10, 0.01, loop, shown)}
     assert told[Cause.REFERENCE_SCALE].endswith("as by another gear than 50:1")
-    assert told[Cause.LAW_GAIN].endswith("where velocity_gain would be 21.0 A s/rad")
+    assert told[Cause.LAW_GAIN].endswith("where the velocity gain would be 21.0 A s/rad")
