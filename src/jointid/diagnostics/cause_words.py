@@ -21,6 +21,7 @@ from jointid.models.joints import ClosedLoop
 _NO_TIME = 1e-6  # s
 _NEAR = 0.08  # a factor is taken for another one that is so near
 _UNIT_SLIP = 1000.0  # s for ms
+_BOTH_GAINS = "position gain and torque (or velocity gain) are both off by that factor"
 _ROUGHLY = 2.0  # times: a gain that is found so near to a unit's factor is off by that
 
 
@@ -64,7 +65,12 @@ def tell(
             Explanation(cause, "the torque has the wrong sign", None, error),
             Explanation(Cause.REFERENCE_SIGN, "the reference has the wrong sign", None, error),
         )
-    return (Explanation(cause, _words(cause, value, loop, known), value, error),)
+    alone = Explanation(cause, _words(cause, value, loop, known), value, error)
+    if cause is Cause.SAMPLE_TIME and "velocity_gain" in numbers:
+        # u = g (Kv e - v): with all velocities f times as large it is the law with Kv f times as large, and g f times
+        # as small. Only filters and delays tell the two apart, hardly.
+        return alone, Explanation(Cause.LAW_GAIN, _BOTH_GAINS, None, error)
+    return (alone,)
 
 
 def _of_gain(factor: float, loop: ClosedLoop, shown: Mapping[str, DriveNumber]) -> Iterator[tuple[Cause, str, float]]:
