@@ -214,25 +214,34 @@ class Mistake:
     said: str = ""
 
 
-def _scaled(channel: str, factor: float) -> Callable[[Axis, int], Told]:
-    def make(made: Axis, seed: int) -> Told:
-        record = run(made, made.controller, seed=seed)
+Edit: TypeAlias = Callable[[Record, ClosedLoop], Told]
+"""What a mistake makes of a record and a declaration, be they right or wrong already."""
+
+
+def _of(edit: Edit) -> Callable[[Axis, int], Told]:
+    return lambda made, seed: edit(*without_mistake(made, seed))
+
+
+def _scale(channel: str, factor: float) -> Edit:
+    def edit(record: Record, loop: ClosedLoop) -> Told:
         one = getattr(record, channel)
-        wrong = record.with_channels({channel: replace(one, values=factor * one.values)})
-        return wrong, ClosedLoop(made.joint, made.controller)
+        return record.with_channels({channel: replace(one, values=factor * one.values)}), loop
 
-    return make
+    return edit
 
 
-def _swapped_channels(made: Axis, seed: int) -> Told:
-    record = run(made, made.controller, seed=seed)
+def _scaled(channel: str, factor: float) -> Callable[[Axis, int], Told]:
+    return _of(_scale(channel, factor))
+
+
+def _swap_channels(record: Record, loop: ClosedLoop) -> Told:
     assert record.torque is not None
     assert record.reference is not None
     swapped = {
         "torque": replace(record.torque, values=record.reference.values),
         "reference": replace(record.reference, values=record.torque.values),
     }
-    return record.with_channels(swapped), ClosedLoop(made.joint, made.controller)
+    return record.with_channels(swapped), loop
 
 
 def without_mistake(made: Axis, seed: int = 1) -> Told:
@@ -240,25 +249,28 @@ def without_mistake(made: Axis, seed: int = 1) -> Told:
     return run(made, made.controller, seed=seed), ClosedLoop(made.joint, made.controller)
 
 
-def _position_as_reference(made: Axis, seed: int) -> Told:
-    record = run(made, made.controller, seed=seed)
+def _give_position_as_reference(record: Record, loop: ClosedLoop) -> Told:
     assert record.reference is not None
     assert record.motor_position is not None
     step = 1e-6 * float(np.ptp(record.reference.values))
     encoded = step * np.round(record.motor_position.values / step)
     wrong = replace(record.reference, values=encoded)
-    return record.with_channels({"reference": wrong}), ClosedLoop(made.joint, made.controller)
+    return record.with_channels({"reference": wrong}), loop
+
+
+def _declare(**numbers: Any) -> Edit:
+    """A mistake in what is declared; a function of the axis' controller stands for a number of it."""
+
+    def edit(record: Record, loop: ClosedLoop) -> Told:
+        law: Any = loop.controller
+        changes = {n: v(law) if callable(v) else v for n, v in numbers.items()}
+        return record, replace(loop, controller=replace(law, **changes))
+
+    return edit
 
 
 def _declared(**numbers: Any) -> Callable[[Axis, int], Told]:
-    """A mistake in what is declared; a function of the axis' controller stands for a number of it."""
-
-    def make(made: Axis, seed: int) -> Told:
-        changes = {n: v(made.controller) if callable(v) else v for n, v in numbers.items()}
-        declared = replace(made.controller, **changes)
-        return run(made, made.controller, seed=seed), ClosedLoop(made.joint, declared)
-
-    return make
+    return _of(_declare(**numbers))
 
 
 def _left_out(**numbers: Any) -> Callable[[Axis, int], Told]:
@@ -278,13 +290,15 @@ def _constant_twice(made: Axis, seed: int) -> Told:
     return _scaled("torque", made.controller.gain)(made, seed)
 
 
-def _sample_time(factor: float) -> Callable[[Axis, int], Told]:
-    def make(made: Axis, seed: int) -> Told:
-        record = run(made, made.controller, seed=seed)
-        wrong = {n: replace(c, sample_time=factor * c.sample_time) for n, c in record.items()}
-        return replace(record, **wrong), ClosedLoop(made.joint, made.controller)
+def _time(factor: float) -> Edit:
+    def edit(record: Record, loop: ClosedLoop) -> Told:
+        return replace(record, **{n: replace(c, sample_time=factor * c.sample_time) for n, c in record.items()}), loop
 
-    return make
+    return edit
+
+
+def _sample_time(factor: float) -> Callable[[Axis, int], Told]:
+    return _of(_time(factor))
 
 
 def _gear_forgotten(made: Axis, seed: int) -> Told:
@@ -307,8 +321,8 @@ MISTAKES = (
     Mistake("reference in degrees", frozenset({"reference_scale"}), _scaled("reference", 180 / math.pi)),
     Mistake("reference in mm", frozenset({"reference_scale"}), _scaled("reference", 1000.0)),
     Mistake("reference turned round", frozenset({"reference_sign"}), _scaled("reference", -1.0)),
-    Mistake("torque and reference swapped", frozenset({"swapped_channels"}), _swapped_channels),
-    Mistake("actual position as reference", frozenset({"reference_is_position"}), _position_as_reference),
+    Mistake("torque and reference swapped", frozenset({"swapped_channels"}), _of(_swap_channels)),
+    Mistake("actual position as reference", frozenset({"reference_is_position"}), _of(_give_position_as_reference)),
     Mistake(
         "position_gain and velocity_gain swapped",
         frozenset({"swapped_gains"}),
@@ -338,6 +352,113 @@ MISTAKES = (
     Mistake("delay forgotten", frozenset({"delay"}), _left_out(delay=2e-3)),
     Mistake("period forgotten", frozenset({"period"}), _left_out(period=lambda made: (made.rate / 8, None))),
 )
+
+
+_SWAP_GAINS = _declare(position_gain=lambda c: c.velocity_gain, velocity_gain=lambda c: c.position_gain)
+_TWICE = _declare(position_gain=lambda c: 2 * c.position_gain)
+_FILTER = _left_out(velocity_filter=(FirstOrder(4e-3), (1.0,)))
+_SWAPPED = {"swapped_gains", "position_gain"}  # both gains are wrong then: one of them leads to the other
+_AHEAD, _LATE = _left_out(velocity_feedforward=1.0), _left_out(delay=2e-3)
+
+
+def _pair(name: str, causes: set[str], *makes: Any) -> Mistake:
+    """Two mistakes at once; the first is made with the record unless it is an edit, too."""
+    first, *edits = makes
+
+    def make(made: Axis, seed: int) -> Told:
+        told = first(made, seed)
+        for edit in edits:
+            told = edit(*told)
+        return told
+
+    return Mistake(name, frozenset(causes), make)
+
+
+def _integral_too(made: Axis, seed: int) -> Told:
+    return _left_out(velocity_feedforward=1.0, integral_gain=60.0)(made, seed)
+
+
+PAIRS = (
+    _pair(
+        "torque twice as large, position_gain twice as large",
+        {"torque_scale", "law_gain", "position_gain"},
+        _of(_TWICE),
+        _scale("torque", 2.0),
+    ),
+    _pair(
+        "torque twice as large, gains swapped",
+        {"torque_scale", "law_gain", *_SWAPPED},
+        _of(_SWAP_GAINS),
+        _scale("torque", 2.0),
+    ),
+    _pair(
+        "torque ten times as large, velocity filter forgotten",
+        {"torque_scale", "velocity_filter"},
+        _FILTER,
+        _scale("torque", 10.0),
+    ),
+    _pair(
+        "torque turned round, sample time twice as long",
+        {"torque_sign", "sample_time"},
+        _of(_time(2.0)),
+        _scale("torque", -1.0),
+    ),
+    _pair(
+        "reference in degrees, position_gain twice as large",
+        {"reference_scale", "position_gain"},
+        _of(_TWICE),
+        _scale("reference", 180 / math.pi),
+    ),
+    _pair(
+        "velocity filter forgotten, sample time twice as long", {"velocity_filter", "sample_time"}, _FILTER, _time(2.0)
+    ),
+    _pair("feed-forward and integral forgotten", {"velocity_feedforward", "integral"}, _integral_too),
+    _pair("gains swapped, sample time three times as long", {*_SWAPPED, "sample_time"}, _of(_SWAP_GAINS), _time(3.0)),
+    _pair(
+        "delay forgotten, velocity_gain twice as large",
+        {"delay", "law_gain"},
+        _LATE,
+        _declare(velocity_gain=lambda c: 2 * c.velocity_gain),
+    ),
+    _pair("delay forgotten, position_gain twice as large", {"delay", "position_gain"}, _LATE, _TWICE),
+    _pair(
+        "feed-forward forgotten, position_gain twice as large",
+        {"velocity_feedforward", "position_gain"},
+        _AHEAD,
+        _TWICE,
+    ),
+    _pair(
+        "position_gain twice as large, sample time twice as long",
+        {"position_gain", "sample_time"},
+        _of(_TWICE),
+        _time(2.0),
+    ),
+    _pair(
+        "feed-forward forgotten, torque twice as large",
+        {"velocity_feedforward", "torque_scale"},
+        _AHEAD,
+        _scale("torque", 2.0),
+    ),
+    _pair(
+        "wrong side of the gear, sample time twice as long", {"gear_side", "sample_time"}, _gear_forgotten, _time(2.0)
+    ),
+    _pair(
+        "actual position as reference, torque twice as large",
+        {"reference_is_position", "torque_scale"},
+        _of(_give_position_as_reference),
+        _scale("torque", 2.0),
+    ),
+    _pair(
+        "channels swapped, position_gain twice as large",
+        {"swapped_channels", "position_gain"},
+        _of(_TWICE),
+        _swap_channels,
+    ),
+)
+"""Two mistakes at once, with the causes of which one must be named where any is.
+
+A geared axis under a cascade can have them all.
+"""
 
 
 def mistakes_of(made: Axis) -> tuple[Mistake, ...]:
@@ -502,13 +623,18 @@ def tell(record: Record, loop: ClosedLoop) -> tuple[tuple[str, ...], str]:
         estimate = add_loop_verdict(identify(record, loop), record)
     except JointidError as error:
         causes = find_causes(record, loop)
-        if causes.nearest is not None or not causes.found:
+        if causes.nearest or not causes.found:
             return (), str(error)
         return _codes(causes.message), str(explain_failure(error, record, loop))
     verdict, said = estimate.checks.verdicts[-1], str(estimate.answer)
     if verdict.good is not False or verdict.reasons[0].brief not in said:
         return (), said
     return _codes(verdict.reasons[0]), said
+
+
+def is_misled(mistake: Mistake, named: tuple[str, ...], said: str) -> bool:
+    """Whether only wrong causes are named, without that more than one thing may be wrong."""
+    return bool(named) and not mistake.right & set(named) and "more than one thing" not in said
 
 
 def _codes(reason: Message) -> tuple[str, ...]:

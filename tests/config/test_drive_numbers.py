@@ -119,6 +119,17 @@ def test_a_pid_that_is_declared_by_times_is_told_by_times() -> None:
     assert (told["derivative_gain"].name, told["integral_gain"].name) == ("derivative_gain", "integral_time")
 
 
+def test_a_filter_that_is_declared_by_its_cutoff_is_told_by_it() -> None:
+    """Of any unit; one that is declared by its time constant is told by that."""
+    law = PID_BY_TIMES + 'velocity_filter = { kind = "first_order", cutoff = "0.2 kHz" }\n'
+    told = {one.number: one for one in loads(GEARED + law).declared_numbers}["velocity_filter.time_constant"]
+    assert (told.name, told.unit, told.declared) == ("velocity_filter.cutoff", "kHz", pytest.approx(0.2))
+    assert told.of(1 / (2 * np.pi * 100.0), {}) == pytest.approx(0.1)
+    timed = law.replace("cutoff", "time_constant").replace("0.2 kHz", "2 ms")
+    told = {one.number: one for one in loads(GEARED + timed).declared_numbers}["velocity_filter.time_constant"]
+    assert (told.name, told.unit, told.declared) == ("velocity_filter.time_constant", "ms", pytest.approx(2.0))
+
+
 def test_a_law_that_is_written_has_the_drive_s_own_numbers_beside_it(tmp_path: Path) -> None:
     (tmp_path / "joint.toml").write_text(GEARED + PID_BY_TIMES, encoding="utf-8")
     file = load_to_learn(tmp_path / "joint.toml")

@@ -16,7 +16,7 @@ from jointid.diagnostics.cause_words import tell as tell_cause
 from jointid.diagnostics.check_loop import add_loop_verdict
 from jointid.diagnostics.fault_tests import FaultTest
 from jointid.diagnostics.find_causes import explain_failure, find_causes
-from jointid.diagnostics.hypotheses import Cause
+from jointid.diagnostics.hypotheses import Cause, with_cutoffs
 from jointid.diagnostics.linear_response import find_unexplained_share
 from jointid.diagnostics.plain_causes import find_plain_cause, find_steps
 from jointid.estimation.identify import identify
@@ -32,10 +32,12 @@ from studies.healthy import drive
 from tests.mistakes import (
     MISTAKES,
     MORE,
+    PAIRS,
     AxisName,
     Mistake,
     axis,
     cut,
+    is_misled,
     mistakes_of,
     more_mistakes_of,
     pulsed,
@@ -152,7 +154,8 @@ def test_a_wrong_sample_time_is_named_by_its_factor(factor: float) -> None:
     record, loop = without_mistake(axis("rigid"))
     timed = {n: replace(c, sample_time=factor * c.sample_time) for n, c in record.items()}
     causes = find_causes(record.with_channels(timed), loop)
-    assert [one.cause for one in causes.explanations] == [Cause.SAMPLE_TIME]
+    # Two numbers that are off by that factor make the same record but for filters and delays.
+    assert [one.cause for one in causes.explanations] == [Cause.SAMPLE_TIME, Cause.LAW_GAIN]
     assert causes.explanations[0].value == pytest.approx(1 / factor)  # what puts it right
     assert f"{max(factor, 1 / factor):.1f} times too {'long' if factor > 1 else 'short'}" in causes.message.words
 
@@ -189,6 +192,55 @@ def test_twenty_mistakes(name: AxisName) -> None:
     assert len(right) >= 18
 
 
+@pytest.mark.statistical
+@pytest.mark.parametrize("name", ["rigid", "flexible"])
+@pytest.mark.parametrize("pair", PAIRS, ids=[one.name for one in PAIRS])
+def test_of_two_mistakes_none_is_told_as_a_third_one(name: AxisName, pair: Mistake) -> None:
+    """One of them is named, or that more than one thing may be wrong."""
+    record, loop = pair.make(axis(name), 1)
+    named, said = tell(without_positions(record), loop)
+    assert not is_misled(pair, named, said), said
+
+
+def test_a_sample_time_is_told_beside_the_two_gains_that_make_the_same_record() -> None:
+    """Of a cascade only: a PD law has one number for both."""
+    for name, causes in (("rigid", [Cause.SAMPLE_TIME, Cause.LAW_GAIN]), ("direct", [Cause.SAMPLE_TIME])):
+        told = tell_cause(Cause.SAMPLE_TIME, 0.5, 0.01, without_mistake(axis(name))[1])  # type: ignore[arg-type]
+        assert [one.cause for one in told] == causes
+        assert told[0].words == "the sample time is about 2.0 times too long"
+    found = searching.Causes(1.0, told, told)
+    assert "controller" not in found.message.brief
+    moved = (Explanation(Cause.REFERENCE_IS_POSITION, "the reference is another one", None, 0.01),)
+    clause = "the reference is another one, or more than one thing is wrong with the controller"
+    assert searching.Causes(1.0, moved, moved).message.brief == clause
+
+
+def test_a_loop_remembers_as_long_as_it_does_whatever_the_sample_time_is_said_to_be() -> None:
+    """Ten times too long, and thirty samples of responses left 83 % of what three hundred leave a few percent of."""
+    record, loop = without_mistake(axis("rigid"))
+    assert record.reference is not None
+    slow = record.with_channels({n: replace(c, sample_time=10 * c.sample_time) for n, c in record.items()})
+    shares, filtering = [], identify(record, loop).settings.filtering
+    for one, memory in ((record, 0.3), (slow, 3.0), (slow, 0.3)):
+        by = one.torque.sample_time / record.torque.sample_time  # type: ignore[union-attr]
+        problem = torque_problem(one, loop, with_cutoffs(filtering, 1 / by), loop.joint.parameters)
+        shares.append(find_unexplained_share(problem, record.reference.values, memory))
+    assert shares[1] == pytest.approx(shares[0], rel=0.02)
+    assert shares[2] > 1.5 * shares[0]
+
+
+@pytest.mark.slow
+def test_a_cause_that_leaves_more_than_a_right_model_is_only_the_nearest(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A loop that rings for long left half of its torque by responses, and a sixth by a wrong sample time."""
+    record, loop = BY_NAME["torque turned round"].make(axis("rigid"), 1)
+    monkeypatch.setattr(searching, "_unexplained", lambda _: 0.5)
+    assert [one.cause for one in find_causes(record, loop).explanations][:1] == [Cause.TORQUE_SIGN]
+    monkeypatch.setattr(searching, "_FITS", 0.01)  # the right cause leaves 2.8 %
+    causes = find_causes(record, loop)
+    assert causes.explanations == ()
+    assert causes.nearest[0].cause is Cause.TORQUE_SIGN
+
+
 def test_none_in_the_place_of_declared_taps_is_a_cause() -> None:
     """A free filter that ends at no time at all is near to none, and far from taps."""
     made = without_mistake(axis("rigid"))[1]
@@ -215,11 +267,11 @@ def test_two_mistakes_that_no_number_makes_up_for_are_said_to_be_more_than_one()
     gains = {"position_gain": 3 * loop.controller.position_gain}  # type: ignore[attr-defined]
     causes = find_causes(record, replace(loop, controller=with_numbers(loop.controller, gains)))
     assert causes.explanations == ()
-    assert causes.nearest is not None
-    assert causes.nearest.error > 1.3 * causes.unexplained
+    assert causes.nearest[0].error > 1.15 * causes.unexplained
     assert causes.message.code is Reason.NO_CAUSE_FOUND
-    assert causes.message.brief.startswith("more than one thing is wrong")
-    assert causes.nearest.words in causes.message.words
+    assert "more than one thing may be wrong" in causes.message.brief
+    assert 1 <= len(causes.nearest) <= 2
+    assert all(one.words in causes.message.brief for one in causes.nearest)
 
 
 def test_share_that_is_no_response_to_the_reference_needs_no_drive() -> None:
@@ -428,7 +480,7 @@ def test_an_integral_time_in_the_wrong_unit_is_told_in_the_drive_s_unit() -> Non
     long = replace(loop, controller=with_numbers(loop.controller, {"integral_gain": 0.05}))
     shown = [DriveNumber("integral_gain", "integral_time", "ms", 1e3, inverse=True)]
     [told] = tell_cause(Cause.INTEGRAL, 50.0, 0.01, long, shown)
-    expected = "integral_time is about 20.0 ms, not 20000 ms: about 1000 times less; its unit may be ms, not s"
+    expected = "the integral time is about 20.0 ms, not 20000 ms: about 1000 times less; its unit may be ms, not s"
     assert told.words == expected
     [told] = tell_cause(Cause.INTEGRAL, 50.0, 0.01, long)
     assert told.words.startswith("the integral gain is about 50.0, not 0.0500: about 1000 times more")
@@ -447,21 +499,21 @@ def test_a_pid_that_is_declared_by_times_is_told_by_times() -> None:
         DriveNumber("integral_gain", "integral_time", "ms", 1e3, inverse=True, per="position_gain"),
     ]
     said = {
-        Cause.DERIVATIVE_GAIN: (0.0125, "derivative_time is about 50.0 ms, not 25.0 ms"),
-        Cause.INTEGRAL: (5.0, "integral_time is about 50.0 ms, not 100 ms"),
+        Cause.DERIVATIVE_GAIN: (0.0125, "the derivative time is about 50.0 ms, not 25.0 ms"),
+        Cause.INTEGRAL: (5.0, "the integral time is about 50.0 ms, not 100 ms"),
         Cause.POSITION_GAIN: (
             0.5,
-            "position_gain is about 0.500 A/rad, not 0.250 A/rad, with derivative_time 12.5 ms, with integral_time "
-            "200 ms",
+            "the position gain is about 0.500 A/rad, not 0.250 A/rad, with the derivative time 12.5 ms, with the "
+            "integral time 200 ms",
         ),
     }
     for cause, (value, words) in said.items():
         assert [one.words for one in tell_cause(cause, value, 0.01, loop, shown)] == [words]
     [none] = tell_cause(Cause.INTEGRAL, None, 0.01, loop, shown)
-    assert none.words == "the declared integral_time is not there"
+    assert none.words == "the declared integral time is not there"
     told = {one.cause: one.words for one in tell_cause(Cause.LAW_GAIN, 600.0, 0.01, loop, shown)}
     assert "the law's gain (position_gain or gain)" in told[Cause.LAW_GAIN]
-    assert told[Cause.LAW_GAIN].endswith("where position_gain would be 2.50 A/rad")
+    assert told[Cause.LAW_GAIN].endswith("where the position gain would be 2.50 A/rad")
 
 
 def test_a_torque_constant_is_the_field_to_look_at() -> None:
@@ -487,4 +539,4 @@ def test_a_factor_is_told_with_the_gear_that_may_make_it() -> None:
     shown = [DriveNumber("velocity_gain", "velocity_gain", "A s/rad", 1.0)]
     told = {one.cause: one.words for one in tell_cause(Cause.LAW_GAIN, 0.4 * 10, 0.01, loop, shown)}
     assert told[Cause.REFERENCE_SCALE].endswith("as by another gear than 50:1")
-    assert told[Cause.LAW_GAIN].endswith("where velocity_gain would be 21.0 A s/rad")
+    assert told[Cause.LAW_GAIN].endswith("where the velocity gain would be 21.0 A s/rad")

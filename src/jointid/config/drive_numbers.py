@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -106,6 +107,11 @@ def _shown(learned: Any, name: str, said: _Said) -> Iterator[DriveNumber]:
         there = DriveNumber(name, _called(time, said), unit, second, inverse, per=per)
         yield replace(there, declared=there.of(declared, known)) if declared else there
         return
+    if f"controller.{(cutoff := _cutoff_of(name))}" in said.stated:
+        unit = _unit_in_drive(cutoff, "Hz", said)
+        there = DriveNumber(name, cutoff, unit, 0.5 / math.pi / units.parse_unit(unit).factor, inverse=True)
+        yield replace(there, declared=there.of(declared, known)) if declared else there
+        return
     measured = declared_unit(learned, name)
     candidates, speaks = units_declared(measured, said.kind), speaks_output(measured)
     if not candidates:  # a share, say
@@ -131,6 +137,12 @@ def _time_of(learned: Any, name: str, said: _Said) -> str | None:
     time = _TIMES.get(name)
     by_itself = isinstance(learned, Cascade) and name not in said.keys
     return time if time in said.keys or by_itself else None
+
+
+def _cutoff_of(name: str) -> str:
+    """Return the key of the cut-off frequency that a drive may show for a filter's time constant."""
+    owner, _, last = name.rpartition(".")
+    return f"{owner}.cutoff" if last == "time_constant" else ""
 
 
 def _called(key: str, said: _Said) -> str:

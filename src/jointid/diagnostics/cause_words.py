@@ -13,6 +13,7 @@ from typing import Any
 
 from jointid.common.text import number
 from jointid.diagnostics.hypotheses import UNITS, Cause, gear_ratio
+from jointid.diagnostics.number_words import call, show, show_times_beside
 from jointid.models.controllers import numbers_of
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import ClosedLoop
@@ -20,6 +21,7 @@ from jointid.models.joints import ClosedLoop
 _NO_TIME = 1e-6  # s
 _NEAR = 0.08  # a factor is taken for another one that is so near
 _UNIT_SLIP = 1000.0  # s for ms
+_BOTH_GAINS = "position gain and torque (or velocity gain) are both off by that factor"
 _ROUGHLY = 2.0  # times: a gain that is found so near to a unit's factor is off by that
 
 
@@ -63,7 +65,12 @@ def tell(
             Explanation(cause, "the torque has the wrong sign", None, error),
             Explanation(Cause.REFERENCE_SIGN, "the reference has the wrong sign", None, error),
         )
-    return (Explanation(cause, _words(cause, value, loop, known), value, error),)
+    alone = Explanation(cause, _words(cause, value, loop, known), value, error)
+    if cause is Cause.SAMPLE_TIME and "velocity_gain" in numbers:
+        # u = g (Kv e - v): with all velocities f times as large it is the law with Kv f times as large, and g f times
+        # as small. Only filters and delays tell the two apart, hardly.
+        return alone, Explanation(Cause.LAW_GAIN, _BOTH_GAINS, None, error)
+    return (alone,)
 
 
 def _of_gain(factor: float, loop: ClosedLoop, shown: Mapping[str, DriveNumber]) -> Iterator[tuple[Cause, str, float]]:
@@ -98,7 +105,7 @@ def _of_gain(factor: float, loop: ClosedLoop, shown: Mapping[str, DriveNumber]) 
     names = " or ".join(name for name in (leading, "gain") if name in numbers)
     would = ""
     if leading and (there := shown.get(leading)):
-        would = f", where {there.name} would be {_as_shown(there, factor * numbers[leading], numbers)}"
+        would = f", where {call(there.name)} would be {show(there, factor * numbers[leading], numbers)}"
     law = (Cause.LAW_GAIN, f"the law's gain ({names}) is declared {times} too {other}{would}", factor)
     yield from told
     yield from (reference, torque, law) if unit else (torque, law, reference)
@@ -140,7 +147,7 @@ def _words(cause: Cause, value: float | None, loop: ClosedLoop, shown: Mapping[s
     """Return a cause that has one meaning only, in words."""
     controller: Any = loop.controller
     if value is None:
-        integral = shown["integral_gain"].name if "integral_gain" in shown else "integral gain"
+        integral = call(shown["integral_gain"].name if "integral_gain" in shown else "integral gain")
         there = "not there" if getattr(controller, "velocity_feedforward", 0.0) else "not declared"
         ahead = f"the velocity feed-forward is {there}"
         if not hasattr(controller, "velocity_feedforward"):
@@ -151,7 +158,7 @@ def _words(cause: Cause, value: float | None, loop: ClosedLoop, shown: Mapping[s
             Cause.SWAPPED_CHANNELS: "torque and reference are swapped",
             Cause.SWAPPED_GAINS: f"position gain and {other} gain are swapped",
             Cause.REFERENCE_IS_POSITION: "the channel given as the reference is the motor's actual position",
-            Cause.INTEGRAL: f"the declared {integral} is not there",
+            Cause.INTEGRAL: f"{integral.replace('the ', 'the declared ', 1)} is not there",
             Cause.VELOCITY_FILTER: "the declared velocity filter is not there",
             Cause.VELOCITY_FEEDFORWARD: ahead,
         }[cause]
@@ -164,8 +171,11 @@ def _words(cause: Cause, value: float | None, loop: ClosedLoop, shown: Mapping[s
     if cause is Cause.FLEXIBLE:
         return f'the joint is flexible (model = "flexible"), with a mode near {number(value, 2)} Hz'
     numbers, ms = numbers_of(controller), _milliseconds(value)
+    filtered, by_cutoff = f"{ms} ms", shown.get("velocity_filter.time_constant")
+    if by_cutoff is not None and by_cutoff.inverse and value >= _NO_TIME:
+        filtered = show(by_cutoff, value, numbers)
     return {
-        Cause.VELOCITY_FILTER: f"the velocity filter is another one, such as one of first order with {ms} ms",
+        Cause.VELOCITY_FILTER: f"the velocity filter is another one, such as one of first order with {filtered}",
         Cause.TORQUE_FILTER: f"there is one more torque filter, such as one of first order with {ms} ms",
         Cause.DELAY: f"the delay is about {ms} ms, not {_milliseconds(numbers.get('delay', 0.0))} ms",
         Cause.REFERENCE_DELAY: f"the law sees the reference about {ms} ms late",
@@ -179,22 +189,16 @@ _GAINS = {
 }
 
 
-def _as_shown(there: DriveNumber, value: float, law: Mapping[str, float]) -> str:
-    """Return a number of a law as the drive shows it, with its unit."""
-    return f"{number(there.of(value, law), 3)} {there.unit}".rstrip()
-
-
 def _of_number(name: str, value: float, controller: Any, shown: Mapping[str, DriveNumber]) -> str:
     """Return that a gain is another one than declared, as the drive shows both, and the unit that may be mistaken."""
-    there = shown.get(name) or DriveNumber(name, f"the {name.replace('_', ' ')}", "", 1.0)
+    there = shown.get(name) or DriveNumber(name, name, "", 1.0)
     law = numbers_of(controller)
     declared = law.get(name) or 0.0
-    words = f"{there.name} is about {_as_shown(there, value, law)}"
+    words = f"{call(there.name)} is about {show(there, value, law)}"
     if not declared:
         return f"{words}, and is not declared"
-    words += f", not {_as_shown(there, declared, law)}"
-    for time in (one for one in shown.values() if one.per == name and law.get(one.number)):  # their gains stay
-        words += f", with {time.name} {_as_shown(time, law[time.number], {**law, name: value})}"
+    words += f", not {show(there, declared, law)}"
+    words += show_times_beside(name, value, law, shown.values())
     factor = value / declared
     of_a_unit = abs(math.log(max(factor, 1 / factor) / _UNIT_SLIP)) < math.log(_ROUGHLY)
     if name != "integral_gain" or not of_a_unit:

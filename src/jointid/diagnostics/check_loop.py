@@ -52,7 +52,7 @@ from jointid.estimation.methods.search import History, least_squares
 from jointid.estimation.problems.base import surrounding
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.controllers import with_numbers
+from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.records.record import Record
 from jointid.uncertainty.covariance import robust
@@ -97,13 +97,17 @@ class LoopTests:
             )
 
 
-def check_loop(estimate: Estimate, record: Record, settings: LoopTests | None = None) -> LoopCheck:
+def check_loop(
+    estimate: Estimate, record: Record, settings: LoopTests | None = None, *, shown: Sequence[DriveNumber] = ()
+) -> LoopCheck:
     """Test whether the loop and the log of a record are as declared, and name the faults.
 
     Args:
         estimate: by DIDIM, of this record; parameters identified beside the joint are not tested.
         record: that it was identified from.
         settings: see `LoopTests`.
+        shown: how the drive shows the numbers of its controller, as `jointid.config.JointFile.declared_numbers` has it;
+            without it they are told in percent of what is declared.
 
     Raises:
         MethodError: the estimate did not simulate a loop, is of another record, or has a parameter that is not
@@ -130,7 +134,8 @@ def check_loop(estimate: Estimate, record: Record, settings: LoopTests | None = 
         "record it was identified from."
     )
     std = {p.name: p.stderr for p in estimate.params if p.stderr is not None}
-    return find_faults(*rebuild_problem(estimate, record, another), settings, std, record)
+    found = find_faults(*rebuild_problem(estimate, record, another), settings, std, record)
+    return replace(found, shown={one.number: one for one in shown})
 
 
 def add_loop_verdict(
@@ -156,7 +161,7 @@ def add_loop_check(
     whole = all(p.value is not None for p in estimate.params)
     if whole:
         try:
-            check = check_loop(estimate, record)
+            check = check_loop(estimate, record, shown=shown)
             verdict = Verdict(Subject.LOOP, check.status, check.reasons)
         except (JointidError, np.linalg.LinAlgError) as error:  # no check ends an identification
             verdict = not_tested(Subject.LOOP, f"not checked: {error}")
@@ -275,7 +280,8 @@ def find_faults(
     symbols = {p.name: p.symbol for p in joint.parameters}
     side = None if joint.transmission is None else joint.transmission.side
     tests = () if first is None else first.tests
-    return LoopCheck(tuple(findings), tests, settings.level, symbols, units, side, undecided)
+    law = numbers_of(problem.loop.controller)
+    return LoopCheck(tuple(findings), tests, settings.level, symbols, units, side, undecided, law)
 
 
 def _run_tests(state: _State, settings: LoopTests) -> _TestResults:

@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import TypeAlias
 
 import numpy as np
@@ -34,7 +35,7 @@ from jointid.common.text import number
 from jointid.diagnostics.cause_words import Explanation, tell
 from jointid.diagnostics.fault_tests import FaultTest
 from jointid.diagnostics.hypotheses import Cause, Hypothesis, known_factors, list_hypotheses
-from jointid.diagnostics.linear_response import find_unexplained_share
+from jointid.diagnostics.linear_response import MEMORY, find_unexplained_share
 from jointid.diagnostics.plain_causes import find_plain_cause, find_steps
 from jointid.diagnostics.standstill import find_lost_motion, find_standstill
 from jointid.estimation.identify_record import identify_record
@@ -73,7 +74,8 @@ _EXPLAINS = 0.85  # of the declared error: what a cause must at least take away 
 _EXPLAINS_BY_TIME = 0.6  # of the same, for a sample time that is wrong by a factor: that spoils all of a fit
 _FITS = 0.15  # of the torque: what a right model leaves at most
 _CLEARLY = 0.3  # of the declared error: so little says enough where no model fits
-_MORE_IS_WRONG = 1.3  # times what free linear responses leave: who leaves more is not all that is wrong
+_MORE_IS_WRONG = 1.15  # times what free linear responses leave: who leaves more is not all that is wrong
+_MORE_OF_A_LAW = 1.3  # times the same: a law that the loop check found, and leaves no more, is all that is wrong
 _MORE_OF_A_MOTION = 2.0  # times the same, of a motion given as a reference: its response is the controller's, too
 _FAR_MORE = 2.0  # times the same: an estimate that leaves so much, and is doubted, is looked at
 _AS_GOOD = 1.1  # times the least error: such a cause may be the right one, too
@@ -98,7 +100,7 @@ class Causes(Documented):
             cannot be simulated.
         explanations: the likeliest first, three at most, which this record cannot tell apart; none where nothing that
             was tried explains it.
-        nearest: the single cause that explains most, where more than one thing is wrong; else None.
+        nearest: the single causes that explain most, two at most, where more than one thing is wrong; else none.
         unexplained: share of the torque that free linear responses to the reference leave; 0 where it was not asked.
         tried: what was left by each cause that was put right, the least first.
         plain: what the samples show, or a motor at rest, where nothing else explains the record; else None.
@@ -107,7 +109,7 @@ class Causes(Documented):
     declared_error: float
     explanations: tuple[Explanation, ...]
     tried: tuple[Explanation, ...]
-    nearest: Explanation | None = None
+    nearest: tuple[Explanation, ...] = ()
     unexplained: float = 0.0
     plain: Message | None = None
 
@@ -126,12 +128,16 @@ class Causes(Documented):
             if math.isinf(self.declared_error)
             else f"as declared {number(100 * self.declared_error, 2)} % of the torque is not explained"
         )
-        if self.nearest is not None:
-            clause = "more than one thing is wrong, or none of the usual causes explains it"
-            words = f"{clause}: the nearest single cause, that {self.nearest.words}, still leaves "
-            words += f"{number(100 * self.nearest.error, 2)} % of the torque, of which "
+        if self.nearest:
+            first = self.nearest[0]
+            clause = (
+                "none of the usual causes alone explains it, so more than one thing may be wrong: the nearest are that "
+            )
+            clause = clause if len(self.nearest) > 1 else clause.replace("nearest are", "nearest is")
+            clause += ", and that ".join(one.words for one in self.nearest)
+            words = f"{clause}; the first still leaves {number(100 * first.error, 2)} % of the torque, of which "
             words += f"{number(100 * self.unexplained, 2)} % is no response to the reference; {left}"
-            values = {"tried": self._names, "nearest": str(self.nearest.cause), "error": self.nearest.error}
+            values = {"tried": self._names, "nearest": [str(one.cause) for one in self.nearest], "error": first.error}
             return Message(Reason.NO_CAUSE_FOUND, words, values, clause)
         if not self.explanations:
             clause = "the drive as declared does not fit, and none of the usual causes explains it"
@@ -144,6 +150,8 @@ class Causes(Documented):
             return Message(Reason.NO_CAUSE_FOUND, words, {"tried": self._names}, clause)
         best = self.explanations[0]
         clause = ", or ".join(one.words for one in self.explanations)
+        if best.cause is Cause.REFERENCE_IS_POSITION:  # which explains whatever the controller does
+            clause += ", or more than one thing is wrong with the controller"
         words = f"{clause}: with this put right {number(100 * best.error, 2)} % of the torque is left; {left}"
         values = {
             "causes": [{"cause": str(one.cause), "value": one.value, "error": one.error} for one in self.explanations],
@@ -240,16 +248,26 @@ def find_causes(
     explaining = _explaining(tellings, declared, loop, record.torque.sample_time)
     left = _unexplained(fits[0]) if fits else 0.0
     moved = bool(explaining) and explaining[0].cause is Cause.REFERENCE_IS_POSITION
-    if explaining and explaining[0].error > (_MORE_OF_A_MOTION if moved else _MORE_IS_WRONG) * left > 0:
-        return Causes(declared, (), tried_out, explaining[0], left)
+    by_response = (_MORE_OF_A_MOTION if moved else _MORE_IS_WRONG) * left
+    # In a loop that rings for long, responses as short as these leave much, too.
+    if explaining and explaining[0].error > (min(by_response, _FITS) if left > 0 else _FITS):
+        others = (one for one in tried_out if one.cause is not explaining[0].cause)
+        return Causes(declared, (), tried_out, (explaining[0], *_near(others, declared)), left)
     lost = None if explaining else find_lost_motion(record, loop, left)
     return Causes(declared, explaining, tried_out, unexplained=left, plain=lost)
+
+
+def _near(others: Iterable[Explanation], declared: float) -> tuple[Explanation, ...]:
+    """Return the first of other causes, where it takes away something of what is left as declared."""
+    return tuple(one for one in islice(others, 1) if one.error <= _EXPLAINS * declared)
 
 
 def _unexplained(fit: _Fit) -> float:
     """Return what free linear responses to the reference leave of the torque under a hypothesis."""
     assert fit.hypothesis.record.reference is not None
-    return find_unexplained_share(fit.problem, fit.hypothesis.record.reference.values)
+    # With samples that are wrongly taken to be far apart the loop seems to remember few of them.
+    memory = MEMORY * max(fit.hypothesis.factor or 1.0, 1.0)
+    return find_unexplained_share(fit.problem, fit.hypothesis.record.reference.values, memory)
 
 
 def explain_misfit(
@@ -284,7 +302,7 @@ def explain_misfit(
     strained = not refused and any(p.of_joint and p.at_bound is not None for p in estimate.params)
     if not (poor or gross or ((unchecked or faults) and (strained or _is_doubtful(estimate, record, loop)))):
         return None
-    if left is not None and not gross and left <= _MORE_IS_WRONG * _left_by_a_response(estimate, record, loop):
+    if left is not None and not gross and left <= _MORE_OF_A_LAW * _left_by_a_response(estimate, record, loop):
         return None  # under that law nothing more is wrong
     causes = find_causes(record, loop, estimate, shown=shown, progress=progress)
     return causes if causes.found or estimate.fit.filtered_error > POOR_FIT else None

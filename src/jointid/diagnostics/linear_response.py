@@ -15,26 +15,28 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 
-_MEMORY = 0.3  # s
+MEMORY = 0.3
+"""Seconds that a loop remembers."""
 SHORTEST = 2.0
 """Seconds of a record: a shorter one, less its borders, has fewer than two samples for each number of the responses."""
 _STANDS = 1e-9  # of the greatest velocity
 _RIDGE = 1e-10  # of a column's square: responses between samples of a filtered signal are nearly the same
 
 
-def find_unexplained_share(problem: ClosedLoopProblem, reference: FloatArray) -> float:
+def find_unexplained_share(problem: ClosedLoopProblem, reference: FloatArray, memory: float = MEMORY) -> float:
     """Return what free linear responses to a reference leave of the torque, a share of it.
 
     Args:
         problem: whose torque and filter are used.
         reference: (samples,) in m or rad.
+        memory: s; how long the responses are.
     """
     torque = problem.filtered(problem.measured)
     velocity = np.gradient(reference)
     moving = np.abs(velocity) > _STANDS * np.max(np.abs(velocity))
     inputs = np.column_stack([np.gradient(velocity), velocity, np.sign(np.where(moving, velocity, 0.0))])
     seen = problem.filtered(inputs)
-    lags = min(math.ceil(_MEMORY / (problem.sample_time * reference.size / torque.size)), torque.size)
+    lags = min(math.ceil(memory / (problem.sample_time * reference.size / torque.size)), torque.size)
     rows, width = torque.size, 3 * lags + 1
     if rows < 2 * width:
         return 0.0

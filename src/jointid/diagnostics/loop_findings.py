@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from jointid.common.document import Document, Documented, Listing, Table
 from jointid.common.messages import Message
@@ -18,10 +18,11 @@ from jointid.diagnostics.mechanics_faults import (
     LOAD_DEPENDENT_FRICTION,
     MECHANICS,
 )
+from jointid.diagnostics.number_words import call, show_times_beside, tell_difference, tell_difference_in_drive
 from jointid.diagnostics.other_laws import PERIOD, OtherLaw
+from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.uncertainty.verdict import Reason, Status
 
-_FACTOR = "torque, reference, ratio or a gain is wrong by a large factor"
 _NAMES = {
     "log_gain": "the logged torque",
     INJECTED_GAIN: "the injected signal",
@@ -80,6 +81,8 @@ class LoopCheck(Documented):
         side: of the transmission, on which all of these numbers are; None without one.
         undecided: a law that the drive may run instead of the declared one, where the record excludes neither, and
             a parameter would move out of its interval.
+        law: the controller's numbers as they are declared.
+        shown: how the drive shows those that the joint file declares, by the law's names.
     """
 
     findings: tuple[Finding, ...]
@@ -89,6 +92,8 @@ class LoopCheck(Documented):
     units: Mapping[str, str]
     side: Side | None = None
     undecided: Finding | None = None
+    law: Mapping[str, float] = field(default_factory=dict)
+    shown: Mapping[str, DriveNumber] = field(default_factory=dict)
 
     @property
     def as_declared(self) -> bool:
@@ -160,16 +165,16 @@ class LoopCheck(Documented):
         s = finding.test
         p_value = "p < 1e-6" if s.p_value < 1e-6 else f"p = {number(s.p_value, 2)}"
         said = f"{self._describe_fault(finding)} ({p_value})"
+        alike = " or ".join(map(self._called, s.alike))
         if s.alike:
-            alike = " or ".join(map(_called, s.alike))
-            said += f", or so is {alike}, which this loop cannot distinguish from {_called(s.name)}"
+            said += f", {self._also(s, alike)}, which this loop cannot distinguish from {self._called(s.name)}"
         if finding.rivals:
-            said += f"; {' or '.join(map(_called, finding.rivals))} would explain nearly as much"
+            said += f"; {' or '.join(map(self._called, finding.rivals))} would explain nearly as much"
         said += self._describe_changes(finding, "correcting it changes")
         values = {"suspect": s.name, "alike": list(s.alike), "more_than_declared": s.size, "std": s.std}
         values |= {"p_value": s.p_value, "changes": {name: change.by for name, change in finding.changes.items()}}
         clause = self._describe_fault(finding, spread=False)
-        clause += f", or so is {' or '.join(map(_called, s.alike))}" if s.alike else ""
+        clause += f", {self._also(s, alike)}" if s.alike else ""
         code = Reason.SPRING_NOT_LINEAR if s.name in (CUBIC_SPRING, BACKLASH) else Reason.LOOP_NOT_AS_DECLARED
         return Message(code, said, values, clause)
 
@@ -202,9 +207,29 @@ class LoopCheck(Documented):
             size = _size(s, torque, spread=spread)
             what = "torque" if self.units["velocity"].startswith("rad") else "force"
             said = f"a constant {what} {f'of {sign}{size}' if size else ''}is not declared"
+        elif (there := self._in_drive(s.name)) is not None:
+            said = tell_difference_in_drive(there, s, self.law, spread=spread)
+            said += show_times_beside(s.name, s.declared + s.size, self.law, self.shown.values())
         else:
-            said = _describe_ratio(_called(s.name), s, 1.0 if s.name in _RATIOS else abs(s.declared), spread=spread)
+            scale = 1.0 if s.name in _RATIOS else abs(s.declared)
+            said = tell_difference(self._called(s.name), s, scale, spread=spread)
         return said
+
+    def _in_drive(self, name: str) -> DriveNumber | None:
+        """Return how the drive shows a number, where the joint file declares it in a unit."""
+        there = self.shown.get(name)
+        return there if there is not None and there.unit and there.declared else None
+
+    def _called(self, name: str) -> str:
+        """Return a fault's name as a sentence has it, a number's as its drive has it; of several alike ones, too."""
+        if " or " in name:
+            return " or ".join(map(self._called, name.split(" or ")))
+        there = self._in_drive(name)
+        return _NAMES.get(name) or call(name if there is None else there.name)
+
+    def _also(self, s: FaultTest, alike: str) -> str:
+        """Return that another number may be off instead, by the share that the first one is off by."""
+        return f"or so is {alike}" if self._in_drive(s.name) is None else f"or {alike} is off by as much"
 
 
 def _describe_laws(law: OtherLaw, alike: Sequence[OtherLaw]) -> str:
@@ -246,35 +271,3 @@ def _size(s: FaultTest, unit: str, *, spread: bool, factor: float = 1.0) -> str:
     size = number(abs(factor * s.size), 3 if spread else 2)
     interval = f" +- {number(2 * factor * s.std, 2)}" if spread else ""
     return f"{size}{interval} {unit} "
-
-
-def _called(name: str) -> str:
-    """Return a fault's name as a sentence has it; of a filter's number, and of several that look alike, too."""
-    if " or " in name:
-        return " or ".join(map(_called, name.split(" or ")))
-    if name in _NAMES:
-        return _NAMES[name]
-    *owner, last = name.replace("_", " ").split(".")
-    if len(owner) == 2:  # one of several, which are counted
-        return f"the {last} of {owner[0].removesuffix('s')} {owner[1]}"
-    return f"the {last} of the {owner[0]}" if owner else f"the {last}"
-
-
-def _describe_ratio(name: str, s: FaultTest, scale: float, *, spread: bool) -> str:
-    """Return by how much a number differs from what is declared, in percent of that, or that it cannot be this number.
-
-    A sensitivity is no guide to a change as large as the number itself; and nothing is smaller by more than all of it.
-    """
-    share, deviation = s.size / scale, 2 * s.std / scale
-    sense = "larger" if share > 0 else "smaller"
-    if share <= -1:
-        return f"{_FACTOR} ({name} alone would have to change its sign)"
-    if share > 1:
-        times = f"{number(1 + share, 2)} times"
-        return f"torque, reference, ratio or a gain is wrong by a factor ({name} alone would be about {times} as large)"
-    if deviation >= abs(share):
-        return f"{name} is {sense} than declared, by how much this record does not tell"
-    if share - deviation <= -1:
-        return f"{name} is at least {number(100 * (abs(share) - deviation), 2)} % smaller than declared"
-    percent = number(100 * abs(share), 2) + (f" +- {number(100 * deviation, 2)}" if spread else "")
-    return f"{name} is {percent} % {sense} than declared"

@@ -26,6 +26,7 @@ from jointid.diagnostics.loop_findings import LoopCheck
 from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.result.answer import loop_verdict
 from jointid.estimation.result.estimate import Estimate
+from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import FlexibleJoint, Motion
 from jointid.models.linear import OUTPUTS, ComplexArray, frequency_response
 from jointid.records.record import Channel, Record
@@ -146,6 +147,7 @@ def collect_report_data(
     *,
     profiles: Sequence[str] | None = None,
     loop: LoopCheck | bool = True,
+    shown: Sequence[DriveNumber] = (),
     progress: Progress = silent,
 ) -> ReportData:
     """Collect the results that a report on an estimate presents.
@@ -158,6 +160,7 @@ def collect_report_data(
             compliance of a flexible one, where the criterion is no parabola, when None.
         loop: True to check loop and log; a search that does not end at a least-squares minimum, as the paper's, would
             itself appear as a fault. The check, where the estimate has its verdict already.
+        shown: how the drive shows the numbers of its controller, see `jointid.check_loop`.
         progress: called with each step.
     """
     absent: dict[str, str] = {}
@@ -177,7 +180,8 @@ def collect_report_data(
     if loop is True:
         progress("checking loop and log")
         others = [v for v in estimate.checks.verdicts if v.subject is not Subject.LOOP]  # it is said once
-        estimate, check = add_loop_check(estimate.amended(checks={"verdicts": tuple(others)}), record, progress)
+        estimate = estimate.amended(checks={"verdicts": tuple(others)})
+        estimate, check = add_loop_check(estimate, record, progress, shown)
         work.add()
     validation = attempt("validation", "simulating the direct test", lambda: validate(estimate, record))
     motion, motion_source = _find_motion(estimate, record, validation)

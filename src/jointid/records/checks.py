@@ -10,8 +10,10 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
+from jointid.common.text import number
 from jointid.common.units import unit, units_of
 from jointid.records.columns import finite_faults
+from jointid.records.hunting import find_hunting
 from jointid.records.record import Channel, InjectionPoint, Record, Tap
 from jointid.records.resampling import update_interval
 from jointid.records.signals.filtering import lowpass
@@ -220,6 +222,8 @@ def find_record_warnings(record: Record, channels: Collection[str]) -> tuple[str
             notes += _rounding_warnings(name, channel)
     if {"motor_position", "load_position"} <= set(channels):
         notes += _lag_warnings(record)
+    if {"torque", "reference"} <= set(channels):
+        notes += _hunting_warnings(record)
     return tuple(notes)
 
 
@@ -267,6 +271,17 @@ def _lag_warnings(record: Record) -> Iterator[str]:
             f"{found.share:.0%} of the difference of motor_position and load_position is as if {found.late} were "
             f"{1e3 * found.lag:.2g} ms later than {found.early}: a spring is hidden behind it, and a stiffness from "
             "both encoders is not to be trusted"
+        )
+
+
+def _hunting_warnings(record: Record) -> Iterator[str]:
+    found = find_hunting(record)
+    if found is not None and record.torque is not None:
+        yield (
+            f"the axis hunts at rest (stick-slip): while the reference stands still the torque saws between "
+            f"{number(found.low, 2)} and {number(found.high, 2)} {record.torque.unit}, every "
+            f"{number(found.period, 2)} s, as an integral does against a friction that is larger at rest, which no "
+            "model here has; use a longer integral time, and a record without long rests"
         )
 
 

@@ -84,8 +84,9 @@ def loop(joint: Path, /, *, options: Options = DEFAULTS) -> None:
     """
     from jointid import check_loop
 
-    record, estimate = options.identify_by_didim(joint, options.outputs)
-    deliver(check_loop(estimate, record), options.json)
+    file = options.load(joint, options.outputs, method="didim")
+    record, estimate = options.identify(file)
+    deliver(check_loop(estimate, record, shown=file.declared_numbers), options.json)
 
 
 def sensors(

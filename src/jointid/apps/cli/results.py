@@ -69,7 +69,7 @@ def report(
     tuning = None if no_tuning else Aside(partial(tune_to_limit, estimate, file.drive, file.declared_numbers))
     told = Report.of(
         estimate, record, name=file.name or "", profiles=() if no_profiles else None, loop=file.tells_of_its_loop,
-        repetition=again, progress=options.progress,
+        shown=file.declared_numbers, repetition=again, progress=options.progress,
     )  # fmt: skip
     tuned = None if tuning is None else tuning.result()
     if isinstance(tuned, str):

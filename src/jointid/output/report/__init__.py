@@ -152,6 +152,7 @@ class Report:
         name: str = "",
         profiles: Sequence[str] | None = None,
         loop: LoopCheck | bool = True,
+        shown: Sequence[DriveNumber] = (),
         tuned: Tuned | None = None,
         repetition: Repetition | None = None,
         progress: Progress = silent,
@@ -167,6 +168,8 @@ class Report:
                 every free parameter of the joint along which the criterion is no parabola, and its compliance. Of DIDIM
                 only.
             loop: whether loop and log are checked; see `jointid.diagnostics.report_data.collect_report_data`.
+            shown: how the drive shows the numbers of its controller, as `jointid.config.JointFile.declared_numbers` has
+                it; what is wrong with them is told in percent without it.
             tuned: margins and gains of the drive from `tune`, which then have a section.
             repetition: what it takes to do it again, where the files are known.
             progress: is told each step.
@@ -180,7 +183,9 @@ class Report:
             >>> "## Checks" in told.markdown()
             True
         """
-        found = collect_report_data(estimate, record, checks, profiles=profiles, loop=loop, progress=progress)
+        found = collect_report_data(
+            estimate, record, checks, profiles=profiles, loop=loop, shown=shown, progress=progress
+        )
         return cls(found, name, repetition or Repetition(), tuned)
 
     @property
