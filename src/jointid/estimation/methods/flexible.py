@@ -139,7 +139,7 @@ class FlexibleDIDIM(Method):
             covariance = inverse_model_covariance(problem, x, error)
             found = _with_paper_statistics(found, covariance, len(problem.free_joint))
         else:
-            spring = visible(problem, x, known, starts, progress)
+            spring = visible(problem, x, J, known, starts, progress)
             history.tally.evaluations += spring.simulations
             end = (stop, converged)
             if spring.shown:  # what is refused has no interval to widen
