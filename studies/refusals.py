@@ -139,7 +139,7 @@ def _identify_twin(factor: float, noise: Noise, seed: int) -> StiffnessRun:
     predicted = uncertainty(J, J, error, problem.cells(problem.simulate(truth)), names).robust.std[at] / truth[at]
     x, J = refined_least_squares(problem, truth, _EXACTLY)
     known = uncertainty(J, J, problem.residual(x), problem.cells(problem.simulate(x)), names)
-    spring = visible(problem, x, known, (2, 2), silent, (_SHARE,))
+    spring = visible(problem, x, J, known, (2, 2), silent, (_SHARE,))
     value, std = (float(x[at]), float(known.covariance.std[at])) if spring.shown else (None, None)
     bound = spring.bounds[0].stiffness if spring.bounds else None
     mode = frequency_of(axis.truth)

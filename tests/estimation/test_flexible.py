@@ -9,18 +9,22 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError, RecordError
+from jointid.common.messages import silent
 from jointid.diagnostics.validation import validate
 from jointid.estimation.identify import identify
 from jointid.estimation.methods import flexible, flexible_search
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.methods.search import History
 from jointid.estimation.problems.base import INITIAL_STATE
+from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import Twin, twin
 from jointid.records.record import Injection, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.synthesis import simulated_record
+from studies import healthy
 
 
 def deviations(estimate: Estimate, truth: dict[str, float]) -> dict[str, float]:
@@ -183,6 +187,57 @@ def test_a_sum_has_the_deviation_of_a_sum(identified: Callable[..., Estimate]) -
     fixed = {"offset": axis.loop.joint.parameters[-1].fixed(-3.16)}
     held = identify(torque_only(axis), axis.loop, FlexibleDIDIM(frequency=30.0), parameters=fixed)
     assert held.params.total(("Fv1", "Fv2", "offset"))[1] == held.params.total(("Fv1", "Fv2"))[1]
+
+
+def test_coulomb_friction_that_was_found_on_the_wrong_side_is_divided_anew() -> None:
+    axis = twin(noise="none")
+    problem = torque_problem(torque_only(axis), axis.loop, Filtering(), axis.loop.joint.parameters)
+    whole = axis.truth["motor_coulomb"] + axis.truth["load_coulomb"]
+    state = {"initial_position": 0.0, "initial_velocity": 0.0, "initial_torque": 0.0}
+    history = History(silent)
+    for wrong in (0.15, 0.9):
+        sides = {"motor_coulomb": wrong * whole, "load_coulomb": (1 - wrong) * whole}
+        found = flexible_search.divided_otherwise(problem, problem.vector(state | axis.truth | sides), history)
+        assert found is not None
+        values = problem.values(found)
+        assert values["motor_coulomb"] == pytest.approx(axis.truth["motor_coulomb"], abs=0.05 * whole)
+        assert values["motor_coulomb"] + values["load_coulomb"] == pytest.approx(whole)
+        assert values["stiffness"] == axis.truth["stiffness"]
+    assert flexible_search.divided_otherwise(problem, problem.vector(state | axis.truth), history) is None
+
+
+@pytest.mark.slow
+def test_two_starts_in_the_same_wrong_valley_of_friction_are_led_out_of_it() -> None:
+    """From halves, both starts end with 62 % of the Coulomb friction on the motor, where 72 % are."""
+    drive = healthy.drive(5047, 12.0)
+    estimate = identify(drive.record, drive.loop)
+    assert estimate["stiffness"].value is not None
+    assert all(abs(one) <= 3 for one in deviations(estimate, drive.truth).values())
+    assert estimate.values["motor_coulomb"] == pytest.approx(drive.truth["motor_coulomb"], rel=0.02)
+
+
+def test_a_record_that_tells_no_rigid_joint_is_begun_with_the_joint_that_would_follow_its_reference(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    axis = twin(noise="white")
+
+    def none(*_: object) -> Estimate:
+        raise MethodError("An inertia is not positive.")
+
+    monkeypatch.setattr(flexible, "rigid_estimate", none)
+    monkeypatch.setattr(flexible_search, "inverted_starts", lambda _: [])
+    estimate = identify(torque_only(axis), axis.loop)
+    assert estimate.values["stiffness"] == pytest.approx(axis.truth["stiffness"], rel=0.02)
+
+
+@pytest.mark.slow
+def test_a_torque_of_the_wrong_sign_is_refused_in_a_sentence() -> None:
+    axis = twin(noise="white")
+    record = torque_only(axis)
+    assert record.torque is not None
+    wrong = replace(record, torque=replace(record.torque, values=-record.torque.values))
+    with pytest.raises(MethodError, match="explains half of this torque; check the sign"):
+        identify(wrong, axis.loop)
 
 
 @pytest.mark.parametrize("frequency", [30.0, 38.0])

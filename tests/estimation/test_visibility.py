@@ -10,13 +10,20 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
+from jointid.common.messages import silent
 from jointid.common.parameters import Parameter
 from jointid.diagnostics.validation import validate
 from jointid.estimation.identify import identify
+from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.stiffness_identifiability import visible
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.output.json import dumps, to_dict
+from jointid.paper.twin import twin
 from jointid.records.record import Record
+from jointid.records.signals.filtering import Filtering
+from jointid.simulation.synthesis import simulated_record
+from jointid.uncertainty.position_dependent_error import uncertainty
 from jointid.uncertainty.verdict import POOR_FIT
 from tests.estimation.conftest import CONTROLLER
 from tests.faster_drives import CASCADE, drive
@@ -105,6 +112,25 @@ def test_the_twin_shows_its_spring(loop: str, noise: str, identified: Callable[.
     assert stiffness_verdict(estimate)[0] is True
     assert not estimate.checks.bounds
     assert estimate.values["stiffness"] == pytest.approx(8e5, rel=0.02)
+
+
+def test_a_load_that_its_friction_holds_tells_no_inertia() -> None:
+    """Its inertia moves nothing in the torque: a descent leaves it where it began, were it at 12,000 kg."""
+    axis = twin(noise="none")
+    truth = {**axis.truth, "load_coulomb": 1e4, "load_inertia": 12e3}
+    reference = 2e-4 * np.sin(2 * np.pi * 3.0 * np.arange(700) * 1e-3)
+    noise = np.random.default_rng(0).standard_normal(reference.size)
+    record = simulated_record(axis.loop, reference, truth, sample_time=1e-3, torque_noise=noise)
+    problem = torque_problem(record, axis.loop, Filtering(), axis.loop.joint.parameters)
+    problem = problem.keeping({"initial_velocity": 0.0})
+    x = problem.vector({"initial_position": 0.0, "initial_torque": 0.0} | truth)
+    error, J = problem.linearised(x)
+    names = [p.name for p in problem.free]
+    assert not J[:, names.index("load_inertia")].any()
+    known = uncertainty(J, J, error, problem.cells(problem.simulate(x)), names)
+    found = visible(problem, x, J, known, (2, 2), silent, (0.5,))
+    assert not found.shown
+    assert "the load never moves" in found.verdict.said
 
 
 def test_no_bound_is_told_where_the_model_does_not_explain_the_torque() -> None:

@@ -23,7 +23,13 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter
 from jointid.common.settings import documented, setting
-from jointid.estimation.methods.flexible_search import by_least_squares, or_moving, rigid_estimate, simplex_start
+from jointid.estimation.methods.flexible_search import (
+    by_least_squares,
+    following_joint,
+    or_moving,
+    rigid_estimate,
+    simplex_start,
+)
 from jointid.estimation.methods.force_in_loop import widened_for_force
 from jointid.estimation.methods.registry import SURROUNDINGS, Method, Task
 from jointid.estimation.methods.search import History, Solved, free_more, least_squares
@@ -139,7 +145,7 @@ class FlexibleDIDIM(Method):
             covariance = inverse_model_covariance(problem, x, error)
             found = _with_paper_statistics(found, covariance, len(problem.free_joint))
         else:
-            spring = visible(problem, x, known, starts, progress)
+            spring = visible(problem, x, J, known, starts, progress)
             history.tally.evaluations += spring.simulations
             end = (stop, converged)
             if spring.shown:  # what is refused has no interval to widen
@@ -163,10 +169,11 @@ def _searched(problem: ClosedLoopProblem, task: Task, settings: FlexibleDIDIM, h
     """Return where the search ends, from a rough rigid joint or lower ones, and the simulations that these took.
 
     Raises:
-        MethodError: the loop cannot be simulated at any start.
+        MethodError: the loop cannot be simulated at any start, or no joint explains the torque.
     """
     paper, tolerance = settings.minimiser == "nelder-mead", stopping_tolerance(settings)
     assert task.loop is not None
+    rigid = None
     try:
         rigid = rigid_estimate(task.record, task.loop, settings.rigid_cutoff, history.progress)
     except MethodError as error:
@@ -174,10 +181,8 @@ def _searched(problem: ClosedLoopProblem, task: Task, settings: FlexibleDIDIM, h
             raise
         # A mode inside the loop's bandwidth makes the joint look like no rigid one at any frequency.
         history.progress(f"without a rigid joint to begin with: {error}")
-        try:
-            return by_least_squares(problem, task.filtering, None, settings.frequency, tolerance, history), 0
-        except MethodError:
-            raise error from None
+    if rigid is None:
+        return _searched_without_rigid(problem, task, settings, history), 0
 
     def solved_from(rigid: Estimate) -> Solved:
         if paper:
@@ -187,7 +192,7 @@ def _searched(problem: ClosedLoopProblem, task: Task, settings: FlexibleDIDIM, h
             )
             found = history.solve(problem, solver, start)
         else:
-            found = by_least_squares(problem, task.filtering, rigid, settings.frequency, tolerance, history)
+            found = by_least_squares(problem, task.filtering, rigid.values, settings.frequency, tolerance, history)
             solver = least_squares(found.problem, tolerance)
         # Below its resonance the axis seemed to move at the first sample.
         moves = rigid["initial_velocity"].free
@@ -210,6 +215,30 @@ def _searched(problem: ClosedLoopProblem, task: Task, settings: FlexibleDIDIM, h
         simulations += rigid.fit.simulations
         solved = solved_from(rigid)
     return solved, simulations
+
+
+def _searched_without_rigid(
+    problem: ClosedLoopProblem, task: Task, settings: FlexibleDIDIM, history: History
+) -> Solved:
+    """Return where the search ends that begins from the controller turned round, or else from what the reference asks.
+
+    Raises:
+        MethodError: the loop cannot be simulated at any start, or no joint explains the torque.
+    """
+    assert task.loop is not None
+    tolerance = stopping_tolerance(settings)
+    try:
+        return by_least_squares(problem, task.filtering, None, settings.frequency, tolerance, history)
+    except MethodError as error:
+        history.progress(f"with the joint that would follow its reference to begin with: {error}")
+    follows = following_joint(task.record, task.loop)
+    solved = by_least_squares(problem, task.filtering, follows, settings.frequency, tolerance, history)
+    if np.linalg.norm(solved.solution.residual) > _NOTHING * solved.problem.size:
+        raise MethodError(
+            "No joint, rigid or flexible, explains half of this torque; check the sign and the unit of torque and "
+            "reference, and the controller's gains and delay."
+        )
+    return solved
 
 
 def refused(estimate: Estimate, spring: Visibility) -> Estimate:

@@ -7,8 +7,11 @@ frequency: the cut-off of the rigid identification, and the grid of free-free fr
 
 Half of the grid is an unstable loop, and the rest has local minima: each grid point is simulated once, on a band as
 wide as the log. Least squares refines the best few, at frequencies apart, until two end together, and goes on from
-there. Nelder-Mead begins as the paper does, by halves (13) at a known frequency. Where no second start leads to an end,
-it is begun again beside itself; and a motor that moves at the first sample is a search of its own.
+there. How much of the Coulomb friction is the motor's decides which side stands still first at every reversal, so the
+criterion has valleys along it, and several starts find the same wrong one: it is looked along once, with all else as it
+was found, and where another division explains more the way goes down from there. Nelder-Mead begins as the paper does,
+by halves (13) at a known frequency. Where no second start leads to an end, it is begun again beside itself; and a motor
+that moves at the first sample is a search of its own.
 """
 
 from __future__ import annotations
@@ -27,9 +30,9 @@ from jointid.common.parameters import Quantity
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.inverted_starts import inverted_starts
 from jointid.estimation.methods.registry import Task
-from jointid.estimation.methods.search import History, Solved, begins_moving, crossover, least_squares
+from jointid.estimation.methods.search import History, Solved, begins_moving, crossover, least_squares, regular_start
 from jointid.estimation.problems.base import INITIAL, INITIAL_STATE
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import SampledLaw
 from jointid.models.joints import ClosedLoop, FlexibleJoint, acts_on_whole
@@ -54,12 +57,12 @@ _DAMPING = 0.02  # of a flexible mode, to begin with (ours: the paper gives none
 
 _REFINED = 6  # starts that are refined at most, until two of them end together
 _ROUGHLY, _FEW = 1e-5, 30  # tolerance and evaluations of a refinement that only has to show where it leads
-_ALONE = 40  # evaluations of the last descent, where no second start led there
 _BESIDE = 3  # times an end that no second start led to is begun again beside itself
 # Ends closer than this in frequency, and in what remains, are one: along a flat valley a descent ends no nearer to the
 # bottom, and what several ends are good for is to show that no other valley is deeper.
 _TOGETHER, _AS_GOOD = 1e-2, 3e-3
 _BETTER = 1e-3  # of what remains: so much less is further down
+_DIVISIONS = tuple(np.linspace(0.05, 0.95, 13))  # of the Coulomb friction, the motor's part: valleys are a tenth wide
 _REST = 1e-4  # of the torque: what remains of a record without noise, and is not compared
 _MODES = 2.0  # the cut-off is that many free-free frequencies, or more
 
@@ -101,6 +104,18 @@ def rigid_estimate(record: Record, loop: ClosedLoop, cutoff: float | None, progr
         first, found = found, identified(slow)
         found = found.amended(fit={"simulations": first.fit.simulations + found.fit.simulations})
     return found
+
+
+def following_joint(record: Record, loop: ClosedLoop) -> dict[str, float]:
+    """Return the rigid joint that the torque would tell if the motor moved as the reference asks, its friction 0.
+
+    Where noise moves the axis as much as its reference does, what the controller must have seen tells no joint at all.
+    """
+    assert isinstance(loop.joint, FlexibleJoint) and record.torque is not None
+    joint = loop.joint.rigid
+    filtering = Filtering(cutoff=RIGID_CUTOFF / record.torque.sample_time)
+    rigid = torque_problem(record, ClosedLoop(joint, loop.controller), filtering, joint.parameters)
+    return regular_start(rigid).values
 
 
 def frequencies_to_try(law: SampledLaw, inertia: float, sample_time: float) -> list[float]:
@@ -232,7 +247,7 @@ def _costs(problem: ClosedLoopProblem, starts: Sequence[Mapping[str, float]], wo
 def by_least_squares(
     problem: ClosedLoopProblem,
     filtering: Filtering,
-    rigid: Estimate | None,
+    rigid: Mapping[str, float] | None,
     frequency: float | None,
     tolerance: float,
     history: History,
@@ -245,7 +260,7 @@ def by_least_squares(
     Args:
         problem: what is solved.
         filtering: as it was asked for.
-        rigid: a rough rigid joint; None where the record shows none.
+        rigid: values of a rough rigid joint; None where the record shows none.
         frequency: free-free, Hz; a grid is tried when None.
         tolerance: of the parameters and the criterion.
         history: of the search.
@@ -270,20 +285,53 @@ def by_least_squares(
             break
     _, mode, x = min(ends, key=lambda end: end[0])
     on, tried = band(mode), len(ends)
+    divided = divided_otherwise(on, x, history) if together > 1 else None
+    if divided is not None:
+        x, together = divided, 1
     solver = least_squares(on, tolerance)
-    found = history.solve(on, solver if together > 1 else replace(solver, evaluations=_ALONE), x)
-    for _ in range(_BESIDE if together < 2 else 0):
+    found = history.solve(on, rough if together < 2 else solver, x)
+    # An end that no second start leads to is refused, as is a mode too fast for the log: neither is worth another step.
+    reach = FASTEST / on.experiment.sample_time
+    for _ in range(_BESIDE if together < 2 and frequency_of(on.values(found.solution.x)) <= reach else 0):
         beside, tried = _from_beside(found, history), tried + 1
         left, other = (float(np.linalg.norm(end.residual)) for end in (found.solution, beside))
         if other < (1 - _BETTER) * left - _REST * on.size:  # the way back led further down
-            found, together = history.solve(on, solver, beside.x), 1
+            found = history.solve(on, rough, beside.x)
             continue
         modes = [frequency_of(on.values(end.x)) for end in (found.solution, beside)]
         back = abs(modes[1] / modes[0] - 1) < _TOGETHER
-        together += back and other < (1 + _AS_GOOD) * left + _REST * on.size
+        if back and other < (1 + _AS_GOOD) * left + _REST * on.size:
+            found, together = history.solve(on, solver, found.solution.x), 2
         break
     message = f"{found.solution.message}; {together} of {tried} starts led there"
     return Solved(on, replace(found.solution, message=message, starts=(together, tried)))
+
+
+def divided_otherwise(problem: ClosedLoopProblem, x: FloatArray, history: History) -> FloatArray | None:
+    """Return an end with its Coulomb friction divided otherwise between motor and load; None where none is better."""
+    values, own = problem.values(x), {p.name for p in problem.free}
+    sides = [
+        (p.name, load)
+        for p in problem.free
+        if p.quantity is Quantity.FORCE and p.name != (load := p.name.replace("motor_", "load_", 1)) and load in own
+    ]
+    if not sides:
+        return None
+    tried = [x]
+    for share in _DIVISIONS:
+        wholes = {motor: (values[motor] + values[load], load) for motor, load in sides}
+        moved = {motor: share * whole for motor, (whole, _) in wholes.items()}
+        moved |= {load: (1 - share) * whole for whole, load in wholes.values()}
+        tried.append(problem.vector(values | moved))
+    left = in_threads(lambda at: float(np.linalg.norm(problem.residual(at))), tried)
+    history.tally.evaluations += len(tried)
+    best = int(np.argmin(left))
+    if not left[best] < (1 - _BETTER) * left[0] - _REST * problem.size:
+        return None
+    history.progress(
+        f"with {100 * _DIVISIONS[best - 1]:.0f} % of the Coulomb friction on the motor the model explains more"
+    )
+    return tried[best]
 
 
 def _from_beside(found: Solved, history: History) -> Solution:
@@ -299,16 +347,16 @@ def _from_beside(found: Solved, history: History) -> Solution:
 
 
 def _explored(
-    problem: ClosedLoopProblem, rigid: Estimate | None, frequency: float | None, history: History
+    problem: ClosedLoopProblem, rigid: Mapping[str, float] | None, frequency: float | None, history: History
 ) -> list[tuple[float, dict[str, float]]]:
     """Return starts as (free-free frequency, values), best first: of a grid, or at the frequency that is known."""
     law, sample_time = problem.experiment.law, problem.experiment.sample_time
     if rigid is None:
         tried = []
     else:
-        tried = [frequency] if frequency else frequencies_to_try(law, rigid.values["inertia"], sample_time)
+        tried = [frequency] if frequency else frequencies_to_try(law, rigid["inertia"], sample_time)
     others = [] if frequency and rigid is not None else inverted_starts(problem)
-    starts, used = explored(problem, {} if rigid is None else rigid.values, tried, others, history.progress)
+    starts, used = explored(problem, rigid or {}, tried, others, history.progress)
     history.tally.evaluations += used
     return starts
 
@@ -334,7 +382,7 @@ def simplex_start(problem: ClosedLoopProblem, rigid: Estimate, frequency: float 
         if np.linalg.norm(history.counted(problem).residual(start)) <= problem.size:
             return start
         history.progress("the halved inertia (13) makes an unstable loop here; starting from another load share")
-    return problem.vector(_explored(problem, rigid, frequency, history)[0][1])
+    return problem.vector(_explored(problem, rigid.values, frequency, history)[0][1])
 
 
 def or_moving(resting: Solved, rigid: Estimate, free: bool, solver: Solver[Counted], history: History) -> Solved:

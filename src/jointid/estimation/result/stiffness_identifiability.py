@@ -6,7 +6,8 @@ A search always ends somewhere, and its end has a stiffness. That number is repo
   cannot be negative (`uncertainty.model_tests`);
 - what it explains is more than the error that repeats with the motion and remains: a model that lacks more than the
   spring gives may as well have made the spring up;
-- inertias and stiffness are told from 0, and the mode is one that swings and that a log of this rate can follow;
+- motor and load move, inertias and stiffness are told from 0, and the mode is one that swings and that a log of this
+  rate can follow;
 - starts apart led to the same end;
 - where the spring explains little, no joint with a mode elsewhere explains the torque as well, and none that is rigid;
 - the profile of the compliance 1/K12 is bounded on both sides.
@@ -66,7 +67,7 @@ class Visibility:
 
     Attributes:
         verdict: whether its stiffness is reported, and why not.
-        rigid: values of the rigid joint on the same band. rigid_std: standard deviations of those that were free.
+        rigid: values of the rigid joint on the same band. rigid_std: standard deviations of those that move its torque.
         rigid_error: (rows,) what it leaves.
         bounds: where the stiffness is refused.
         simulations: that all this took.
@@ -88,6 +89,7 @@ class Visibility:
 def visible(
     problem: ClosedLoopProblem,
     x: FloatArray,
+    J: FloatArray,
     known: Uncertainty,
     together: tuple[int, int],
     progress: Progress,
@@ -98,18 +100,19 @@ def visible(
     Args:
         problem: of the flexible joint, as it was solved.
         x: its free parameters.
+        J: (rows, free) the derivatives of the torque there, filtered.
         known: how well.
         together: how many of how many starts led to the estimate.
         progress: is told.
         shares: of the load in the inertia, for which bounds are looked for.
     """
     rigid, at = _fit_rigid(problem, problem.values(x))
-    error, J = rigid.linearised(at.x)
+    error, slopes = rigid.linearised(at.x)
     where = rigid.cells(rigid.simulate(at.x))
     values, found, runs = rigid.values(at.x), problem.values(x), at.evaluations + 4
-    reasons, said, made = _doubts(problem, x, known, error, together), "", None
+    reasons, said, made = _doubts(problem, x, J, known, error, together), "", None
     if not reasons:
-        test = _test_spring(problem, x, rigid, at.x, error, J, where)
+        test = _test_spring(problem, x, rigid, at.x, error, slopes, where)
         runs += len(_TEST_SHARES) * len(_TEST_MODES)
         reasons, said = [] if test.significant else [str(test)], str(test)
         if not reasons and test.gained < _LITTLE:
@@ -130,8 +133,9 @@ def visible(
         verdict = Verdict(Subject.STIFFNESS, Status.PASSED, (Message(Reason.STIFFNESS_SHOWN, said),))
     runs += 0 if made is None else made.simulations
     names = [p.name for p in rigid.free]
-    judged = uncertainty(J, J, error, where, names)
-    std = dict(zip(names, map(float, judged.covariance.std), strict=True))
+    judged = uncertainty(slopes, slopes, error, where, names)
+    told = zip(names, judged.covariance.std, slopes.T, strict=True)
+    std = {name: float(one) for name, one, column in told if column.any()}
     return Visibility(verdict, values, std, error, bounds, runs)
 
 
@@ -183,10 +187,21 @@ def _other_springs(made: ModeProfile, stiffness: float, known: Uncertainty, name
 
 
 def _doubts(
-    problem: ClosedLoopProblem, x: FloatArray, known: Uncertainty, rigid_error: FloatArray, together: tuple[int, int]
+    problem: ClosedLoopProblem,
+    x: FloatArray,
+    J: FloatArray,
+    known: Uncertainty,
+    rigid_error: FloatArray,
+    together: tuple[int, int],
 ) -> list[str]:
     """Return why the spring that was found is not to be believed, whatever a test says."""
-    found = []
+    # Whatever its inertia, a mass that its friction holds makes the same torque: where the search left it says nothing.
+    idle = {p.name for p, column in zip(problem.free, J.T, strict=True) if not column.any()}
+    found = [
+        f"with the joint that was found the {side} never moves, so that no torque tells its inertia"
+        for side in ("motor", "load")
+        if f"{side}_inertia" in idle
+    ]
     left = float(np.sum(problem.residual(x) ** 2))
     gained, repeated = float(np.sum(rigid_error**2)) - left, known.repeatable.share * left
     if known.repeatable.significant and gained < repeated:
