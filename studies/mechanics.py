@@ -28,7 +28,7 @@ from studies.healthy import Drive, drive
 
 FAULTS = (
     "none", "cubic spring", "backlash", "load-dependent friction", "changing friction", "presliding", "cogging",
-    "second mode",
+    "second mode", "spring in pieces",
 )  # fmt: skip
 _STEP = 1e-5  # s
 
@@ -43,6 +43,7 @@ _ORDER = (
     "presliding",  # rad of wind-up of the friction, for both masses
     "cogging", "pitch",  # N m, rad
     "warming",  # the viscous friction falls by this share from beginning to end
+    "bend", "more", "next_bend", "still_more",  # rad, N m/rad: from these wind-ups on the spring is stiffer by that
 )  # fmt: skip
 
 
@@ -52,7 +53,31 @@ def _run(  # type: ignore[no-untyped-def]
 ):  # pragma: no cover
     periods = feedforward.size
     h = period / steps
-    (m1, b1, f1, k, c, m2, b2, f2, offset, cubic, gap, m3, k3, c3, loss, soft, cogging, pitch, warming) = d
+    (
+        m1,
+        b1,
+        f1,
+        k,
+        c,
+        m2,
+        b2,
+        f2,
+        offset,
+        cubic,
+        gap,
+        m3,
+        k3,
+        c3,
+        loss,
+        soft,
+        cogging,
+        pitch,
+        warming,
+        bend,
+        more,
+        next_bend,
+        still_more,
+    ) = d
     z = state.copy()
     q1, q2, q3, v1, v2, v3 = first, first, first, 0.0, 0.0, 0.0
     z1, z2 = 0.0, 0.0  # of the presliding friction, -1 to 1
@@ -71,6 +96,9 @@ def _run(  # type: ignore[no-untyped-def]
             e, de = q2 - q1, v2 - v1
             open_e = e - min(max(e, -gap), gap)
             spring = k * open_e * (1.0 + cubic * open_e * open_e)
+            if bend > 0.0:
+                size = abs(e)
+                spring += math.copysign(more * max(size - bend, 0.0) + still_more * max(size - next_bend, 0.0), e)
             if gap == 0.0 or open_e != 0.0:
                 spring += c * de
             wound = max(wound, abs(e))
@@ -118,11 +146,12 @@ def simulate(axis: Drive, values: dict[str, float], after: FloatArray) -> tuple[
 
 @dataclass(frozen=True)
 class Spoiled:
-    """A record of a drive whose mechanics are not the model, the drive, and how large the fault is."""
+    """A record of a drive whose mechanics are not the model, the drive, how large the fault is, and what it has."""
 
     record: ji.Record
     axis: Drive
     size: float
+    truth: dict[str, float]
 
 
 def spoiled(seed: int, fault: str, longest: float = 12.0) -> Spoiled | None:
@@ -130,7 +159,8 @@ def spoiled(seed: int, fault: str, longest: float = 12.0) -> Spoiled | None:
 
     Springs that are 11 to 94 % stiffer at the largest wind-up, gaps of 0.1 to 2 such wind-ups, modes at 1.5 to 4 times
     the first, friction of 2 to 15 % of the load's torque, friction that winds up over 1e-4 to 1e-2 of the travel,
-    cogging of 1 to 5 % of the torque, a viscous friction that falls by 20 to 60 %.
+    cogging of 1 to 5 % of the torque, a viscous friction that falls by 20 to 60 %, springs of three stiffnesses of
+    which the last is 20 to 100 % above the first, from a quarter and a half of the largest wind-up on.
     """
     axis = drive(seed, longest)
     rng = np.random.default_rng([seed, 19])
@@ -144,12 +174,16 @@ def spoiled(seed: int, fault: str, longest: float = 12.0) -> Spoiled | None:
         "none": 0.0, "cubic spring": rng.uniform(0.11, 0.94), "backlash": 0.1 * 20 ** rng.uniform(),
         "second mode": rng.uniform(1.5, 4.0), "load-dependent friction": rng.uniform(0.02, 0.15),
         "presliding": 10 ** rng.uniform(-4, -2), "cogging": rng.uniform(0.01, 0.05),
-        "changing friction": rng.uniform(0.2, 0.6),
+        "changing friction": rng.uniform(0.2, 0.6), "spring in pieces": 0.0,
     }[fault]  # fmt: skip
     if fault == "cubic spring":
         truth["cubic"] = size / wound**2
     elif fault == "backlash":
         truth["gap"] = 0.5 * size * wound
+    elif fault == "spring in pieces":
+        size, (first, second) = rng.uniform(0.2, 1.0), (rng.uniform(0.15, 0.35), rng.uniform(0.45, 0.65))
+        truth |= {"bend": first * wound, "next_bend": second * wound}
+        truth |= {"more": 0.5 * size * truth["stiffness"], "still_more": 0.5 * size * truth["stiffness"]}
     elif fault == "second mode":  # a third of the load on a spring of its own
         third = truth["load_inertia"] / 3
         pulsation = 2 * math.pi * about["mode"] * size
@@ -172,7 +206,7 @@ def spoiled(seed: int, fault: str, longest: float = 12.0) -> Spoiled | None:
     shown = out + experiment.shown + (noise if on_log else 0.0)
     if not np.all(np.isfinite(shown)) or np.abs(shown).max() > 10 * np.abs(clean).max():
         return None
-    return Spoiled(replace(record, torque=replace(record.torque, values=shown)), axis, size)
+    return Spoiled(replace(record, torque=replace(record.torque, values=shown)), axis, size, truth)
 
 
 @dataclass(frozen=True)

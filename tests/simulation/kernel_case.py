@@ -19,6 +19,21 @@ def drive(plant: Plant) -> np.ndarray:
     return np.array([plant.inertia1, plant.inertia2, *spring, *plant.fv1, *plant.fc1, *plant.fv2, *plant.fc2, *common])
 
 
+def segments(plant: Plant) -> np.ndarray | None:
+    """Return the kernel's rows for a spring in pieces: each side's, from the line through each piece."""
+    if not plant.pieces:
+        return None
+    rows, ends = [], [*(piece[0] for piece in plant.pieces[1:]), math.inf]
+    for i, ((begin, torque, stiffness, damping), end) in enumerate(zip(plant.pieces, ends, strict=True)):
+        for side in (1.0,) if i == 0 else (-1.0, 1.0):
+            row = drive(plant)
+            row[2:4] = stiffness, damping
+            row[12:] += np.array([-1.0, 1.0]) * side * (torque - stiffness * begin)
+            low, high = (begin, end) if side > 0 else (-end, -begin)
+            rows.append([*row, -end if i == 0 else low, high])
+    return np.array(sorted(rows, key=lambda row: row[14]))
+
+
 def run(
     plant: Plant,
     law: Law,
@@ -72,5 +87,6 @@ def run(
         np.empty((0, kernels.TAPE)),
         counts,
         np.array([*plant.gravity, float(plant.inertia2 is not None)]) if any(plant.gravity) else None,
+        segments(plant),
     )
     return status, u, states[:: len(lengths)], counts

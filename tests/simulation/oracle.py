@@ -11,6 +11,9 @@ Two masses (motor q1, v1; load q12, v12) with e = q12 - q1, de = v12 - v1:
 
     gravity(q) = cos cos(angle q) + sin sin(angle q) + rate q
 
+A spring in pieces: where |e| is in the piece that begins at e0 with torque t0, the link's force is
+sign(e) (t0 + stiffness (|e| - e0)) + damping de, with that piece's stiffness and damping.
+
 A rigid joint is the motor alone, and gravity acts on it.  The law runs at t_k = k T:
 
     u_lin[k] = w[k] + C z[k] + D q1(t_k);   u[k] = clip(u_lin[k], -limit, limit);   s[k] = u[k] + post[k]
@@ -88,6 +91,7 @@ class Plant:
     stiffness: float = 0.0
     damping: float = 0.0
     gravity: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # cos, sin, rate, angle
+    pieces: tuple[tuple[float, float, float, float], ...] = ()  # e0, t0, stiffness, damping; else one from 0
 
 
 @dataclass(frozen=True)
@@ -146,12 +150,16 @@ class _Joint:
         self.fc = (plant.fc1, (math.inf, math.inf) if self.rigid else plant.fc2)
         self.offset = (plant.offset, 0.0 if self.rigid else plant.load_offset)
         self.gravity, self.heavy = plant.gravity, 0 if self.rigid else 1
-        self.stiffness, self.damping = (0.0, 0.0) if self.rigid else (plant.stiffness, plant.damping)
+        linear = (0.0, 0.0, 0.0, 0.0) if self.rigid else (0.0, 0.0, plant.stiffness, plant.damping)
+        self.pieces = plant.pieces or (linear,)
         self.total = plant.inertia1 + (plant.inertia2 or 0.0)
 
         self.q = [float(x0[0]), 0.0 if self.rigid else float(x0[2])]
         self.v = [float(x0[1]), 0.0 if self.rigid else float(x0[3])]
         self.e = 0.0 if self.rigid else self.q[1] - self.q[0]
+        self.piece = 0  # the spring's: 0, 1, ... for e > 0 and 0, -1, ... for e < 0
+        for i, (begin, *_) in enumerate(self.pieces):
+            self.piece = i * int(np.sign(self.e)) if abs(self.e) >= begin else self.piece
         self.mode = [int(np.sign(v)) for v in self.v]
         self.tau = 0.0
         self.force_size = 0.0
@@ -163,14 +171,17 @@ class _Joint:
         rates = [1e-3 / self.period]
         for i in range(2):
             for j in range(2):
-                a = sliding_matrix(self.inertia, (self.fv[0][i], self.fv[1][j]), self.stiffness, self.damping)
+                stiffness, damping = (max(piece[k] for piece in self.pieces) for k in (2, 3))
+                a = sliding_matrix(self.inertia, (self.fv[0][i], self.fv[1][j]), stiffness, damping)
                 rates.append(float(np.abs(np.linalg.eigvals(a)).max()))
         return max(rates)
 
     # Physics. `y` is (d1, v1, d12, v12), d since the start of the piece; it may be (4,) or (4, many).
 
     def link(self, y: Any) -> Any:
-        return self.stiffness * (self.e + (y[2] - y[0])) + self.damping * (y[3] - y[1])
+        begin, torque, stiffness, damping = self.pieces[abs(self.piece)]
+        side = float(np.sign(self.piece))
+        return side * torque + stiffness * (self.e - side * begin + (y[2] - y[0])) + damping * (y[3] - y[1])
 
     def net(self, mass: int, y: Any) -> Any:
         """Force on a mass without its friction."""
@@ -193,7 +204,8 @@ class _Joint:
     def net_rate(self, mass: int, y: Any) -> Any:
         """d(net)/dt on a mass at rest: tau is constant in a piece, so only the other mass changes it."""
         other = 1 - mass
-        return self.stiffness * y[2 * other + 1] + self.damping * self.acceleration(other, y)
+        _, _, stiffness, damping = self.pieces[abs(self.piece)]
+        return stiffness * y[2 * other + 1] + damping * self.acceleration(other, y)
 
     def derivative(self, _t: float, y: Array) -> list[float]:
         state = y.tolist()
@@ -209,7 +221,7 @@ class _Joint:
     def set_torque(self, tau: float) -> None:
         self.tau = tau
         finite = [f for pair in self.fc for f in pair if math.isfinite(f)]
-        spring = abs(self.stiffness * self.e)
+        spring = abs(self.link((0.0, 0.0, 0.0, 0.0)))
         weight = abs(self.weight(self.q[self.heavy]))
         self.force_size = max(self.force_size, abs(tau), *(abs(o) for o in self.offset), *finite, spring, weight)
 
@@ -239,7 +251,24 @@ class _Joint:
                 found.append(self.slide_guard(mass))
             else:
                 found += [self.cone_guard(mass, 1), self.cone_guard(mass, -1)]
+        for to in (self.piece - 1, self.piece + 1):
+            if abs(to) < len(self.pieces):
+                found.append(self.edge_guard(to))
         return found
+
+    def edge_guard(self, to: int) -> _Guard:
+        """The deflection stays on this side of the edge to the piece `to`."""
+        up = to - self.piece
+        outer = max(self.piece, to, key=abs)
+        edge = float(np.sign(outer)) * self.pieces[abs(outer)][0]
+
+        def value(y: Array) -> Any:
+            return up * (edge - (self.e + (y[2] - y[0])))
+
+        def slope(y: Array) -> Any:
+            return -up * (y[3] - y[1])
+
+        return _Guard(2, value, slope, EVENT_TOLERANCE * self.velocity_size * self.period, to)
 
     def slide_guard(self, mass: int) -> _Guard:
         mode = self.mode[mass]
@@ -343,6 +372,10 @@ class _Joint:
             time, y = self.polish(time, level, guard, left)
             self.accept(y)
             elapsed += time
+            if guard.mass == 2:
+                self.piece = guard.to
+                self.begin(start + elapsed, tau, log)  # a damper that begins to act pushes at once
+                continue
             before = self.mode[guard.mass]
             if guard.to:
                 self.mode[guard.mass] = guard.to

@@ -24,6 +24,7 @@ from jointid.models.controllers import Controller, numbers_of, with_numbers
 from jointid.models.friction import FRICTIONS
 from jointid.models.gravity import GRAVITY_PARAMETERS
 from jointid.models.joints import ClosedLoop, Joint
+from jointid.models.springs import SPRINGS, LinearSpring
 from jointid.records.columns import known_units
 from jointid.records.drives import Drive
 
@@ -245,7 +246,7 @@ def _open(lower: float) -> float:
 def _no_parameter(name: str, joint: JointTable, gravity: GravityTable | None, known: Collection[str]) -> str:
     """Return the rest of the sentence on a parameter that this model does not have."""
     remedy = messages.suggest(name, known, "leave it out")
-    for key, choices in (("model", MODELS), ("friction", FRICTIONS)):
+    for key, choices in (("model", MODELS), ("friction", FRICTIONS), ("spring", SPRINGS)):
         for choice in choices:
             other: Joint = joint.model_copy(update={key: choice}).joint(None, gravity=None)
             if name in [parameter.name for parameter in other.parameters]:
@@ -254,6 +255,7 @@ def _no_parameter(name: str, joint: JointTable, gravity: GravityTable | None, kn
         if gravity is None and name in names:
             remedy = f'leave it out, or set gravity.load = "{load}".'
     model = f"a {joint.model} joint with {joint.friction} friction"
+    model += "" if joint.spring == LinearSpring.name else f" and a {joint.spring} spring"
     return f" is not known for {model}; expected one of {', '.join(known)}: {remedy}"
 
 

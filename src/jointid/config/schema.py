@@ -58,6 +58,7 @@ from jointid.models.disturbances import Drift, Effect, PositionHarmonics
 from jointid.models.friction import FRICTIONS, friction_named
 from jointid.models.gravity import Counterbalance, Gravity
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
+from jointid.models.springs import SPRINGS, LinearSpring, spring_named
 from jointid.records.drives import Drive
 from jointid.records.signals.filtering import Filtering
 
@@ -82,6 +83,9 @@ class JointTable(Table):
     model: Literal["rigid", "flexible"] = Field("rigid", description="one inertia, or two joined by a spring")
     friction: Annotated[Text, accept_by(friction_named)] = Field(
         "symmetric", description="the friction's law", json_schema_extra={"enum": list(FRICTIONS)}
+    )
+    spring: Annotated[Text, accept_by(spring_named)] = Field(
+        "linear", description="the spring's law, of a flexible joint", json_schema_extra={"enum": list(SPRINGS)}
     )
     name: Text | None = Field(None, description="what reports call the joint")
     torque_constant: with_unit(Positive, _CONSTANT) | None = Field(  # type: ignore[valid-type]
@@ -109,10 +113,15 @@ class JointTable(Table):
         self, torque_unit: str | None, transmission: Transmission | None = None, gravity: GravityTable | None = None
     ) -> Joint:
         """Return the joint; `torque_unit` is "A" or "V" for a torque in the drive's units."""
-        made = FlexibleJoint if self.model == "flexible" else RigidJoint
         kind = self.kind if transmission is None else transmission.kind
         weight = None if gravity is None else gravity.gravity(transmission)
-        return made(kind, friction_named(self.friction), torque_unit, transmission=transmission, gravity=weight)
+        common = kind, friction_named(self.friction), torque_unit, transmission, weight
+        return FlexibleJoint(*common, spring_named(self.spring)) if self.model == "flexible" else RigidJoint(*common)
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield that a rigid joint has no spring."""
+        if self.model == "rigid" and self.spring != LinearSpring.name:
+            yield "spring", f' is "{self.spring}", but a rigid joint has no spring; set joint.model = "flexible".'
 
 
 @keys_from(Counterbalance)

@@ -21,7 +21,7 @@ from jointid.models.controllers import FILTERS, LAWS, Controller, DigitalFilter
 from jointid.models.disturbances import Drift, Effect, PositionHarmonics
 from jointid.models.friction import FRICTIONS
 from jointid.models.gravity import Gravity
-from jointid.models.joints import Joint
+from jointid.models.joints import FlexibleJoint, Joint
 from jointid.records.drives import Drive
 from jointid.records.resampling import Resampling
 from jointid.records.signals.filtering import Filtering
@@ -48,6 +48,8 @@ def joint_table(joint: Joint, name: str | None) -> dict[str, Any]:
         raise JointFileError(f"A joint file has no word for the friction {law}; use {' or '.join(FRICTIONS)}.")
     kind = joint.kind if joint.transmission is None else joint.transmission.load
     table = {"kind": kind, "model": joint.model, "friction": frictions[0]}
+    if isinstance(joint, FlexibleJoint) and not joint.spring.linear:
+        table["spring"] = joint.spring.name
     return table if name is None else {**table, "name": name}
 
 

@@ -21,6 +21,7 @@ from jointid.diagnostics.mechanics_faults import (
 from jointid.diagnostics.number_words import call, show_times_beside, tell_difference, tell_difference_in_drive
 from jointid.diagnostics.other_laws import PERIOD, OtherLaw
 from jointid.models.controllers.drive_numbers import DriveNumber
+from jointid.models.springs import Backlash, ThreePieceSpring
 from jointid.uncertainty.verdict import Reason, Status
 
 _NAMES = {
@@ -35,6 +36,7 @@ _SMALLEST_SHIFT = 0.5  # of a deviation: a smaller change of a parameter is not 
 _MICROSECOND = 1e-6  # s: a shorter time is not said in ms
 _LISTED = 3  # parameters in a sentence, at most
 _RATIOS = ("log_gain", INJECTED_GAIN)
+_SPRINGS = {CUBIC_SPRING: ThreePieceSpring.name, BACKLASH: Backlash.name}  # that have what the test found
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,11 +173,15 @@ class LoopCheck(Documented):
         if finding.rivals:
             said += f"; {' or '.join(map(self._called, finding.rivals))} would explain nearly as much"
         said += self._describe_changes(finding, "correcting it changes")
+        if s.name in _SPRINGS:
+            named = [name for name in (s.name, *s.alike, *finding.rivals) if name in _SPRINGS]
+            tried = " or ".join(f'"{_SPRINGS[name]}"' for name in dict.fromkeys(named))
+            said += f"; to identify it, set joint.spring = {tried}"
         values = {"suspect": s.name, "alike": list(s.alike), "more_than_declared": s.size, "std": s.std}
         values |= {"p_value": s.p_value, "changes": {name: change.by for name, change in finding.changes.items()}}
         clause = self._describe_fault(finding, spread=False)
         clause += f", {self._also(s, alike)}" if s.alike else ""
-        code = Reason.SPRING_NOT_LINEAR if s.name in (CUBIC_SPRING, BACKLASH) else Reason.LOOP_NOT_AS_DECLARED
+        code = Reason.SPRING_NOT_LINEAR if s.name in _SPRINGS else Reason.LOOP_NOT_AS_DECLARED
         return Message(code, said, values, clause)
 
     def _describe_fault(self, finding: Finding, *, spread: bool = True) -> str:

@@ -27,6 +27,8 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.diagnostics.fault_signature import FaultSignature
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.models.joints import FlexibleJoint
+from jointid.models.springs import Spring
 from jointid.records.record import Tap
 from jointid.simulation.closed_loop import Simulation
 from jointid.simulation.loop_input import as_logged
@@ -48,8 +50,10 @@ def vary_mechanics(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultS
     run, values = problem.simulate(x), problem.values(x)
     if run.load_position is None or run.torque.size != problem.experiment.after_limit.size:
         return  # a force at the controller's instants needs the motion there
+    joint = problem.joint
+    assert isinstance(joint, FlexibleJoint)
     base, largest = problem.torque(x), float(np.max(np.abs(problem.measured)))
-    for name, shape, on_motor, on_load in _forces(run, values):
+    for name, shape, on_motor, on_load in _forces(run, values, joint.spring):
         force = on_motor + _through_the_spring(on_load, values, problem.sample_time)
         small = _FORCE * largest / float(np.max(np.abs(force), initial=np.finfo(float).tiny))
         raw = (_with_force(problem, x, small * force) - base) / small
@@ -58,16 +62,19 @@ def vary_mechanics(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultS
         yield FaultSignature(name, problem.filtered(raw), shape, raw)
 
 
-def _forces(run: Simulation, values: Mapping[str, float]) -> Iterator[tuple[str, float | None, FloatArray, FloatArray]]:
+def _forces(
+    run: Simulation, values: Mapping[str, float], spring: Spring
+) -> Iterator[tuple[str, float | None, FloatArray, FloatArray]]:
     """Yield name, shape, and the forces on motor and load, (samples,) each, per unit of every fault's size."""
     assert run.load_position is not None and run.load_velocity is not None
     windup = run.motor_position - run.load_position
-    torque, largest = values["stiffness"] * windup, float(np.max(np.abs(windup)))
+    torque, largest = spring.torque(values, windup, np.zeros_like(windup)), float(np.max(np.abs(windup)))
     if not (largest > 0 and values["stiffness"] > 0 and values["load_inertia"] > 0):
         return
     by_cube = torque * (windup / largest) ** 2
-    yield CUBIC_SPRING, None, -by_cube, by_cube
-    for share in _GAPS:
+    if spring.linear:
+        yield CUBIC_SPRING, None, -by_cube, by_cube
+    for share in _GAPS if spring.linear else ():
         missing = values["stiffness"] * np.clip(windup, -share * largest, share * largest)
         yield BACKLASH, share * largest, missing, -missing
     yield LOAD_DEPENDENT_FRICTION, None, np.zeros_like(torque), -np.abs(torque) * np.sign(run.load_velocity)

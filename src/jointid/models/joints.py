@@ -9,14 +9,15 @@ Flexible, (2) of the paper, motor 1 and load 12, elastic deflection q2 = q12 - q
     tau = ZZ1 a1  + Fv1 v1  + Fc1 sign(v1)  - K12 q2 - F12 v2 + offset
     0   = ZZ2 a12 + Fv2 v12 + Fc2 sign(v12) + K12 q2 + F12 v2
 
-Gravity, where a joint has it, adds g(q) to (1), and g(q12) to the second equation of (2): see `gravity`.
+where ``K12 q2`` may be the torque of another spring: see `springs`. Gravity, where a joint has it, adds g(q) to (1),
+and g(q12) to the second equation of (2): see `gravity`.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, TypeAlias
 
 import numpy as np
@@ -29,6 +30,7 @@ from jointid.common.units import Kind
 from jointid.models.controllers import Controller
 from jointid.models.friction import Friction, SymmetricFriction
 from jointid.models.gravity import Gravity
+from jointid.models.springs import LinearSpring, Spring
 
 MODE_DAMPING = 0.02
 """Damping ratio that is assumed of a mode whose stiffness is not identified."""
@@ -69,6 +71,11 @@ class _JointBase:
             )
         if self.gravity is not None:
             self.gravity.require(self.kind if gear is None else gear.load, self.friction)
+
+    @property
+    def spring_name(self) -> str | None:
+        """Name of the spring's law; None where it has none."""
+        return None
 
     @property
     def force_unit(self) -> str:
@@ -155,9 +162,26 @@ class FlexibleJoint(_JointBase):
         torque_unit: the torque's unit when it is not the kind's own: "A" or "V"; stiffness is then in A/rad, ...
         transmission: between motor and load; all numbers, and `kind`, are then those of its `side`.
         gravity: of the load; a constant load takes the place of the offset, which is then fixed at 0.
+        spring: the law of the spring, linear unless said; in pieces it is not simulated beside gravity that follows the
+            position.
     """
 
     model = "flexible"
+
+    spring: Spring = field(default_factory=LinearSpring)
+
+    def __post_init__(self) -> None:
+        _JointBase.__post_init__(self)
+        if not self.spring.linear and self.gravity is not None and self.gravity.varies:
+            raise MethodError(
+                f"A {self.spring.name} spring is not simulated beside gravity that follows the position; expected a "
+                "constant load or none: use a linear spring, or leave gravity out."
+            )
+
+    @property
+    def spring_name(self) -> str:
+        """Name of the spring's law."""
+        return self.spring.name
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -165,8 +189,7 @@ class FlexibleJoint(_JointBase):
         return (
             Parameter("motor_inertia", "ZZ1", Quantity.INERTIA, lower=_TINY),
             *self.friction.parameters("motor_", "1"),
-            Parameter("stiffness", "K12", Quantity.STIFFNESS, lower=0.0),
-            Parameter("damping", "F12", Quantity.VISCOUS, lower=0.0),
+            *self.spring.parameters,
             Parameter("load_inertia", "ZZ2", Quantity.INERTIA, lower=_TINY),
             *self.friction.parameters("load_", "2"),
             *self._common_parameters,
@@ -177,6 +200,19 @@ class FlexibleJoint(_JointBase):
         """The joint whose spring does not give: what this one is far below its resonance."""
         return RigidJoint(self.kind, self.friction, self.torque_unit, self.transmission, self.gravity)
 
+    @property
+    def linear(self) -> FlexibleJoint:
+        """The joint with a linear spring in the place of its own."""
+        return self if self.spring.linear else replace(self, spring=LinearSpring())
+
+    def require_linear_spring(self, taker: str) -> None:
+        """Raise a `MethodError` if the spring is not linear; `taker` says who takes it for that, as "Tuning takes"."""
+        if not self.spring.linear:
+            raise MethodError(
+                f'{taker} the spring for linear; received one that is "{self.spring.name}": use spring = "linear", or '
+                'simulate and identify the closed loop by the method "didim".'
+            )
+
     def regressor(self, motor: Motion, load: Motion | None = None) -> FloatArray:
         """Return the columns of both rows of (2), in the order of `parameters`, shape (2, samples, parameters).
 
@@ -184,8 +220,9 @@ class FlexibleJoint(_JointBase):
         of (5), where (2) has accelerations.)
 
         Raises:
-            MethodError: there is no motion of the load.
+            MethodError: there is no motion of the load, or the spring is not linear in its parameters.
         """
+        self.require_linear_spring("A regression takes")
         if load is None:
             raise MethodError(
                 "The equations of a flexible joint need the motion of the load; IDIM needs load_position."
@@ -199,10 +236,29 @@ class FlexibleJoint(_JointBase):
         return np.stack([np.column_stack(first), np.column_stack(second)])
 
     def coefficients(self, values: Mapping[str, float]) -> FloatArray:
-        """Return the drive's coefficients for the simulation (`simulation.kernels`)."""
+        """Return the coefficients of the drive, its spring linear, for the simulation (`simulation.kernels`)."""
         drive = [values[name] for name in ("motor_inertia", "load_inertia", "stiffness", "damping")]
         motor, load = (self.friction.directions(values, side) for side in ("motor_", "load_"))
         return np.array([*drive, *motor, *load, values["offset"], self._gravity_constant(values)])
+
+    def segments(self, values: Mapping[str, float]) -> FloatArray | None:
+        """Return a spring in pieces for the simulation, (segments, 16); None of a linear one.
+
+        A row is the drive's coefficients in a segment of the deflection, and where that begins and ends; what the
+        spring's line has where it meets no deflection is among the constant forces of motor and load.
+        """
+        if self.spring.linear:
+            return None
+        drive, pieces = self.coefficients(values), self.spring.pieces(values)
+        ends = [*(piece.deflection for piece in pieces[1:]), math.inf]
+        first, *others = zip(pieces, ends, strict=True)
+        rows = [(*drive[:2], *first[0][2:], *drive[4:], -ends[0], ends[0])]
+        for piece, end in others:
+            held = piece.torque - piece.stiffness * piece.deflection
+            spring, motor, load = piece[2:], drive[12], drive[13]
+            rows.append((*drive[:2], *spring, *drive[4:12], motor - held, load + held, piece.deflection, end))
+            rows.insert(0, (*drive[:2], *spring, *drive[4:12], motor + held, load - held, -end, -piece.deflection))
+        return np.array(rows)
 
     def start(self, values: Mapping[str, float], position: float, velocity: float) -> FloatArray:
         """Return the state at rest or in steady motion: the load moves with the motor, carried by the spring.
@@ -218,6 +274,8 @@ class FlexibleJoint(_JointBase):
             deflection = self.gravity.static_deflection(values, stiffness, position, drag)
         elif stiffness > 0.0:
             deflection = drag / stiffness
+        if stiffness > 0.0 and not self.spring.linear:
+            deflection = self.spring.deflection(values, drag + self._gravity_constant(values))
         return np.array([position, velocity, position - deflection, velocity])
 
     @staticmethod

@@ -32,7 +32,10 @@ class Outcome(StrEnum):
     DIVERGED = "the loop diverged: this joint is unstable under this controller"
     TOO_STIFF = "the joint's own motion is too fast for the controller's period to be worth simulating"
     CHATTERING = "the joint started and stopped more often within one period than a real one can"
-    INVALID = "an inertia or the Coulomb friction is not positive, or a value is not a number"
+    INVALID = (
+        "an inertia or the Coulomb friction is not positive, the torques of a spring's pieces do not rise, or a value "
+        "is not a number"
+    )
 
 
 _OUTCOMES = (Outcome.FINISHED, Outcome.DIVERGED, Outcome.TOO_STIFF, Outcome.CHATTERING)
@@ -106,6 +109,7 @@ class ClosedLoopRun:
         loop, experiment, values: what was run.
         drive: (14,) the joint's coefficients.
         gravity: (5,) those of its gravity, or None.
+        segments: (segments, 16) those of its spring in pieces, or None.
         position, velocity: of the motor at the first sample. torque: the controller's there, where that is said.
         before: torque that acted before it.
         command: (periods,) the controller's output. tapped: the same behind its limit, before what filters follow.
@@ -120,6 +124,7 @@ class ClosedLoopRun:
     values: Mapping[str, float]
     drive: FloatArray
     gravity: FloatArray | None
+    segments: FloatArray | None
     position: float
     velocity: float
     torque: float | None
@@ -151,7 +156,8 @@ class ClosedLoopRun:
 
         def motion(side: int) -> Motion:
             possible = self.outcome is not Outcome.INVALID
-            found = _acceleration(self.drive, self.gravity, begin, push, side) if possible else np.zeros(push.size)
+            drive = _drive_at(self, begin)
+            found = _acceleration(drive, self.gravity, begin, push, side) if possible else np.zeros(push.size)
             return Motion(begin[2 * side], begin[2 * side + 1], found)
 
         return Simulation(
@@ -189,6 +195,7 @@ def run(
     velocity = initial.velocity or 0.0
     try:
         drive, gravity = loop.joint.coefficients(values), loop.joint.gravity_coefficients(values)
+        segments = None if isinstance(loop.joint, RigidJoint) else loop.joint.segments(values)
     except KeyError:
         missing = ", ".join(p.name for p in loop.joint.parameters if p.name not in values)
         raise MethodError(f"A simulation needs a value for every parameter; {missing} has none: give one.") from None
@@ -201,14 +208,14 @@ def run(
     modes, tape = array("modes", (kept,), np.int8), array("tape", (taped, kernels.TAPE))
     counts = np.zeros(4, dtype=np.int64)
     outcome, before = Outcome.INVALID, 0.0
-    if _possible(drive, gravity) and math.isfinite(position) and math.isfinite(velocity):
+    if _possible(drive, gravity) and _ordered(segments) and math.isfinite(position) and math.isfinite(velocity):
         state, first = first_state(experiment, position, velocity, initial.torque)
         before = first + experiment.after_limit[0]
         status = kernels.run(
             drive, experiment.lengths, experiment.lags, state, experiment.kernel, experiment.feedforward,
             experiment.after_limit, before, loop.joint.start(values, position, velocity),
             experiment.far + abs(position), command, tapped, excess, states, modes, tape, counts,
-            gravity,
+            gravity, segments,
         )  # fmt: skip
         outcome = _OUTCOMES[status]
     done = int(counts[2])
@@ -221,8 +228,8 @@ def run(
             np.nan_to_num(signal, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     shown = tapped if tapped.size else command
     return ClosedLoopRun(
-        loop, experiment, values, drive, gravity, position, velocity, initial.torque, before, command, shown, excess,
-        states, modes, tape, outcome, counts,
+        loop, experiment, values, drive, gravity, segments, position, velocity, initial.torque, before, command, shown,
+        excess, states, modes, tape, outcome, counts,
     )  # fmt: skip
 
 
@@ -273,13 +280,32 @@ def _possible(drive: FloatArray, gravity: FloatArray | None) -> bool:
     return all(map(math.isfinite, row)) and min(row[:2]) > 0 and min(row[2:4]) >= 0 and cones
 
 
+def _ordered(segments: FloatArray | None) -> bool:
+    """True of a spring whose pieces follow each other, each with a stiffness and a damping that are not negative."""
+    if segments is None:
+        return True
+    ends = segments[:-1, 15]
+    return bool(np.all(np.isfinite(ends)) and np.all(np.diff(ends) >= 0) and np.min(segments[:, 2:4]) >= 0)
+
+
+def _drive_at(out: ClosedLoopRun, states: FloatArray) -> FloatArray:
+    """Return the coefficients of the drive, (14,), or in the segments of its spring that it is in, (14, samples)."""
+    if out.segments is None:
+        return out.drive
+    at = np.searchsorted(out.segments[:-1, 15], states[2] - states[0])
+    return np.asarray(out.segments[at, :14].T)
+
+
 def _acceleration(
     drive: FloatArray, gravity: FloatArray | None, states: FloatArray, torque: FloatArray, side: int
 ) -> FloatArray:
-    """Return the acceleration of the motor (side 0) or load (1) just after `torque` begins to act; 0 at rest."""
+    """Return the acceleration of the motor (side 0) or load (1) just after `torque` begins to act; 0 at rest.
+
+    The drive is (14,), or (14, samples).
+    """
     viscous, viscous_back, coulomb, coulomb_back = drive[4 + 4 * side : 8 + 4 * side]
-    push = torque - drive[12] if side == 0 else np.full(torque.size, -drive[13])
-    if drive[2] != 0.0 or drive[3] != 0.0:
+    push = torque - drive[12] if side == 0 else np.zeros(torque.size) - drive[13]
+    if np.any(drive[2:4] != 0.0):
         spring = drive[2] * (states[2] - states[0]) + drive[3] * (states[3] - states[1])
         push = push + spring if side == 0 else push - spring
     if gravity is not None and side == gravity[4]:
@@ -289,7 +315,8 @@ def _acceleration(
     velocity = states[1 + 2 * side]
     moving = np.sign(velocity)
     still = np.flatnonzero(velocity == 0)
-    moving[still] = (push[still] > coulomb) * 1.0 - (push[still] < -coulomb_back) * 1.0
+    holds, holds_back = (np.broadcast_to(force, push.shape)[still] for force in (coulomb, coulomb_back))
+    moving[still] = (push[still] > holds) * 1.0 - (push[still] < -holds_back) * 1.0
     forwards = moving > 0
     friction = np.where(forwards, viscous, viscous_back) * velocity + np.where(forwards, coulomb, -coulomb_back)
     push -= friction

@@ -63,6 +63,10 @@ class DriveSide:
 
     joint: Joint
 
+    def __post_init__(self) -> None:
+        if isinstance(self.joint, FlexibleJoint):
+            self.joint.require_linear_spring("The drive side takes")
+
     @property
     def channels(self) -> tuple[str, ...]:
         """Names of the channels a record must have to be compared with this."""

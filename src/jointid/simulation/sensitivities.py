@@ -12,13 +12,14 @@ import math
 from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray, Fresh, Room
 from jointid.common.errors import MethodError
 from jointid.models.controllers import POSITION, SampledLaw, number, respond, with_numbers
-from jointid.models.joints import ClosedLoop, Joint
+from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
 from jointid.records.record import Tap, Timing
 from jointid.simulation.closed_loop import (
     ClosedLoopRun,
@@ -34,6 +35,7 @@ from jointid.simulation.loop_input import LoopInput, acting, as_logged, averages
 
 _STEP = 1e-4  # of a controller's number: its output is a low-order polynomial in it
 _FROM_NOTHING = 1e-2  # the step from a number that is 0, to its right alone: of a delay in periods; the law is linear
+_IMAGINARY = 1e-30  # a complex step: its square is nothing beside any value
 _SMALL = 1e-6  # of a joint's value: where steady motion begins is a rational function of it
 _TAPED = 1000  # rows of the tape to begin with
 _ASTRAY = 1e100  # a derivative by which two neighbours part at once; its square would be no number
@@ -191,12 +193,18 @@ def _followed(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tupl
 
     experiment, joint = out.experiment, out.loop.joint
     law, width = experiment.feedback, sensitivity_kernels.LANES
+    segments, pieces = out.segments, np.zeros((0 if out.segments is None else len(out.segments), 16, width))
     seeds, weights, start = np.zeros((14, width)), np.zeros((3, width)), np.zeros((4, width))
     memory, delay, limits = np.zeros((law.order, width)), np.zeros(width), np.zeros((law.limits.size, width))
     explicit, by_name = [], _seeds(joint)
+    of_spring = {p.name for p in joint.spring.parameters} if isinstance(joint, FlexibleJoint) else set()
     for j, name in enumerate(names):
         if name in by_name:
             seeds[:, j] = by_name[name]
+            if segments is not None and name in of_spring:
+                pieces[:, :, j] = segment_seeds(joint, out.values, name)
+            elif segments is not None:  # the same in every segment
+                pieces[:, :14, j] = by_name[name]
             if out.gravity is not None:
                 weights[:, j] = gravity_seed(joint, name)
             if out.velocity != 0.0 or out.gravity is not None:  # else it begins where the motor is, whatever it is like
@@ -219,7 +227,7 @@ def _followed(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tupl
         experiment.lengths, experiment.lags, out.states, out.modes, out.tape, int(out.counts[1]), out.command,
         experiment.after_limit, out.before, out.excess, experiment.kernel, out.drive, seeds, explained,
         len(names) - len(explicit), delay, limits, start, memory, command, tapped, states,
-        out.gravity, None if out.gravity is None else weights,
+        out.gravity, None if out.gravity is None else weights, segments, None if segments is None else pieces,
     )  # fmt: skip
     return command.T, tapped.T, states
 
@@ -245,6 +253,18 @@ def _seeds(joint: Joint) -> Mapping[str, FloatArray]:
     for seed in found.values():
         seed.setflags(write=False)
     return found
+
+
+def segment_seeds(joint: Joint, values: Mapping[str, float], name: str) -> FloatArray:
+    """Return how the segments of a joint's spring depend on one of its parameters, (segments, 16), by a complex step.
+
+    They are rational functions of the parameters, so a step along the imaginary axis differentiates them to rounding.
+    """
+    assert isinstance(joint, FlexibleJoint)
+    moved: dict[str, Any] = {**values, name: complex(values[name], _IMAGINARY)}
+    found = joint.segments(moved)
+    assert found is not None
+    return np.asarray(np.imag(found) / _IMAGINARY)
 
 
 def gravity_seed(joint: Joint, name: str) -> FloatArray:

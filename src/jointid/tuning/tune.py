@@ -96,7 +96,8 @@ def tune(
         motion would detect (`compute_minimum_detectable_change`).
 
     Raises:
-        MethodError: the estimate has no controller, no deviations, or a stiffness that is refused and not bounded.
+        MethodError: the estimate has no controller, no deviations, or a stiffness that is refused and not bounded; or
+            a spring that is not linear.
 
     Limits: the loop is linear, without its limits, while the joint moves one way; a joint at rest is held by its
     Coulomb friction besides. Gravity that follows the position is left out of the loop. Whatever the model does not
@@ -104,6 +105,8 @@ def tune(
     left out of the margins, though not of the stability.
     """
     settings = settings or Tuning()
+    if isinstance(estimate.settings.joint, FlexibleJoint):
+        estimate.settings.joint.require_linear_spring("Tuning takes")
     if estimate.settings.loop is None:
         raise MethodError(
             f"Margins are of a loop, and the controller of {estimate.data.record} is not known; identify with "

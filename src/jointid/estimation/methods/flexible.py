@@ -33,6 +33,7 @@ from jointid.estimation.methods.flexible_search import (
 from jointid.estimation.methods.force_in_loop import widened_for_force
 from jointid.estimation.methods.registry import SURROUNDINGS, Method, Task
 from jointid.estimation.methods.search import History, Solved, free_more, least_squares
+from jointid.estimation.methods.spring_search import from_linear_spring, with_linear_spring
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
 from jointid.estimation.result.build_estimate import build_closed_loop_estimate
@@ -62,6 +63,7 @@ class FlexibleDIDIM(Method):
     models = ("flexible",)
     default_for = ClosedLoop
     needs_controller = True
+    any_spring = True
 
     minimiser: Literal["least-squares", "nelder-mead"] = setting(
         "least-squares", "least squares with the output sensitivities, or the paper's simplex by MATLAB's fminsearch"
@@ -122,7 +124,7 @@ class FlexibleDIDIM(Method):
         problem = torque_problem(record, loop, task.filtering, task.parameters, _at_rest(record, self))
         problem = problem if loop.joint.gravity is None else _hanging(problem)
         history = History(progress)
-        solved, simulations = _searched(problem, task, self, history)
+        solved, simulations = self._search(problem, task, history)
         starts = solved.solution.starts
         if self.free:
             tolerance = stopping_tolerance(self)
@@ -158,6 +160,22 @@ class FlexibleDIDIM(Method):
             settings={"variant": variant},
             fit={"trace": tuple(history.trace), "simulations": history.tally.evaluations + simulations},
         )
+
+    def _search(self, problem: ClosedLoopProblem, task: Task, history: History) -> tuple[Solved, int]:
+        """Return where the search ends, and the simulations of the rigid joints it began with.
+
+        A spring in pieces is looked for from where a linear one ended.
+        """
+        joint = problem.joint
+        assert isinstance(joint, FlexibleJoint)
+        if joint.spring.linear:
+            return _searched(problem, task, self, history)
+        if self.minimiser != "least-squares":
+            joint.require_linear_spring("Nelder-Mead takes")
+        linear = with_linear_spring(problem)
+        loop = linear.loop
+        solved, simulations = _searched(linear, replace(task, loop=loop, joint=loop.joint), self, history)
+        return from_linear_spring(problem, solved, stopping_tolerance(self), history), simulations
 
 
 def stopping_tolerance(settings: FlexibleDIDIM) -> float:
@@ -253,7 +271,7 @@ def refused(estimate: Estimate, spring: Visibility) -> Estimate:
         for p in joint.rigid.parameters
         if (std := spring.rigid_std.get(p.name)) is not None and not acts_on_whole(p.name)
     )
-    parted = ("motor_", "load_", "stiffness", "damping")
+    parted = ("motor_", "load_", *(p.name for p in joint.spring.parameters))
     lost = tuple(
         replace(p, value=None, stderr=None, identifiable=False) if p.name.startswith(parted) and p.free else p
         for p in estimate.params

@@ -96,9 +96,27 @@ def _value(estimate: Estimate, asked: EstimatedParameter) -> Message:
         shown = f"{number(asked.value)} {asked.unit}{'' if asked.free else ' (fixed)'}"
     else:
         shown = f"{interval(asked.value, 2 * asked.stderr)} {asked.unit}"
+    shown = _with_pieces(estimate, asked, shown)
     mode = _mode(estimate)
     words = f"{_called(asked.name)} {shown}" + ("" if mode is None else f", mode {number(mode, 3)} Hz")
     return Message(Found.VALUE, words, _values(asked, mode))
+
+
+def _with_pieces(estimate: Estimate, asked: EstimatedParameter, shown: str) -> str:
+    """Return a shown stiffness with what else a spring in pieces is made of."""
+    joint = estimate.settings.joint
+    if asked.name != "stiffness" or not isinstance(joint, FlexibleJoint):
+        return shown
+    rows = {row.name: row for row in estimate.params}
+    others = {p.name: _shown(rows[p.name]) for p in joint.spring.parameters[1:-1] if p.name in rows}
+    return joint.spring.describe({asked.name: shown, **others})
+
+
+def _shown(row: EstimatedParameter) -> str:
+    value = "?" if row.value is None else number(row.value)
+    if row.value is not None and row.stderr:
+        value = interval(row.value, 2 * row.stderr)
+    return f"{value} {row.unit}"
 
 
 def _not_determined(estimate: Estimate, asked: EstimatedParameter) -> Message:

@@ -29,6 +29,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.messages import Message, Progress, silent
 from jointid.estimation.methods.flexible_search import FASTEST, frequency_of
 from jointid.estimation.methods.search import History, least_squares
+from jointid.estimation.methods.spring_search import with_linear_spring
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.build_estimate import find_lost
 from jointid.estimation.result.stiffness_bounds import (
@@ -116,7 +117,7 @@ def visible(
         runs += len(_TEST_SHARES) * len(_TEST_MODES)
         reasons, said = [] if test.significant else [str(test)], str(test)
         if not reasons and test.gained < _LITTLE:
-            made = profile_modes(problem, values, found, thorough=True)
+            made = profile_modes(with_linear_spring(problem), values, found, thorough=True)
             reasons = _other_springs(made, found["stiffness"], known, [p.name for p in problem.free])
     if not reasons:
         used, reasons = _follow_compliance(problem, x, known)
@@ -124,7 +125,7 @@ def visible(
     bounds: tuple[StiffnessBound, ...] = ()
     if reasons:
         progress("the record does not show the spring; looking how soft it may be")
-        made = made or profile_modes(problem, values, found, thorough=False)
+        made = made or profile_modes(with_linear_spring(problem), values, found, thorough=False)
         bounds = bound_all(made, shares)
         reasons[0] = f"not identifiable from this record: {reasons[0]}"
         refused = tuple(Message(Reason.STIFFNESS_NOT_SHOWN, reason) for reason in reasons)
@@ -162,7 +163,7 @@ def _test_spring(
     remains = problem.residual(x)
     left = float(remains @ remains)
     # Where every spring on the rigid joint makes the loop unstable, the one that was found is the one to test.
-    springs = _springs(problem, rigid.values(at), error) or [(remains - error)[:, np.newaxis]]
+    springs = _springs(with_linear_spring(problem), rigid.values(at), error) or [(remains - error)[:, np.newaxis]]
     # So far from the rigid joint a linear step towards the spring finds nothing; what the fit itself gained counts.
     fitted = left if left < _FAR * float(error @ error) else None
     return flexible_against_rigid(error, J, springs, where, fitted)

@@ -15,6 +15,7 @@ from jointid.estimation.result.consequence import spares_answer
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.legend import SHOWN_SHIFT, field_symbol, legend
 from jointid.estimation.result.parts import EstimatedParameter, known_on_other_side
+from jointid.models.joints import FlexibleJoint, Joint
 from jointid.uncertainty.identifiability import Kind
 from jointid.uncertainty.verdict import Status
 
@@ -386,6 +387,11 @@ def bands_table(estimate: Estimate, caption: str = "") -> Table | None:
     return Table(("band [Hz]", "error [% of the torque there]", "share of the residual [%]"), rows, caption)
 
 
+def _spring(joint: Joint) -> str:
+    """Return the law of a joint's spring, where it is not linear."""
+    return f", {joint.spring.name} spring" if isinstance(joint, FlexibleJoint) and not joint.spring.linear else ""
+
+
 def settings_facts(estimate: Estimate) -> Facts:
     """Return how it was identified."""
     f, joint, fit = estimate.settings.filtering, estimate.settings.joint, estimate.fit
@@ -393,7 +399,7 @@ def settings_facts(estimate: Estimate) -> Facts:
     return Facts(
         (
             ("Method", estimate.settings.variant),
-            ("Model", f"{joint.model}, {joint.friction.name} friction"),
+            ("Model", f"{joint.model}, {joint.friction.name} friction" + _spring(joint)),
             ("Left out of the raw error", f"{fit.borders[0]} samples at the start, {fit.borders[1]} at the end"),
             ("Filter", f"{f.cutoff:g} Hz, one sample in {f.decimation}; positions {position}; timing {f.timing}"),
             ("Rows fitted", str(fit.rows)),

@@ -23,7 +23,7 @@ from jointid.common.units import Kind
 from jointid.estimation.result.parts import EstimatedParameter, on_other_side
 from jointid.models.friction import Directions
 from jointid.models.gravity import Gravity
-from jointid.models.joints import Joint
+from jointid.models.joints import FlexibleJoint, Joint
 from jointid.output.json import plain
 from jointid.output.json.estimates import ESTIMATE_SCHEMA, LONG_SCHEMA, TOGETHER_SCHEMA, Json
 from jointid.output.json.reading import number_or_none
@@ -261,6 +261,8 @@ def joint_model(answer: Json, joint: Joint, name: str | None = None, source: str
 
 
 def _read(answer: Json, joint: Joint, name: str) -> JointModel:
+    if isinstance(joint, FlexibleJoint):
+        joint.require_linear_spring("An export takes")
     declared = (
         joint.model,
         joint.kind,

@@ -149,6 +149,7 @@ _JOINT: dict[str, Shape] = {
     "model": "settings.joint.model",
     "kind": "settings.joint.kind",
     "friction": "settings.joint.friction.name",
+    "spring": lambda estimate: estimate.settings.joint.spring_name,
     "gravity": "settings.joint.gravity",
 }
 

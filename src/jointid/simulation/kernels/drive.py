@@ -12,6 +12,11 @@ exact to rounding; each sliding, sticking and direction mode of the two masses h
 
 A rigid joint is the same drive with no spring and a load that nothing pushes: the load sticks for ever.
 
+A spring in pieces is affine in each segment of its deflection, so a segment is a drive of its own, with the spring's
+force at no deflection among the constant forces. Segments are modes like those of friction: each has its maps, the
+proofs have one chord more (the deflection stays in its segment), and the deflection reaching an edge is one event more.
+A joint with a linear spring is compiled without any of it.
+
 Gravity depends on the position, but slowly: over a part of a period it is held, as the torque is, at what it is in
 mid-part (`_gravity`), and a held force on the load needs nothing new (see `run`). What holding costs is an error of
 second order in the period, the only one here.
@@ -48,8 +53,10 @@ _PIECES = 4096  # Taylor steps per period at most: a drive faster than that is n
 _WORK = 20  # Taylor steps a simulation may take, per period: bounds the time an absurd candidate can cost
 
 # One row of the tape for each piece of a part that had an event: which part, how long, the modes in it, the state it
-# began with, then the mass whose velocity the event took to zero (or -1) and the mode it went on in.
-TAPE = 10
+# began with, then the mass whose velocity the event took to zero (or -1) and the mode it went on in, or _EDGE and the
+# mode of both masses, as `modes` has it, with the segment that began there; last the segment of the piece.
+TAPE = 11
+_EDGE = 2  # of the spring's segment, where the index of a mass may stand
 
 # Rows of the event solver's scratch: the series of the states and the spring's force, the function whose root is
 # sought and its slope, then the stack of halved intervals, each with its ends in two more columns.
@@ -87,6 +94,13 @@ class _Drive(NamedTuple):
     coulomb2_back: float
     offset1: float  # constant forces the motor and the load work against
     offset2: float
+
+
+class _Segment(NamedTuple):
+    """Where one segment of the spring's deflection begins and ends."""
+
+    low: float
+    high: float
 
 
 class _Gravity(NamedTuple):
@@ -174,6 +188,30 @@ def _motion(p: _Drive, m1: int, m2: int) -> _Motion:
         viscous2 = p.viscous2 if m2 > 0 else p.viscous2_back
         force2 = -p.offset2 - (p.coulomb2 if m2 > 0 else -p.coulomb2_back)
     return _Motion(mobility1, mobility2, viscous1, viscous2, force1, force2)
+
+
+@inlined
+def _drive_of(segments: FloatArray, i: int) -> tuple[_Drive, _Segment]:
+    """Return the drive in one segment of its spring, and that segment."""
+    d = segments[i]
+    drive = _Drive(d[0], d[1], d[2], d[3], d[4], d[5], d[6], d[7], d[8], d[9], d[10], d[11], d[12], d[13])
+    return drive, _Segment(d[14], d[15])
+
+
+@inlined
+def _reach(segments: FloatArray, h: float) -> float:
+    """Return how far a deflection can bend from its chord in `h` seconds, per root energy (see `_margins`)."""
+    lowest = 0.0
+    for i in (4, 5):
+        lowest = min(lowest, segments[0, i] / segments[0, 0], segments[0, i + 4] / segments[0, 1])
+    together = math.sqrt(1.0 / segments[0, 0] + 1.0 / segments[0, 1])
+    return h * h / 8.0 * together / math.sqrt(segments[0, 0]) * math.exp(min(-lowest * h, 50.0))
+
+
+@inlined
+def _within(edges: _Segment, reach: float, start: float, end: float, bound: float) -> bool:
+    """Prove that the deflection stays inside its segment, from its value at both ends of a period."""
+    return min(min(start, end) - edges.low, edges.high - max(start, end)) > reach * bound
 
 
 @inlined
@@ -509,18 +547,18 @@ def _first_event(
 @inlined
 def _travel(
     c: FloatArray, p: _Drive, x: State, m1: int, m2: int, s: float, h: float, longest: float,
-    tape: FloatArray, row: int, part: int,
-) -> tuple[State, int, int, int, int]:  # fmt: skip
-    """Move `x` over `h` seconds under a held torque `s` with every event located; return modes, events, Taylor steps.
+    tape: FloatArray, row: int, part: int, segments: FloatArray | None, segment: int,
+) -> tuple[State, int, int, int, int, int]:  # fmt: skip
+    """Move `x` over `h` seconds under a held torque `s` with every event located.
 
-    The number of events is negative when there are more than a physical drive can have. Each step is a row of the
-    tape, from `row` on, as far as it goes.
+    Return modes, events, Taylor steps and the segment of the spring. The number of events is negative when there are
+    more than a physical drive can have. Each step is a row of the tape, from `row` on, as far as it goes.
     """
     x0, x1, x2, x3 = x
     known1 = 1 if m1 != 0 and x1 == 0.0 else 0
     known2 = 1 if m2 != 0 and x3 == 0.0 else 0
     events, steps = 0, 0
-    done = 0.0
+    done, crossed = 0.0, 0  # the edge that the deflection has just come over: its low (-1) or its high one
     while done < h and events >= 0:
         remaining = h - done
         pieces = 1 if remaining <= longest else math.ceil(remaining / longest)
@@ -529,19 +567,37 @@ def _travel(
         loose1, loose2 = m1 != 0 and known1 == 2, m2 != 0 and known2 == 2
         _series(c, p, _motion(p, m1, m2), (x0, x1, x2, x3), s, step, loose1, loose2)
         first, mass, loose = _first_event(c, p, s, m1, m2, known1, known2)
+        if segments is not None:
+            first, mass, loose = _first_edge(
+                c, segments[segment, 14], segments[segment, 15], crossed, first, mass, loose
+            )
         t = min(first, 1.0)
         taped = row + steps - 1
         if taped < tape.shape[0]:
             tape[taped, 0], tape[taped, 1], tape[taped, 2], tape[taped, 3] = part, t * step, m1, m2
             tape[taped, 4], tape[taped, 5], tape[taped, 6], tape[taped, 7] = x0, x1, x2, x3
-            tape[taped, 8], tape[taped, 9] = -1.0, 0.0
+            tape[taped, 8], tape[taped, 9], tape[taped, 10] = -1.0, 0.0, segment
         back1, back2 = loose1, loose2  # came loose, and is pushed back at once
         if t > 0.0:
             x0, x1, x2, x3 = _value(c, 0, t), _value(c, 1, t), _value(c, 2, t), _value(c, 3, t)
             done = h if pieces == 1 and t == 1.0 else done + t * step
             known1, known2 = 0, 0
             back1, back2 = False, False
-        if first <= 1.0:
+            crossed = 0
+        if segments is not None and first <= 1.0 and mass == _EDGE:
+            segment, crossed = segment + loose, -loose
+            p, _ = _drive_of(segments, segment)
+            # The damper may act in one of both segments only, and its push begins at once.
+            if m1 == 0:
+                m1 = _settled(p, (x0, x1, x2, x3), s, 0)
+                known1 = 1 if m1 != 0 else known1
+            if m2 == 0:
+                m2 = _settled(p, (x0, x1, x2, x3), s, 1)
+                known2 = 1 if m2 != 0 else known2
+            if taped < tape.shape[0]:
+                tape[taped, 8], tape[taped, 9] = _EDGE, 9 * segment + 3 * m1 + m2 + 4
+            events = events + 1 if events < _EVENTS else -1
+        elif first <= 1.0:
             stopped = (m1 != 0 and not back1) if mass == 0 else (m2 != 0 and not back2)
             if mass == 0:
                 if stopped:
@@ -554,7 +610,32 @@ def _travel(
             if stopped and taped < tape.shape[0]:
                 tape[taped, 8], tape[taped, 9] = mass, m1 if mass == 0 else m2
             events = events + 1 if events < _EVENTS else -1
-    return (x0, x1, x2, x3), m1, m2, events, steps
+    return (x0, x1, x2, x3), m1, m2, events, steps, segment
+
+
+@inlined
+def _first_edge(
+    c: FloatArray, low: float, high: float, crossed: int, first: float, mass: int, loose: int
+) -> tuple[float, int, int]:
+    """Return the first event as `_first_event` does, where the deflection may reach an edge of its segment before it.
+
+    Where it came over an edge a moment ago (`crossed`), that root is divided out.
+    """
+    for side in (-1, 1):
+        edge = low if side < 0 else high
+        if abs(edge) == math.inf:
+            continue
+        for i in range(_ORDER + 1):
+            c[_SOUGHT, i] = -side * (c[2, i] - c[0, i])
+        c[_SOUGHT, 0] += side * edge
+        if crossed == side:
+            for i in range(_ORDER):
+                c[_SOUGHT, i] = c[_SOUGHT, i + 1]
+            c[_SOUGHT, _ORDER] = 0.0
+        moment = _first_root(c)
+        if moment < first:
+            first, mass, loose = moment, _EDGE, side
+    return first, mass, loose
 
 
 @inlined
@@ -669,6 +750,7 @@ def _rest(
 def _glide(
     resting: bool, p: _Drive, law: _Law, w: FloatArray, post: FloatArray, u: FloatArray, states: FloatArray,
     m: FloatArray, b: int, m1: int, m2: int, z: tuple[float, float], x: State, bound: float, last: float, k: int,
+    edges: _Segment | None, reach: float,
 ) -> tuple[int, int, State, tuple[float, float]]:  # fmt: skip
     """Simulate from period `k` while a chord shows that nothing happens; `resting` if one mass stands still.
 
@@ -721,6 +803,8 @@ def _glide(
                 room2 = 1e-300 + min(p.coulomb2 + (p.offset2 + least), p.coulomb2_back - (p.offset2 + most))
         if not (room1 > chord1 * bound and room2 > chord2 * bound):
             break
+        if edges is not None and not _within(edges, reach, stretch, y2 - y0, bound):
+            break
         x0, x1, x2, x3 = y0, y1, y2, y3
         stretch = y2 - y0
         k += 1
@@ -747,6 +831,7 @@ def run(
     tape: FloatArray,
     counts: IntArray,
     gravity: FloatArray | None = None,
+    segments: FloatArray | None = None,
 ) -> int:
     """Simulate one loop; fill `u`, `tapped`, `excess`, `states`, `modes` and `tape` and return how it ended.
 
@@ -767,23 +852,33 @@ def run(
         excess: (periods, elements) out, what limits and gates took away; or (0, elements). Not of a law of one limit,
             at most two states and one phase, where `u` says it.
         states: (periods * parts, 4) out, states at the start of every part; or (0, 4).
-        modes: (periods * parts,) out, ``3 m1 + m2 + 4`` of the modes every part began in; empty when `states` is.
+        modes: (periods * parts,) out, ``3 m1 + m2 + 4`` of the modes every part began in, and 9 for each segment of
+            the spring below the one it began in; empty when `states` is.
         tape: (rows, TAPE) out, the Taylor steps of the parts with events; their number is counted beyond the rows, too.
         counts: (4,) out: events, Taylor steps, periods simulated, periods at the limit.
         gravity: (5,) factors of the cosine and the sine of an angle, and of the position; the angle per position; 1 if
             it is the load's, whose spring then holds it, and 0 if it is the motor's. Where there is none the compiler
             leaves out all that it would take.
+        segments: (segments, 16) of a spring in pieces, by rising deflection: the coefficients of the drive in each, and
+            where it begins and ends; `drive` is not read then. None of a linear spring, and not beside gravity.
     """
     n, parts, nz = w.shape[1], lengths.size, z.size
     p = _Drive(
         drive[0], drive[1], drive[2], drive[3], drive[4], drive[5], drive[6],
         drive[7], drive[8], drive[9], drive[10], drive[11], drive[12], drive[13],
     )  # fmt: skip
-    longest = _STEP / _fastest_rate(p)
+    fastest, count, segment, edges, reach = _fastest_rate(p), 1, 0, None, 0.0
+    if segments is not None:
+        count, reach = segments.shape[0], _reach(segments, np.max(lengths))
+        for i in range(count):
+            fastest = max(fastest, _fastest_rate(_drive_of(segments, i)[0]))
+            segment = i if x[2] - x[0] >= segments[i, 14] else segment
+        p, edges = _drive_of(segments, segment)
+    longest = _STEP / fastest
     if np.max(lengths) > _PIECES * longest:
         return TOO_STIFF
-    maps = np.empty(parts * 9 * _MAP)
-    filled = np.zeros(9, dtype=np.bool_)
+    maps = np.empty(parts * 9 * count * _MAP)
+    filled = np.zeros(9 * count, dtype=np.bool_)
     c = np.empty((_STACK + _DEPTH, _ORDER + 3))
     new, raw, cut = np.empty(nz), np.zeros(w.shape[0]), np.zeros(w.shape[0])
     x0, x1, x2, x3 = x[0], x[1], x[2], x[3]
@@ -806,19 +901,21 @@ def run(
     while k < n and status == FINISHED:
         if simple:
             start, begun = (x0, x1, x2, x3), k
-            mode = 3 * m1 + m2 + 4
+            mode = 9 * segment + 3 * m1 + m2 + 4
             b = mode * _MAP
             if not filled[mode]:
                 filled[mode] = True
                 _fill_map(maps, b, p, m1, m2, lengths[0])
             if m1 != 0 and m2 != 0:
                 k, limited, start, memory = _glide(
-                    False, p, law, sole, post, u, states, maps, b, m1, m2, memory, start, bound, last, k
-                )
+                    False, p, law, sole, post, u, states, maps, b, m1, m2, memory, start, bound, last, k,
+                    edges, reach,
+                )  # fmt: skip
             elif m1 != 0 or m2 != 0:
                 k, limited, start, memory = _glide(
-                    True, p, law, sole, post, u, states, maps, b, m1, m2, memory, start, bound, last, k
-                )
+                    True, p, law, sole, post, u, states, maps, b, m1, m2, memory, start, bound, last, k,
+                    edges, reach,
+                )  # fmt: skip
             else:
                 k, limited, start, memory = _rest(p, law, sole, post, u, states, memory, start, k)
             x0, x1, x2, x3 = start
@@ -859,14 +956,14 @@ def run(
                 m1 = _settled(p, (x0, x1, x2, x3), s, 0)
             if x3 == 0.0:
                 m2 = _settled(p, (x0, x1, x2, x3), s, 1)
-            mode = 3 * m1 + m2 + 4
+            mode = 9 * segment + 3 * m1 + m2 + 4
             if keep:
                 modes[k * parts + part] = mode
             if not filled[mode]:
                 filled[mode] = True
                 for other in range(parts):
-                    _fill_map(maps, (9 * other + mode) * _MAP, p, m1, m2, lengths[other])
-            b = (9 * part + mode) * _MAP
+                    _fill_map(maps, (9 * count * other + mode) * _MAP, p, m1, m2, lengths[other])
+            b = (9 * count * part + mode) * _MAP
             y0, y1, y2, y3 = x0, 0.0, x2, 0.0
             for column, size in enumerate((x1, x2 - x0, x3, s, 1.0)):
                 at = b + 4 * column
@@ -877,13 +974,18 @@ def run(
             calm, bound = _calm(
                 p, f, maps[b + 20], maps[b + 21], (x0, x1, x2, x3), (y0, y1, y2, y3), s, m1, m2, lengths[part]
             )
+            if segments is not None and edges is not None:
+                calm = calm and _within(edges, reach, x2 - x0, y2 - y0, bound)
             if calm:
                 x0, x1, x2, x3 = y0, y1, y2, y3
             else:
                 bound = np.inf
-                (x0, x1, x2, x3), m1, m2, found, used = _travel(
-                    c, p, (x0, x1, x2, x3), m1, m2, s, lengths[part], longest, tape, steps, k * parts + part
-                )
+                (x0, x1, x2, x3), m1, m2, found, used, segment = _travel(
+                    c, p, (x0, x1, x2, x3), m1, m2, s, lengths[part], longest, tape, steps, k * parts + part,
+                    segments, segment,
+                )  # fmt: skip
+                if segments is not None:
+                    p, edges = _drive_of(segments, segment)
                 events += max(found, 0)
                 steps += used
                 if found < 0:

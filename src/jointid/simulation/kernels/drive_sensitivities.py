@@ -9,7 +9,9 @@ by Taylor series). At an event:
   where the mass turns round, 0 where it sticks (the time of the event moves, and the slopes differ on its two sides);
 - where a mass comes loose nothing changes, since its acceleration begins at zero; where a step of the torque tears it
   loose, the time is the controller's and does not move;
-- a delay moves the edges of the torque, so each edge kicks the velocity by the difference of the accelerations.
+- a delay moves the edges of the torque, so each edge kicks the velocity by the difference of the accelerations;
+- where the deflection of a spring in pieces comes over an edge the force goes on where it was, and nothing changes,
+  but that of a damper that acts on one side of the edge only: it kicks the velocities as the time of the event moves.
 
 Everything called from `follow` lives in this file but `wide_vectors`, because the compiler's cache on disk does not
 notice edits in another one. All that the loop over the periods goes on from is one array, with rows of a constant
@@ -40,6 +42,7 @@ _INPUTS = 5  # of a map: motor velocity, stretch, load velocity, torque, constan
 _NOTHING = (
     1e-200  # what falls below it is 0: near the smallest numbers there are, many machines are a hundred times slower
 )
+_EDGE = 2  # on the tape, of the spring's segment, where the index of a mass may stand
 _OFTEN = 64  # periods after which that is looked for
 _WIDE = 4 * LANES  # of the derivatives of a state
 _FACTOR = np.array([1.0 / math.factorial(i) for i in range(_ORDER + 1)])
@@ -230,14 +233,14 @@ def _glide(
 
 @inlined
 def _rest(
-    q: FloatArray, law: _Law, k: int, end: int, limit: float, modes: NDArray[np.int8], u: FloatArray,
+    q: FloatArray, law: _Law, mode: int, k: int, end: int, limit: float, modes: NDArray[np.int8], u: FloatArray,
     explicit: FloatArray, first_explicit: int, du: FloatArray,
 ) -> int:  # fmt: skip
     """Do what `_glide` does while both masses are at rest: the law alone goes on."""
     wide_vectors()
     for j in range(LANES):  # a velocity that was not let begin, as the first may be, does not come back
         q[_S + LANES + j], q[_S + 3 * LANES + j] = 0.0, 0.0
-    while k < end and modes[k] == _AT_REST and abs(u[k]) < limit:
+    while k < end and modes[k] == mode and abs(u[k]) < limit:
         at = np.uint64(k)
         for i in range(explicit.shape[2]):
             q[_EXPLICIT + first_explicit + i] = explicit[at, 0, i]
@@ -259,17 +262,22 @@ def _acceleration(side: FloatArray, mass: int, m: int, force: float, v: float) -
 
 @compiled
 def _through_events(
-    q: FloatArray, part: int, row: int, s: float, tape: FloatArray, rows: int, spring: FloatArray, side: FloatArray,
-    dside: FloatArray,
+    q: FloatArray, part: int, row: int, s: float, tape: FloatArray, rows: int, drives: FloatArray, seeds: FloatArray,
+    sides: FloatArray, dsides: FloatArray,
 ) -> int:  # fmt: skip
     """Move the derivatives through the pieces of a part with events, from a row of the tape; return the next row."""
     while row < rows and tape[row, 0] == part:
+        now = int(tape[row, 10])
+        spring, side, dside = drives[now, 2:4], sides[now], dsides[now]
+        _take(q, seeds, now)
         one, two = int(tape[row, 2]) + 1, int(tape[row, 3]) + 1
         motion = tape[row, 4], tape[row, 5], tape[row, 6] - tape[row, 4], tape[row, 6], tape[row, 7]
         if tape[row, 1] > 0.0:
             motion = _propagate(q, tape[row, 1], 3 * one + two, 1.0, s, motion, spring, side, dside)
         mass = int(tape[row, 8])
-        if mass >= 0:
+        if mass == _EDGE:
+            _over_edge(q, drives, seeds, side, sides, now, int(tape[row, 9]), one, two, s, motion)
+        elif mass >= 0:
             _, v1, stretch, _, v2 = motion
             force = spring[0] * stretch + spring[1] * (v2 - v1)
             push, v, m = (s + force, v1, one) if mass == 0 else (-force, v2, two)
@@ -282,6 +290,40 @@ def _through_events(
                 q[at + j] *= ratio
         row += 1
     return row
+
+
+@inlined
+def _take(q: FloatArray, seeds: FloatArray, segment: int) -> None:
+    """Write the derivatives of stiffness and damping in a segment of the spring where the maps are made."""
+    for i in range(2):
+        for j in range(LANES):
+            q[_SPRING + i * LANES + j] = seeds[segment, 2 + i, j]
+
+
+@inlined
+def _over_edge(
+    q: FloatArray, drives: FloatArray, seeds: FloatArray, side: FloatArray, sides: FloatArray, now: int, code: int,
+    one: int, two: int, s: float, motion: Motion,
+) -> None:  # fmt: skip
+    """Kick the derivatives of the velocities where the deflection comes over an edge, for a damper that begins there.
+
+    The event comes later by what the deflection lacks, over its rate; until then the accelerations are those before.
+    """
+    then, mode = code // 9, code % 9
+    edge = 15 if then > now else 14
+    _, v1, stretch, _, v2 = motion
+    apart, change = v2 - v1, drives[then, 3] - drives[now, 3]
+    kicks = change * side[0, 0, one], -change * side[1, 0, two]  # of the acceleration, over the deflection's rate
+    if apart != 0.0 and mode != 3 * one + two:  # what was held comes loose under the damper's push
+        force = drives[then, 2] * stretch + drives[then, 3] * apart
+        if mode // 3 != one:
+            kicks = _acceleration(sides[then], 0, mode // 3, s + force, v1) / apart, kicks[1]
+        if mode % 3 != two:
+            kicks = kicks[0], _acceleration(sides[then], 1, mode % 3, -force, v2) / apart
+    for j in range(LANES):
+        lead = (q[_S + 2 * LANES + j] - q[_S + j]) - seeds[now, edge, j]
+        q[_S + LANES + j] += kicks[0] * lead
+        q[_S + 3 * LANES + j] += kicks[1] * lead
 
 
 @inlined
@@ -418,6 +460,16 @@ def _by_mode(drive: FloatArray, seeds: FloatArray) -> tuple[FloatArray, FloatArr
 
 
 @inlined
+def _rate(drive: FloatArray, side: FloatArray) -> float:
+    """Bound in 1/s on how fast a drive's own motion can change."""
+    inverse1, inverse2 = side[0, 0, 2], side[1, 0, 2]
+    rate = math.sqrt(drive[2] * (inverse1 + inverse2)) + drive[3] * (inverse1 + inverse2)
+    rate += max(abs(side[0, 1, 0]), abs(side[0, 1, 2])) * inverse1
+    rate += max(abs(side[1, 1, 0]), abs(side[1, 1, 2])) * inverse2
+    return rate
+
+
+@inlined
 def _aligned(size: int) -> FloatArray:
     """Return so many zeros that begin with a line of the cache, as every row of a wide vector then does."""
     room = np.zeros(size + _LINE)
@@ -451,6 +503,8 @@ def follow(
     dstates: FloatArray,
     gravity: FloatArray | None = None,
     dgravity: FloatArray | None = None,
+    segments: FloatArray | None = None,
+    dsegments: FloatArray | None = None,
 ) -> None:
     """Fill `du` with LANES columns of derivatives of a finished run's output, and `dstates` with those of its states.
 
@@ -463,25 +517,33 @@ def follow(
     parameters of columns `first_explicit` and on, with the motor position and what limits and gates take away held.
 
     `du` is (columns, periods), `dstates` (periods * parts, 4, columns), at the start of every part, or (0, 4, columns).
-    Of a drive in gravity, `dgravity` (3, columns) are the derivatives of the first of `gravity`.
+    Of a drive in gravity, `dgravity` (3, columns) are the derivatives of the first of `gravity`. Of a spring in pieces,
+    `segments` is as in `kernels.run`, and `dsegments` (segments, 16, columns) their derivatives; `drive` and `seeds`
+    are not read then.
     """
     wide_vectors()
     n, parts, nz, elements = u.size, lengths.size, feedback.A.shape[1], feedback.limits.size
-    spring, (side, dside) = drive[2:4], _by_mode(drive, seeds)
-    inverse1, inverse2 = side[0, 0, 2], side[1, 0, 2]
-    rate = math.sqrt(spring[0] * (inverse1 + inverse2)) + spring[1] * (inverse1 + inverse2)
-    rate += max(abs(side[0, 1, 0]), abs(side[0, 1, 2])) * inverse1
-    rate += max(abs(side[1, 1, 0]), abs(side[1, 1, 2])) * inverse2
-    phi = np.empty((9 * parts, 4 * _INPUTS))
-    M = _aligned(9 * parts * _INPUTS * _WIDE).reshape((9 * parts, _INPUTS * _WIDE))
-    filled = np.zeros(9 * parts, dtype=np.bool_)
+    if segments is not None and dsegments is not None:
+        drives, dseeds = segments, dsegments
+    else:
+        drives, dseeds = drive.reshape((1, drive.size)), seeds.reshape((1, drive.size, LANES))
+    count, now = drives.shape[0], 0
+    sides, dsides = np.empty((count, 2, 3, 3)), np.empty((count, 2, 2, 3, LANES))
+    rate = 0.0
+    for i in range(count):
+        sides[i], dsides[i] = _by_mode(drives[i], dseeds[i])
+        rate = max(rate, _rate(drives[i], sides[i]))
+    spring, side, dside = drives[0, 2:4], sides[0], dsides[0]
+    phi = np.empty((9 * count * parts, 4 * _INPUTS))
+    M = _aligned(9 * count * parts * _INPUTS * _WIDE).reshape((9 * count * parts, _INPUTS * _WIDE))
+    filled = np.zeros(9 * count * parts, dtype=np.bool_)
     q, scratch, z = _aligned(_ROWS), _aligned(_ROWS), np.zeros((2 * nz, LANES))
     e = np.zeros((elements, LANES))
     for one in (q, scratch):
+        _take(one, dseeds, 0)
         for j in range(LANES):
             for i in range(2):
-                one[_SPRING + i * LANES + j] = seeds[2 + i, j]
-                one[_INERTIA + i * LANES + j] = seeds[i, j] / drive[i]
+                one[_INERTIA + i * LANES + j] = dseeds[0, i, j] / drives[0, i]
     q[_S : _S + _WIDE] = S.reshape(-1)
     z[:nz] = Z
     small = nz <= 2 and feedback.D.size == 1  # one phase, one element
@@ -509,15 +571,19 @@ def follow(
                 q[_Z + i] = q[_Z + i] if abs(q[_Z + i]) > _NOTHING else 0.0
         if plain and abs(u[k]) < limit and (row >= rows or tape[row, 0] > k):
             mode = int(modes[k])
+            if segments is not None and mode // 9 != now:
+                now = mode // 9
+                spring, side, dside = drives[now, 2:4], sides[now], dsides[now]
             end = min(k - k % _OFTEN + _OFTEN, n)
             if row < rows:
                 end = min(end, int(tape[row, 0]))
-            if mode == _AT_REST:
-                k = _rest(q, law, k, end, limit, modes, u, explicit, first_explicit, du)
+            if mode - 9 * now == _AT_REST:
+                k = _rest(q, law, mode, k, end, limit, modes, u, explicit, first_explicit, du)
                 continue
             if not filled[mode]:
                 filled[mode] = True
-                _fill(scratch, lengths[0], rate, mode, mode, phi, M, spring, side, dside)
+                _take(scratch, dseeds, now)
+                _fill(scratch, lengths[0], rate, mode - 9 * now, mode, phi, M, spring, side, dside)
             k = _glide(q, law, phi, M, mode, k, end, limit, states, modes, u, post, explicit, first_explicit, du)
             continue
         if small:
@@ -531,6 +597,9 @@ def follow(
             at = k * parts + part
             x0, x1, x2, x3 = states[at, 0], states[at, 1], states[at, 2], states[at, 3]
             mode = int(modes[at])
+            if segments is not None and mode // 9 != now:
+                now = mode // 9
+                spring, side, dside = drives[now, 2:4], sides[now], dsides[now]
             source = k - lags[part]
             s = u[source] + post[source] if source >= 0 else before
             origin = np.uint64(max(source, 0))
@@ -552,17 +621,18 @@ def follow(
                 force = spring[0] * (x2 - x0) + spring[1] * (x3 - x1) - pull
                 was = 1 + (1 if x1 > 0.0 else (-1 if x1 < 0.0 else 0))
                 kick = _acceleration(side, 0, was, last + force, x1)
-                kick -= _acceleration(side, 0, mode // 3, acting + force, x1)
+                kick -= _acceleration(side, 0, (mode - 9 * now) // 3, acting + force, x1)
                 for j in range(LANES):
                     q[_S + LANES + j] += kick * ddelay[j]
             last = acting
             if row < rows and tape[row, 0] == at:
-                row = _through_events(q, at, row, s, tape, rows, spring, side, dside)
+                row = _through_events(q, at, row, s, tape, rows, drives, dseeds, sides, dsides)
             else:
-                b = 9 * part + mode
+                b = 9 * count * part + mode
                 if not filled[b]:
                     filled[b] = True
-                    _fill(scratch, lengths[part], rate, mode, b, phi, M, spring, side, dside)
+                    _take(scratch, dseeds, now)
+                    _fill(scratch, lengths[part], rate, mode - 9 * now, b, phi, M, spring, side, dside)
                 _step(q, phi, M, b, x1, x2 - x0, x3, s)
             if gravity is not None and dgravity is not None:
                 for j in range(LANES):

@@ -1,0 +1,235 @@
+"""Springs of a flexible joint: linear, or in pieces between which the torque goes on where it was.
+
+A law states the pieces of one side of its torque over the deflection; the other side is the same, turned round::
+
+    torque(e) = sign(e) (T + K (|e| - e0))      from the deflection e0, where the piece begins with the torque T
+
+Being affine in each piece lets the simulation be exact: between two edges the drive is linear (`simulation.kernels`).
+Makers of strain-wave gears state three: K1 up to the torque T1, K2 up to T2, then K3 (Harmonic Drive SE, Engineering
+data, torsional stiffness). Backlash is a first piece without any stiffness. To add a law, write its class below, and
+its name in `SPRINGS`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.parameters import Parameter, Quantity
+
+_DAMPING = Parameter("damping", "F12", Quantity.VISCOUS, lower=0.0)
+_SHARES = (0.1, 0.3)  # of the largest wind-up, from which a search for half the gap begins
+_SOFTER, _STIFFER = 0.7, 1.3  # first and last piece at the start of a search, over the linear spring's stiffness
+
+
+class Piece(NamedTuple):
+    """One piece of a spring: the deflection and the torque it begins at, its stiffness, and the damping beside it."""
+
+    deflection: float
+    torque: float
+    stiffness: float
+    damping: float
+
+
+@dataclass(frozen=True, slots=True)
+class Spring:
+    """The law of a joint's spring; it is frozen, as a joint is looked up by what it is made of.
+
+    Each has the parameters ``stiffness``, of its first piece that has one, and ``damping``, of the damper beside it.
+
+    Attributes:
+        name: in the joint file and the JSON answers.
+        label: on the web page.
+    """
+
+    name: ClassVar[str]
+    label: ClassVar[str]
+
+    @property
+    def linear(self) -> bool:
+        """True if the spring is one piece."""
+        return isinstance(self, LinearSpring)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Stiffness first, damping last."""
+        raise NotImplementedError
+
+    def pieces(self, values: Mapping[str, float]) -> tuple[Piece, ...]:
+        """Return the pieces of one side, by rising deflection; the first begins at 0, with no torque."""
+        raise NotImplementedError
+
+    def starts(self, stiffness: float, windup: float) -> Iterator[dict[str, float]]:
+        """Yield values of all but the damping from which a search may begin, beside a linear spring's.
+
+        Args:
+            stiffness: of the linear spring that fits best.
+            windup: the largest deflection of that.
+        """
+        raise NotImplementedError
+
+    def describe(self, shown: Mapping[str, str]) -> str:
+        """Return the spring in words, from what is shown of all its parameters but the damping."""
+        raise NotImplementedError
+
+    def deflection(self, values: Mapping[str, float], torque: float) -> float:
+        """Return the deflection under a constant torque; 0 under none."""
+        size, found = abs(torque), 0.0
+        if size == 0.0:
+            return 0.0
+        for piece in self.pieces(values):
+            if size >= piece.torque:
+                found = piece.deflection + ((size - piece.torque) / piece.stiffness if piece.stiffness > 0.0 else 0.0)
+        return math.copysign(found, torque)
+
+    def torque(self, values: Mapping[str, float], deflection: FloatArray, velocity: FloatArray) -> FloatArray:
+        """Return the torque of spring and damper, (samples,), at deflections and their rates, (samples,)."""
+        pieces, size = self.pieces(values), np.abs(deflection)
+        at = np.searchsorted([piece.deflection for piece in pieces[1:]], size, side="right")
+        begin, torque, stiffness, damping = np.array(pieces).T[:, at]
+        return np.asarray(np.sign(deflection) * (torque + stiffness * (size - begin)) + damping * velocity)
+
+
+@dataclass(frozen=True, slots=True)
+class LinearSpring(Spring):
+    """A spring whose torque is ``K12 e``, (2) of the paper."""
+
+    name = "linear"
+    label = "linear"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Stiffness and damping."""
+        return (Parameter("stiffness", "K12", Quantity.STIFFNESS, lower=0.0), _DAMPING)
+
+    def pieces(self, values: Mapping[str, float]) -> tuple[Piece, ...]:
+        """Return the one piece there is."""
+        return (Piece(0.0, 0.0, values["stiffness"], values["damping"]),)
+
+    def starts(self, stiffness: float, windup: float) -> Iterator[dict[str, float]]:
+        """Yield the stiffness itself."""
+        yield {"stiffness": stiffness}
+
+    def describe(self, shown: Mapping[str, str]) -> str:
+        """Return the stiffness."""
+        return shown["stiffness"]
+
+
+@dataclass(frozen=True, slots=True)
+class PiecewiseSpring(Spring):
+    """A spring in pieces, each with a stiffness, that end at given torques; its damper acts in all of them.
+
+    Attributes:
+        count: of its pieces.
+    """
+
+    count: ClassVar[int]
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """K1, K2, ..., then T1, T2, ..., then the damping."""
+        numbers = range(1, self.count + 1)
+        stiffnesses = [
+            Parameter("stiffness" if i == 1 else f"stiffness_{i}", f"K{i}", Quantity.STIFFNESS, lower=0.0)
+            for i in numbers
+        ]
+        torques = [Parameter(f"torque_{i}", f"T{i}", Quantity.FORCE, lower=0.0) for i in numbers[:-1]]
+        return (*stiffnesses, *torques, _DAMPING)
+
+    def pieces(self, values: Mapping[str, float]) -> tuple[Piece, ...]:
+        """Return the pieces; one without a stiffness never ends."""
+        found, deflection, before = [], 0.0, 0.0
+        for i in range(1, self.count + 1):
+            stiffness = values["stiffness" if i == 1 else f"stiffness_{i}"]
+            found.append(Piece(deflection, before, stiffness, values["damping"]))
+            if i < self.count:
+                torque = values[f"torque_{i}"]
+                deflection = deflection + (torque - before) / stiffness if stiffness else math.inf
+                before = torque
+        return tuple(found)
+
+    def starts(self, stiffness: float, windup: float) -> Iterator[dict[str, float]]:
+        """Yield a spring that grows stiffer, and one that grows softer, in equal parts of the largest torque."""
+        names = [p.name for p in self.parameters[:-1]]
+        torques = [stiffness * windup * i / self.count for i in range(1, self.count)]
+        for shares in ((_SOFTER, _STIFFER), (_STIFFER, _SOFTER)):
+            yield dict(zip(names, [*(stiffness * np.linspace(*shares, self.count)), *torques], strict=True))
+
+    def describe(self, shown: Mapping[str, str]) -> str:
+        """Return each stiffness and up to which torque it is."""
+        names = [p.name for p in self.parameters[:-1]]
+        stiffnesses, torques = names[: self.count], names[self.count :]
+        pieces = [f"{shown[k]} up to {shown[t]}" for k, t in zip(stiffnesses, torques, strict=False)]
+        return ", ".join([*pieces, f"{shown[stiffnesses[-1]]} above"])
+
+
+@dataclass(frozen=True, slots=True)
+class TwoPieceSpring(PiecewiseSpring):
+    """A spring of stiffness K1 up to the torque T1, and K2 above."""
+
+    name = "two-piece"
+    label = "of two stiffnesses"
+    count = 2
+
+
+@dataclass(frozen=True, slots=True)
+class ThreePieceSpring(PiecewiseSpring):
+    """A spring of stiffness K1 up to the torque T1, K2 up to T2, and K3 above: a strain-wave gear's."""
+
+    name = "three-piece"
+    label = "of three stiffnesses"
+    count = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Backlash(Spring):
+    """A linear spring behind a gap: it carries no torque, and nothing damps, until half the gap is taken up.
+
+    ``torque = K12 (|e| - gap / 2) sign(e) + F12 e'`` where ``|e| > gap / 2``, else 0. The gap is that between the
+    flanks, from one contact to the other.
+    """
+
+    name = "backlash"
+    label = "linear, behind a gap"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Stiffness in contact, gap, damping."""
+        stiffness = Parameter("stiffness", "K12", Quantity.STIFFNESS, lower=0.0)
+        return (stiffness, Parameter("gap", "gap", Quantity.POSITION, lower=0.0), _DAMPING)
+
+    def pieces(self, values: Mapping[str, float]) -> tuple[Piece, ...]:
+        """Return the gap and the spring behind it."""
+        return Piece(0.0, 0.0, 0.0, 0.0), Piece(0.5 * values["gap"], 0.0, values["stiffness"], values["damping"])
+
+    def starts(self, stiffness: float, windup: float) -> Iterator[dict[str, float]]:
+        """Yield gaps of a part of the deflection; the spring alone is stiffer by that."""
+        for share in _SHARES:
+            yield {"stiffness": stiffness / (1 - share), "gap": 2 * share * windup}
+
+    def describe(self, shown: Mapping[str, str]) -> str:
+        """Return the stiffness and the gap before it."""
+        return f"{shown['stiffness']} behind a gap of {shown['gap']}"
+
+
+SPRINGS: Mapping[str, type[Spring]] = {
+    law.name: law for law in (LinearSpring, TwoPieceSpring, ThreePieceSpring, Backlash)
+}
+"""Every law of a spring by its name in the joint file."""
+
+
+def spring_named(name: str) -> Spring:
+    """Return the law of a spring of that name.
+
+    Raises:
+        MethodError: it is not known.
+    """
+    if name not in SPRINGS:
+        raise MethodError(f'Spring "{name}" is not known; use {", ".join(SPRINGS)}.')
+    return SPRINGS[name]()

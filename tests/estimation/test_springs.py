@@ -1,0 +1,135 @@
+"""Springs in pieces, identified from torque and reference; and where they are refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import jointid as ji
+from jointid.common.errors import MethodError
+from jointid.config import dumps, loads
+from jointid.estimation.identify import identify
+from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.result.summary import settings_facts
+from jointid.models.joints import ClosedLoop, FlexibleJoint
+from jointid.models.springs import SPRINGS, Backlash, Spring, ThreePieceSpring, TwoPieceSpring
+from jointid.simulation.closed_loop import simulate
+from jointid.simulation.loop_input import prepare
+from jointid.simulation.prescribed import DriveSide
+from studies.mechanics import Spoiled, spoiled
+from tests.joint_files import FLEXIBLE, SMALLEST, faults
+from tests.plants import prismatic
+
+
+def with_spring(loop: ClosedLoop, spring: Spring) -> ClosedLoop:
+    assert isinstance(loop.joint, FlexibleJoint)
+    return replace(loop, joint=replace(loop.joint, spring=spring))
+
+
+@pytest.fixture(scope="module")
+def gapped() -> tuple[ji.Estimate, dict[str, float]]:
+    """A drive with a gap of 0.6 of the largest wind-up, 2 % of noise on its log: what is found, and what it has."""
+    case = prismatic(1)
+    samples = 4000
+    cut = {name: replace(channel, values=channel.values[:samples]) for name, channel in case.clean.items()}
+    injected = case.clean.injected
+    assert injected is not None
+    cut_injected = replace(injected, channel=cut.pop("injected"))
+    clean = replace(case.clean, **cut, injected=cut_injected)
+    loop = with_spring(case.loop, Backlash())
+    run = simulate(case.loop, prepare(case.loop, clean), case.truth)
+    assert run.load_position is not None
+    truth = case.truth | {"gap": 0.6 * float(np.max(np.abs(run.motor_position - run.load_position)))}
+    torque = simulate(loop, prepare(loop, clean), truth).torque
+    noise = 0.02 * np.std(torque) * np.random.default_rng(1).standard_normal(samples)
+    assert clean.torque is not None
+    record = replace(clean, torque=replace(clean.torque, values=torque + noise))
+    method = ji.FlexibleDIDIM(frequency=case.mode)
+    return identify(record, loop, method), truth
+
+
+def test_a_gap_is_found_with_the_stiffness_behind_it(gapped: tuple[ji.Estimate, dict[str, float]]) -> None:
+    found, truth = gapped
+    for name in ("stiffness", "gap", "load_inertia", "motor_inertia"):
+        row = found[name]
+        assert row.value is not None
+        assert row.stderr is not None
+        assert abs(row.value - truth[name]) < 3 * row.stderr, name
+        assert row.stderr < 0.05 * row.value, name
+
+
+def test_the_first_line_and_the_answer_say_what_spring_it_is(gapped: tuple[ji.Estimate, dict[str, float]]) -> None:
+    found, _ = gapped
+    assert " N/m behind a gap of " in found.sentence
+    assert found["gap"].unit == "m"
+    assert found.to_dict()["spring"] == "backlash"
+    assert ("Model", "flexible, symmetric friction, backlash spring") in settings_facts(found).pairs
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("fault", "spring", "seed"), [("backlash", Backlash(), 0), ("spring in pieces", ThreePieceSpring(), 0)]
+)
+def test_recovers_the_spring_of_another_simulator(fault: str, spring: Spring, seed: int) -> None:
+    made = spoiled(seed, fault, 8.0)
+    assert made is not None
+    linear = identify(made.record, made.axis.loop)
+    found = identify(made.record, with_spring(made.axis.loop, spring))
+    truth = of_pieces(made, spring)
+    for name, value in truth.items():
+        row = found[name]
+        assert row.value is not None
+        assert row.stderr is not None
+        assert abs(row.value - value) < 3 * row.stderr, name
+    off = linear["stiffness"].value
+    assert off is not None
+    assert abs(off / truth["stiffness"] - 1) > 0.2
+    assert found.fit.filtered_error < 0.3 * linear.fit.filtered_error
+
+
+def of_pieces(made: Spoiled, spring: Spring) -> dict[str, float]:
+    """The parameters of the spring that a drive of the study has."""
+    truth = made.truth
+    K = truth["stiffness"]
+    if isinstance(spring, Backlash):
+        return {"stiffness": K, "gap": 2 * truth["gap"]}
+    second, torque = K + truth["more"], K * truth["bend"]
+    then = torque + second * (truth["next_bend"] - truth["bend"])
+    third = second + truth["still_more"]
+    return {"stiffness": K, "stiffness_2": second, "stiffness_3": third, "torque_1": torque, "torque_2": then}
+
+
+@pytest.mark.parametrize("name", SPRINGS)
+def test_the_joint_file_names_the_spring(name: str) -> None:
+    file = loads(FLEXIBLE.replace('"flexible"\n', f'"flexible"\nspring = "{name}"\n'))
+    assert isinstance(file.joint, FlexibleJoint)
+    assert file.joint.spring == SPRINGS[name]()
+    again = loads(dumps(file))
+    assert again.joint == file.joint
+
+
+def test_the_joint_file_refuses_what_no_joint_has() -> None:
+    rigid = SMALLEST.replace('"prismatic"\n', '"prismatic"\nspring = "backlash"\n', 1)
+    assert any("a rigid joint has no spring" in fault for fault in faults(rigid))
+    cubic = FLEXIBLE.replace('"flexible"\n', '"flexible"\nspring = "cubic"\n')
+    assert any("use linear, two-piece, three-piece, backlash" in fault for fault in faults(cubic))
+    gap = FLEXIBLE + "[parameters.gap]\nstart = 0.1\n"
+    assert any('set joint.spring = "backlash"' in fault for fault in faults(gap))
+
+
+def test_what_takes_the_spring_for_linear_refuses_another(gapped: tuple[ji.Estimate, dict[str, float]]) -> None:
+    found, _ = gapped
+    joint = FlexibleJoint(spring=TwoPieceSpring())
+    with pytest.raises(MethodError, match="The drive side takes the spring for linear"):
+        DriveSide(joint)
+    record = prismatic(0).clean
+    with pytest.raises(MethodError, match="IDIM takes the spring for linear"):
+        identify(record, joint, IDIM())
+    with pytest.raises(MethodError, match="Nelder-Mead takes the spring for linear"):
+        identify(record, with_spring(prismatic(0).loop, Backlash()), ji.FlexibleDIDIM.paper())
+    with pytest.raises(MethodError, match="Tuning takes the spring for linear"):
+        ji.tune(found)
+    with pytest.raises(MethodError, match="An export takes the spring for linear"):
+        ji.export(found, "mjcf")
