@@ -23,6 +23,7 @@ from scipy.signal import lfilter
 import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
+from jointid.models.springs import SPRINGS, LinearSpring, spring_named
 from jointid.simulation.loop_input import LoopInput, prepare
 from studies.healthy import Drive, drive
 
@@ -230,14 +231,16 @@ class Said:
         return self.z is not None and abs(self.z) > 3 and self.trust.startswith("reliable")
 
 
-def judge(seed: int, fault: str, longest: float = 12.0) -> Said | None:
-    """Identify a drive with a fault; None where there is none."""
+def judge(seed: int, fault: str, longest: float = 12.0, spring: str = LinearSpring.name) -> Said | None:
+    """Identify a drive with a fault, by a model with that spring; None where there is none."""
     made = spoiled(seed, fault, longest)
     if made is None:
         return None
-    about = made.axis.about
+    about, loop = made.axis.about, made.axis.loop
+    assert isinstance(loop.joint, ji.FlexibleJoint)
+    loop = replace(loop, joint=replace(loop.joint, spring=spring_named(spring)))
     try:
-        found = ji.identify(made.record, made.axis.loop)
+        found = ji.identify(made.record, loop)
     except JointidError as error:
         return Said(seed, fault, made.size, about, f"{type(error).__name__}: {error}", "", "", None, None, ())
     row, truth = found["stiffness"], made.axis.truth["stiffness"]
@@ -280,11 +283,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--count", type=int, default=16)
     parser.add_argument("--longest", type=float, default=12.0)
     parser.add_argument("--fault", action="append", choices=FAULTS)
+    parser.add_argument("--spring", choices=SPRINGS, default=LinearSpring.name)
     given = parser.parse_args(arguments)
     runs = []
     for fault in given.fault or FAULTS:
         for seed in range(given.first, given.first + given.count):
-            said = judge(seed, fault, given.longest)
+            said = judge(seed, fault, given.longest, given.spring)
             if said is not None:
                 runs.append(said)
                 sys.stdout.write(json.dumps(asdict(said)) + "\n")

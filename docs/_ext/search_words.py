@@ -24,7 +24,7 @@ WORDS = MappingProxyType(
         "two-mass system": 'model = "flexible"',
         "resonance": "free-free mode",
         "antiresonance": "motor-locked mode",
-        "backlash": "tested for, not identified",
+        "backlash": "gap",
         "Nachstellzeit": "integral gain",
         "stiffness c": "K12",
         "damping d": "F12",

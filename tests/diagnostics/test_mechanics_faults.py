@@ -68,6 +68,8 @@ def test_what_is_wrong_is_named_first(fault: str, seed: int, name: str) -> None:
     check = check_loop(identify(made.record, made.axis.loop), made.record)
     assert check.findings[0].test.name == name
     assert {CUBIC_SPRING, BACKLASH} - {one.test.name for one in check.findings}  # two words for one thing
+    asked = {CUBIC_SPRING: "three-piece", BACKLASH: "backlash"}.get(name)
+    assert asked is None or f'; to identify it, set joint.spring = "{asked}"' in str(check.sentences[0])
 
 
 @pytest.mark.slow

@@ -20,8 +20,8 @@ from tests.simulation.kernel_case import run
 from tests.simulation.oracle import Plant, random_case
 from tests.simulation.oracle import simulate as reference
 
-# Of those with two masses, one without a delay, one with a part of a period and one with two and more.
-SEEDS = (1, 3, 4)
+# Of those with two masses: without a delay, with one of 0.9, of 1.5 and of 2.5 periods.
+SEEDS = (1, 2, 9, 12)
 
 
 def sprung(case: Case, spring: Spring, values: dict[str, float]) -> tuple[ClosedLoop, dict[str, float]]:
