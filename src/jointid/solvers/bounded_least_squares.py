@@ -142,10 +142,12 @@ class TrustRegion:
                 raise StopIteration
 
         scaled = bounds.in_units(unit)
-        found = least_squares(
-            residual, start / unit, jacobian, (scaled.lower, scaled.upper), x_scale="jac", xtol=self.tolerance,
-            ftol=self.cost_tolerance or self.tolerance, gtol=None, max_nfev=self.evaluations, callback=step,
-        )  # fmt: skip
+        # Of a loop that runs away the derivatives are so large that their squares are infinite: no step comes of it.
+        with np.errstate(over="ignore", invalid="ignore"):
+            found = least_squares(
+                residual, start / unit, jacobian, (scaled.lower, scaled.upper), x_scale="jac", xtol=self.tolerance,
+                ftol=self.cost_tolerance or self.tolerance, gtol=None, max_nfev=self.evaluations, callback=step,
+            )  # fmt: skip
         x, error, J = (np.asarray(part) for part in (found.x * unit, found.fun * size, found.jac * (size / unit)))
         status = _STATUS.get(int(found.status), Status.EVALUATION_LIMIT)
         message = explain(status, int(found.nfev), self.tolerance)
