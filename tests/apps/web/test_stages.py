@@ -52,9 +52,9 @@ def identified(tmp_path: Path, log: bytes, monkeypatch: pytest.MonkeyPatch) -> t
         return done
 
     def count(check: Callable[..., Any]) -> Callable[..., Any]:
-        def check_and_count(*given: Any) -> Any:
+        def check_and_count(*given: Any, **named: Any) -> Any:
             kept.checks += 1
-            return check(*given)
+            return check(*given, **named)
 
         return check_and_count
 
