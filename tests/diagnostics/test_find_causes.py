@@ -447,9 +447,9 @@ def test_a_refused_spring_at_its_bounds_is_no_reason_to_look_for_a_cause(monkeyp
 def test_a_cause_explains_no_more_than_the_declared_drive_does_from_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
     """A filter of a third of a period was told, since the search with it alone had found the joint."""
     record, loop = without_mistake(axis("rigid"))
-    found_all = searching._fit_rigid
+    found_all = searching.fit_rigid
 
-    def astray(*given: Any) -> list[searching._Fit]:
+    def astray(*given: Any) -> list[searching.Fit]:
         fits = found_all(*given)
         if len(fits) == 1:
             return fits
@@ -457,7 +457,7 @@ def test_a_cause_explains_no_more_than_the_declared_drive_does_from_its_end(monk
         [other, *_] = [fit for fit in fits if fit.hypothesis.cause is Cause.TORQUE_FILTER]
         return [other, replace(declared, error=1.0)]
 
-    monkeypatch.setattr(searching, "_fit_rigid", astray)
+    monkeypatch.setattr(searching, "fit_rigid", astray)
     estimate = identify(record, loop)
     poor = estimate.amended(fit={"filtered_error": 1.0})
     causes = find_causes(record, loop, poor)

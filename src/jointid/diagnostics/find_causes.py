@@ -5,11 +5,6 @@ large, or a sample time that is twice as long, is no small deviation, and what f
 number, not the right one. So each cause is put right in turn (`hypotheses`), the joint is identified again under it,
 and the causes are ranked by the error that is left: the right one leaves what the right model leaves.
 
-All of them begin, few are carried on. Of the starts of a cause the two that leave least are followed for a few steps;
-the causes that are then far behind the best one are given up, the others go on to the end. A flexible joint is first
-identified as rigid, far below its resonance, which says what has the wrong sign or size; only what is left then is
-fitted to the whole band.
-
 It looks for one mistake. Of two at once a number that is free may make up for much of both: so a cause must leave about
 what is left by free linear responses to the reference (`linear_response`), which assume no drive at all. Where the best
 one leaves clearly more, more than one thing is wrong, and that is said instead. Two that one number makes up for wholly
@@ -19,56 +14,47 @@ are told as that one.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from itertools import islice
 from typing import TypeAlias
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray, triangle
-from jointid.common.document import Document, Documented, Listing, Table
 from jointid.common.errors import FaultsError, JointidError, RecordError
-from jointid.common.messages import Message, Progress, silent
-from jointid.common.parameters import Parameter
-from jointid.common.text import number
+from jointid.common.messages import Progress, silent
 from jointid.diagnostics.cause_words import Explanation, tell
+from jointid.diagnostics.causes import Causes
 from jointid.diagnostics.fault_tests import FaultTest
 from jointid.diagnostics.hypotheses import Cause, Hypothesis, known_factors, list_hypotheses
+from jointid.diagnostics.hypothesis_fits import (
+    ASTRAY,
+    FIRST,
+    MORE,
+    Fit,
+    descend,
+    fit_flexible,
+    fit_rigid,
+    follow,
+    pose,
+    start_at,
+)
 from jointid.diagnostics.linear_response import MEMORY, find_unexplained_share
 from jointid.diagnostics.plain_causes import find_plain_cause, find_steps
 from jointid.diagnostics.standstill import find_lost_motion, find_standstill
 from jointid.estimation.identify_record import identify_record
-from jointid.estimation.methods.flexible_search import RIGID_CUTOFF, frequencies_to_try, started
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit, grid_starts
-from jointid.estimation.methods.search import inversion_start, regular_start
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.problems.prescribed import DriveSideProblem, motion_problem
+from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.estimation.problems.prescribed import motion_problem
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.controllers import numbers_of, with_numbers
+from jointid.models.controllers import numbers_of
 from jointid.models.controllers.drive_numbers import DriveNumber
-from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
+from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.prescribed import DriveSide
-from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.solve import solve
-from jointid.uncertainty.verdict import POOR_FIT, Reason
-
-_TOLERANCE = 1e-4  # of a fit that only has to show what is left
-_FIRST, _MORE = 5, 12  # evaluations of a descent that begins, and of one that goes on
-_STARTS = 2  # of a cause, that are followed
-_BEHIND = 2.5  # times the least error: a cause that leaves more, after its first steps, is given up
-_ROUGHLY = 0.05  # of the torque: as much more is left by a rigid model of a flexible joint, whatever is the cause
-_ASTRAY = 3.0  # times the torque: a loop that leaves so much runs away
-_AWAY = 1e50  # a derivative so large is of a loop that runs away
-_RANGE = 1e4  # times its start, up and down: where a number is looked for
-_SHARES = (0.35, 0.65)  # of the load in the inertia of a flexible joint
-_NEAR = (0.5, 1.0, 2.0)  # times the number that a rigid joint gives, which says it only roughly
-_FEW = 6  # loops of a hypothesis, which are all tried then
-_APART = 2  # one of so many frequencies of the grid is tried
+from jointid.uncertainty.verdict import POOR_FIT
 
 _EXPLAINS = 0.85  # of the declared error: what a cause must at least take away to be one
 _EXPLAINS_BY_TIME = 0.6  # of the same, for a sample time that is wrong by a factor: that spoils all of a fit
@@ -88,111 +74,10 @@ _MUCH_LARGER = 0.25  # of a declared number: a fault so large is looked at
 _MUCH_LATER = 0.5  # periods
 _HARDLY = 0.1  # periods: a filter or a delay that is off by less is none
 _SMALL = math.log(1.5)  # a number that is off by less is no such mistake: `check_loop` tells it, and its interval
-_NO_RESPONSE = 0.1  # of the torque: so much that is no response to the reference may be another signal's
-
-
-@dataclass(frozen=True, slots=True)
-class Causes(Documented):
-    """What explains a record that does not fit the declared drive.
-
-    Attributes:
-        declared_error: share of the filtered torque that is left as the drive is declared; infinite where its loop
-            cannot be simulated.
-        explanations: the likeliest first, three at most, which this record cannot tell apart; none where nothing that
-            was tried explains it.
-        nearest: the single causes that explain most, two at most, where more than one thing is wrong; else none.
-        unexplained: share of the torque that free linear responses to the reference leave; 0 where it was not asked.
-        tried: what was left by each cause that was put right, the least first.
-        plain: what the samples show, or a motor at rest, where nothing else explains the record; else None.
-    """
-
-    declared_error: float
-    explanations: tuple[Explanation, ...]
-    tried: tuple[Explanation, ...]
-    nearest: tuple[Explanation, ...] = ()
-    unexplained: float = 0.0
-    plain: Message | None = None
-
-    @property
-    def found(self) -> bool:
-        """True if there is a cause to tell, be it the nearest one only."""
-        return bool(self.explanations or self.nearest or self.plain)
-
-    @property
-    def message(self) -> Message:
-        """The causes in a sentence, under the code of the likeliest one."""
-        if self.plain is not None:
-            return self.plain
-        left = (
-            "with the drive as declared the loop cannot be simulated"
-            if math.isinf(self.declared_error)
-            else f"as declared {number(100 * self.declared_error, 2)} % of the torque is not explained"
-        )
-        if self.nearest:
-            first = self.nearest[0]
-            clause = (
-                "none of the usual causes alone explains it, so more than one thing may be wrong: the nearest are that "
-            )
-            clause = clause if len(self.nearest) > 1 else clause.replace("nearest are", "nearest is")
-            clause += ", and that ".join(one.words for one in self.nearest)
-            words = f"{clause}; the first still leaves {number(100 * first.error, 2)} % of the torque, of which "
-            words += f"{number(100 * self.unexplained, 2)} % is no response to the reference; {left}"
-            values = {"tried": self._names, "nearest": [str(one.cause) for one in self.nearest], "error": first.error}
-            return Message(Reason.NO_CAUSE_FOUND, words, values, clause)
-        if not self.explanations:
-            clause = "the drive as declared does not fit, and none of the usual causes explains it"
-            words = f"{left}, and none of the usual causes explains it ("
-            words += f"{', '.join(name.replace('_', ' ') for name in self._names)})"
-            if self.unexplained > _NO_RESPONSE:
-                other = f"; {number(100 * self.unexplained, 2)} % of the torque is no response to the reference: if a "
-                other += "signal is injected, declare it (channel injected)"
-                clause, words = clause + other, words + other
-            return Message(Reason.NO_CAUSE_FOUND, words, {"tried": self._names}, clause)
-        best = self.explanations[0]
-        clause = ", or ".join(one.words for one in self.explanations)
-        if best.cause is Cause.REFERENCE_IS_POSITION:  # which explains whatever the controller does
-            clause += ", or more than one thing is wrong with the controller"
-        words = f"{clause}: with this put right {number(100 * best.error, 2)} % of the torque is left; {left}"
-        values = {
-            "causes": [{"cause": str(one.cause), "value": one.value, "error": one.error} for one in self.explanations],
-            "declared_error": None if math.isinf(self.declared_error) else self.declared_error,
-        }
-        return Message(Reason.CAUSE_FOUND, words, values, clause)
-
-    @property
-    def _names(self) -> list[str]:
-        return [str(one.cause) for one in self.tried]
-
-    def document(self, *, details: bool = False) -> Document:
-        """Return the causes, and the table of all that were tried; there are no further details."""
-        del details
-        rows = tuple((one.words, f"{number(100 * one.error, 2)} %") for one in self.tried)
-        return Document("Cause", (Listing((str(self.message),)), Table(("put right", "torque left"), rows)))
 
 
 _Found: TypeAlias = tuple[Cause, float | None, float]
 """A cause, its number, and the share of the torque that is left with it put right."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Fit:
-    """Where a hypothesis stands: its problem with its number free, the parameters, and the share that is left."""
-
-    hypothesis: Hypothesis
-    problem: ClosedLoopProblem
-    x: FloatArray
-    error: float
-
-    @property
-    def values(self) -> dict[str, float]:
-        return self.problem.values(self.x)
-
-    @property
-    def number(self) -> float | None:
-        name = self.hypothesis.free
-        if self.hypothesis.cause is Cause.PERIOD:  # that of the start which ended best
-            return self.problem.experiment.law.period
-        return self.values[name] if name else self.hypothesis.factor
 
 
 def find_causes(
@@ -229,7 +114,7 @@ def find_causes(
     filtering = asked.resolved(record.torque.sample_time, model)
     tried = list_hypotheses(record, loop, filtering)
     progress(f"looking for the cause: {len(tried)} are put right in turn, and the joint identified again")
-    fits = _fit_flexible(tried, loop) if isinstance(loop.joint, FlexibleJoint) else _fit_rigid(tried, loop.joint)
+    fits = fit_flexible(tried, loop) if isinstance(loop.joint, FlexibleJoint) else fit_rigid(tried, loop.joint)
     known = [_with_known_factor(fit, loop) for fit in fits]
     found: list[_Found] = [(f.hypothesis.cause, f.number, f.error) for f in known if f.hypothesis.cause]
     position = _position_as_reference(record, loop, filtering, fits[0] if fits else None)
@@ -262,7 +147,7 @@ def _near(others: Iterable[Explanation], declared: float) -> tuple[Explanation, 
     return tuple(one for one in islice(others, 1) if one.error <= _EXPLAINS * declared)
 
 
-def _unexplained(fit: _Fit) -> float:
+def _unexplained(fit: Fit) -> float:
     """Return what free linear responses to the reference leave of the torque under a hypothesis."""
     assert fit.hypothesis.record.reference is not None
     # With samples that are wrongly taken to be far apart the loop seems to remember few of them.
@@ -412,36 +297,6 @@ _OF_A_TIME = {
 }
 
 
-def _fit_rigid(tried: Sequence[Hypothesis], joint: Joint, loss: float = 0.0) -> list[_Fit]:
-    """Return where the hypotheses end with a rigid joint; a share as large as `loss` is no reason to give one up."""
-
-    def begun(hypothesis: Hypothesis) -> list[_Fit]:
-        loops = [replace(loop, joint=joint) for loop in hypothesis.loops]
-        problems = [p for loop in loops if (p := _problem(hypothesis, loop)) is not None]
-        return _best(_at(hypothesis, p, p.vector(values)) for p in problems for values in _rigid_starts(p))
-
-    return _race(in_threads(begun, tried), loss)
-
-
-def _fit_flexible(tried: Sequence[Hypothesis], loop: ClosedLoop) -> list[_Fit]:
-    """Return where the hypotheses end with a flexible joint, from what a rigid one leaves far below its resonance."""
-    assert isinstance(loop.joint, FlexibleJoint)
-    fits = _fit_rigid([replace(one, filtering=_low(one)) for one in tried], loop.joint.rigid, _ROUGHLY)
-    wide = {(one.cause, one.factor, one.free): one for one in tried}
-    least = min((fit.error for fit in fits), default=math.inf)
-
-    def begun(rigid: _Fit) -> list[_Fit]:
-        of = rigid.hypothesis
-        hypothesis = wide[of.cause, of.factor, of.free]
-        problems = [_problem(hypothesis, one) for one in _loops_near(hypothesis, rigid)]
-        return _best(
-            start for p in problems if p is not None for start in _flexible_starts(hypothesis, p, rigid.values)
-        )
-
-    left = [fit for fit in fits if fit.error <= max(_BEHIND * least, least + _ROUGHLY)]
-    return _race(in_threads(begun, left), 0.0)
-
-
 def _as_flexible(declared: Hypothesis, found: Sequence[_Found]) -> _Found | None:
     """Return the mode that explains a record of a rigid joint clearly better than any other cause; else None.
 
@@ -451,7 +306,7 @@ def _as_flexible(declared: Hypothesis, found: Sequence[_Found]) -> _Found | None
     joint = FlexibleJoint(rigid.kind, rigid.friction, rigid.torque_unit, rigid.transmission, rigid.gravity)
     loop = replace(declared.loops[0], joint=joint)
     try:
-        best = next(iter(_fit_flexible((replace(declared, loops=(loop,)),), loop)), None)
+        best = next(iter(fit_flexible((replace(declared, loops=(loop,)),), loop)), None)
     except (JointidError, np.linalg.LinAlgError):  # the other causes stand
         return None
     if best is None or best.error * _FLEXIBLE > min((error for _, _, error in found), default=math.inf):
@@ -462,7 +317,7 @@ def _as_flexible(declared: Hypothesis, found: Sequence[_Found]) -> _Found | None
     return Cause.FLEXIBLE, FlexibleJoint.frequencies(values)["free_free"], best.error
 
 
-def _with_known_factor(fit: _Fit, loop: ClosedLoop) -> _Fit:
+def _with_known_factor(fit: Fit, loop: ClosedLoop) -> Fit:
     """Return the fit of a factor on the loop's gain with a known one, where that leaves hardly more.
 
     What no model has, as a ripple, moves a factor that is free; 75 is then 57.3, which an angle in degrees makes.
@@ -475,147 +330,23 @@ def _with_known_factor(fit: _Fit, loop: ClosedLoop) -> _Fit:
         if far > math.log(_RENAMED):
             break
         held = fit.problem.keeping({"gain": factor * declared})
-        end = _descend(replace(fit, problem=held, x=held.vector(fit.values)), _FIRST)
+        end = descend(replace(fit, problem=held, x=held.vector(fit.values)), FIRST)
         if end is not None and end.error <= _HARDLY_MORE * fit.error:
             return end
     return fit
 
 
-def _declared_from(best: _Fit, declared: Hypothesis) -> float:
+def _declared_from(best: Fit, declared: Hypothesis) -> float:
     """Return what the declared drive leaves where the search begins at another one's end: a start may have failed."""
-    problem = _problem(declared, replace(declared.loops[0], joint=best.problem.joint))
+    problem = pose(declared, replace(declared.loops[0], joint=best.problem.joint))
     if problem is None:
         return math.inf
-    start = _at(declared, problem, problem.vector(best.values))
-    end = _descend(start, _MORE) if start.error < _ASTRAY else None
+    start = start_at(declared, problem, problem.vector(best.values))
+    end = descend(start, MORE) if start.error < ASTRAY else None
     return math.inf if end is None else end.error
 
 
-def _loops_near(hypothesis: Hypothesis, rigid: _Fit) -> tuple[ClosedLoop, ...]:
-    """Return the loops to begin from: with the number that the rigid joint gives, or near it, and a few others."""
-    name, first = hypothesis.free, hypothesis.loops[0]
-    if name is None:
-        return hypothesis.loops
-    numbers = [rigid.values[name] * by for by in _NEAR]
-    near = [replace(first, controller=with_numbers(first.controller, {name: one})) for one in numbers]
-    return (*near, *(hypothesis.loops if len(hypothesis.loops) <= _FEW else ()))
-
-
-def _flexible_starts(hypothesis: Hypothesis, problem: ClosedLoopProblem, rigid: Mapping[str, float]) -> Iterator[_Fit]:
-    """Yield starts of a flexible joint: a rigid one's values, divided between the sides, with modes of a grid."""
-    law, sample_time = problem.experiment.law, problem.experiment.sample_time
-    for hertz in frequencies_to_try(law, rigid["inertia"], sample_time)[::_APART]:
-        for share in _SHARES:
-            yield _at(hypothesis, problem, problem.vector(started(problem, rigid, hertz, share)))
-
-
-def _low(hypothesis: Hypothesis) -> Filtering:
-    assert hypothesis.record.torque is not None
-    sample_time = hypothesis.record.torque.sample_time
-    return Filtering(cutoff=RIGID_CUTOFF / sample_time).resolved(sample_time)
-
-
-def _problem(hypothesis: Hypothesis, loop: ClosedLoop) -> ClosedLoopProblem | None:
-    """Return the problem of a hypothesis with one of its loops, its number held; None where it has none."""
-    try:
-        problem = torque_problem(hypothesis.record, loop, hypothesis.filtering, loop.joint.parameters)
-    except JointidError:
-        return None
-    return problem.keeping({"initial_velocity": 0.0})
-
-
-def _rigid_starts(problem: ClosedLoopProblem) -> Iterator[dict[str, float]]:
-    """Yield starts: from the controller turned round, and from a motor that is where the reference asks it to be."""
-    for start in (inversion_start, regular_start):
-        try:
-            values = dict(start(problem).values)
-        except JointidError:
-            continue
-        values["inertia"] = abs(values["inertia"])
-        for p in problem.free_joint:
-            values[p.name] = min(max(values[p.name], p.lower), p.upper)
-        yield values
-
-
-def _at(hypothesis: Hypothesis, problem: ClosedLoopProblem, x: FloatArray) -> _Fit:
-    """Return a start, with the share of the torque that it leaves."""
-    with np.errstate(all="ignore"):  # a loop that runs away
-        left = float(np.linalg.norm(problem.residual(x))) / problem.size
-    return _Fit(hypothesis, problem, x, left if math.isfinite(left) else math.inf)
-
-
-def _best(starts: Iterable[_Fit]) -> list[_Fit]:
-    """Return the few starts of a hypothesis that leave least, with its number free."""
-    found = sorted((one for one in starts if one.error < _ASTRAY), key=lambda one: one.error)[:_STARTS]
-    return [_freed(one) for one in found]
-
-
-def _freed(fit: _Fit) -> _Fit:
-    name = fit.hypothesis.free
-    if name is None:
-        return fit
-    start = numbers_of(fit.problem.loop.controller)[name]
-    problem = fit.problem.freeing(name)
-    bounded = {
-        p.name: replace(p, lower=start / _RANGE, upper=start * _RANGE) for p in problem.parameters if p.name == name
-    }
-    problem = problem.changed(bounded)
-    return replace(fit, problem=problem, x=problem.vector(fit.values | {name: start}))
-
-
-def _race(begun: Sequence[list[_Fit]], loss: float) -> list[_Fit]:
-    """Return where each hypothesis ends that is not given up on the way, the best first."""
-    first = [list(filter(None, in_threads(lambda fit: _descend(fit, _FIRST), starts))) for starts in begun]
-    least = min((fit.error for fits in first for fit in fits), default=math.inf)
-    bound = max(_BEHIND * least, least + loss)
-    ends = []
-    for fits in first:
-        if not fits:
-            continue
-        best = min(fits, key=lambda fit: fit.error)
-        if best.error <= bound:
-            best = min((_descend(fit, _MORE) or fit for fit in fits if fit.error <= bound), key=lambda fit: fit.error)
-        ends.append(best)
-    return sorted(ends, key=lambda fit: fit.error)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Condensed:
-    """A problem in as many rows as it has parameters, and one: the triangle of its slopes beside its residual.
-
-    Every product that a descent asks for is the same; a loop that runs away has no way down.
-    """
-
-    problem: ClosedLoopProblem | DriveSideProblem
-
-    @property
-    def free(self) -> tuple[Parameter, ...]:
-        return self.problem.free
-
-    def residual(self, x: FloatArray) -> FloatArray:
-        return self.linearised(x)[0]
-
-    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        error, slopes = self.problem.linearised(x)
-        both = np.column_stack([slopes, error])
-        if not np.max(np.abs(both)) < _AWAY:
-            return np.full(x.size + 1, _AWAY), np.zeros((x.size + 1, x.size))
-        rows = triangle(both)
-        return rows[:, -1], rows[:, :-1]
-
-
-def _descend(fit: _Fit, evaluations: int) -> _Fit | None:
-    """Return where a descent leads; None where there is none."""
-    try:
-        with np.errstate(all="ignore"):
-            solution = solve(_Condensed(fit.problem), LevenbergMarquardt(_TOLERANCE, evaluations), fit.x)
-    except (JointidError, np.linalg.LinAlgError):  # a loop that runs away, or a part of the law that vanishes
-        return None
-    error = float(np.linalg.norm(solution.residual)) / fit.problem.size
-    return replace(fit, x=solution.x, error=error) if error < _ASTRAY else None
-
-
-def _position_as_reference(record: Record, loop: ClosedLoop, filtering: Filtering, best: _Fit | None) -> float | None:
+def _position_as_reference(record: Record, loop: ClosedLoop, filtering: Filtering, best: Fit | None) -> float | None:
     """Return what is left if the reference is the motor's position; None where that cannot be.
 
     A flexible joint's motion is prescribed then, and what it does at rest is not compared; what is left is brought to
@@ -631,7 +362,7 @@ def _position_as_reference(record: Record, loop: ClosedLoop, filtering: Filterin
         around = settings.surroundings(record.torque.sample_time)
         problem = motion_problem(moved, DriveSide(joint), filtering, joint.parameters, around)
         start = grid_starts(problem, settings)[0][0]
-        solution = solve(_Condensed(problem), LevenbergMarquardt(_TOLERANCE, _MORE), start)
+        solution = follow(problem, start, MORE)
     except (JointidError, np.linalg.LinAlgError):
         return None
     left = float(np.linalg.norm(solution.residual)) / problem.size

@@ -71,7 +71,9 @@ def _turns(values: FloatArray, swing: float) -> list[int]:
     for k, value in enumerate(values):
         low, high = (k if value < values[low] else low), (k if value > values[high] else high)
         if sense >= 0 and values[high] - value > swing:
-            found, low, sense = [*found, high], k, -1
+            found.append(high)
+            low, sense = k, -1
         elif sense <= 0 and value - values[low] > swing:
-            found, high, sense = [*found, low], k, 1
+            found.append(low)
+            high, sense = k, 1
     return found[1:]

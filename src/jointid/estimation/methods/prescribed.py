@@ -50,14 +50,9 @@ _DAMPING = 0.05  # of the load that is tried: as wide as the steps of the grid
 _REFINED, _WORSE = 3, 3.0  # valleys of the grid that are refined, at most; and how much worse than the best
 
 
-@documented
 @dataclass(frozen=True, slots=True)
-class DriveSideFit(Method):
-    """Settings of the drive-side identification."""
-
-    name = "drive_side"
-    title = "the drive-side method"
-    default_for = DriveSide
+class _PrescribedFit(Method):
+    """The settings that both methods have."""
 
     log_delay: float | None = setting(
         None,
@@ -65,6 +60,20 @@ class DriveSideFit(Method):
         "estimated",
         unit="s",
     )
+    frequency: float | None = setting(
+        None, "motor-locked frequency of the start; without it the best of a grid", unit="Hz", above=0
+    )
+
+
+@documented
+@dataclass(frozen=True, slots=True)
+class DriveSideFit(_PrescribedFit):
+    """Settings of the drive-side identification."""
+
+    name = "drive_side"
+    title = "the drive-side method"
+    default_for = DriveSide
+
     current_lag: float | None = setting(
         0.0,
         "time constant between the log and the torque beside that delay: of the current loop behind a command, or of "
@@ -72,9 +81,6 @@ class DriveSideFit(Method):
         unit="s",
         at_least=0,
         none="estimated",
-    )
-    frequency: float | None = setting(
-        None, "motor-locked frequency of the start; without it the best of a grid", unit="Hz", above=0
     )
     instruments: Literal["tested", "always", "never"] = setting(
         "tested",
@@ -213,27 +219,18 @@ def _reported(progress: Progress) -> Watch:
 
 @documented
 @dataclass(frozen=True, slots=True)
-class OpenLoopFit(Method):
+class OpenLoopFit(_PrescribedFit):
     """Settings of the open-loop identification."""
 
     name = "open_loop"
     title = "the open-loop method"
     default_for = OpenLoop
 
-    log_delay: float | None = setting(
-        None,
-        "how much later than it acts the log shows the torque, negative for a command that comes first; without it "
-        "estimated",
-        unit="s",
-    )
     highpass: float | None = setting(
         None,
         "frequency below which the position is drift, and not compared; without it 3 % of the cut-off",
         unit="Hz",
         above=0,
-    )
-    frequency: float | None = setting(
-        None, "motor-locked frequency of the start; without it the best of a grid", unit="Hz", above=0
     )
     tolerance: float = setting(1e-8, "change of the criterion or the parameters to stop at, as a share", above=0)
 
