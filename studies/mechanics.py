@@ -23,6 +23,7 @@ from scipy.signal import lfilter
 import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
+from jointid.diagnostics.spring_comparison import compare_springs
 from jointid.models.springs import SPRINGS, LinearSpring, spring_named
 from jointid.simulation.loop_input import LoopInput, prepare
 from studies.healthy import Drive, drive
@@ -258,6 +259,46 @@ def judge(seed: int, fault: str, longest: float = 12.0, spring: str = LinearSpri
     )  # fmt: skip
 
 
+@dataclass(frozen=True)
+class Chosen:
+    """Which spring a drive's record shows, its own stiffness in contact or of the first piece, and how far it is off."""
+
+    seed: int
+    fault: str
+    size: float
+    error: str
+    shown: str
+    z: float | None
+    left: dict[str, float | None]
+
+
+def choose(seed: int, fault: str, longest: float = 12.0) -> Chosen | None:
+    """Compare the springs on the record of a drive with a fault; None where there is no such drive."""
+    made = spoiled(seed, fault, longest)
+    if made is None:
+        return None
+    try:
+        found = compare_springs(made.record, made.axis.loop)
+    except JointidError as error:
+        return Chosen(seed, fault, made.size, f"{type(error).__name__}: {error}", "", None, {})
+    truth, shown = made.axis.truth["stiffness"], found.shown
+    std = shown.std.get("stiffness")
+    z = (shown.values["stiffness"] - truth) / std if std else None
+    return Chosen(seed, fault, made.size, "", shown.name, z, {one.name: one.kept for one in found.springs})
+
+
+def summarise_choices(runs: Sequence[Chosen]) -> str:
+    """Return a row for each fault: which springs were shown, and how many of their stiffnesses are within 2 sigma."""
+    lines = ["fault, drives; shown; stiffness within 2 sigma"]
+    for fault in dict.fromkeys(run.fault for run in runs):
+        here = [run for run in runs if run.fault == fault]
+        shown = Counter(run.shown or "error" for run in here).most_common()
+        z = [abs(run.z) for run in here if run.z is not None]
+        held = f"{sum(one <= 2 for one in z)} of {len(z)}"
+        lines.append(f"{fault}, {len(here)}; {', '.join(f'{name} {count}' for name, count in shown)}; {held}")
+    return "\n".join(lines)
+
+
 def summarise(runs: Sequence[Said]) -> str:
     """Return a row for each fault: how far stiffnesses are off, how many are silent, and what is named first."""
     lines = ["fault, drives, given; off by %, median and 90 %; deviations, the same; relied on, silent; named first"]
@@ -284,16 +325,23 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--longest", type=float, default=12.0)
     parser.add_argument("--fault", action="append", choices=FAULTS)
     parser.add_argument("--spring", choices=SPRINGS, default=LinearSpring.name)
+    parser.add_argument("--choose", action="store_true", help="compare all springs instead, and say which is shown")
     given = parser.parse_args(arguments)
-    runs = []
+    said: list[Said] = []
+    chosen: list[Chosen] = []
     for fault in given.fault or FAULTS:
         for seed in range(given.first, given.first + given.count):
-            said = judge(seed, fault, given.longest, given.spring)
-            if said is not None:
-                runs.append(said)
-                sys.stdout.write(json.dumps(asdict(said)) + "\n")
-                sys.stdout.flush()
-    sys.stderr.write(summarise(runs) + "\n")
+            if given.choose:
+                one: Said | Chosen | None = choose(seed, fault, given.longest)
+            else:
+                one = judge(seed, fault, given.longest, given.spring)
+            if one is None:
+                continue
+            said += [one] if isinstance(one, Said) else []
+            chosen += [one] if isinstance(one, Chosen) else []
+            sys.stdout.write(json.dumps(asdict(one)) + "\n")
+            sys.stdout.flush()
+    sys.stderr.write((summarise_choices(chosen) if given.choose else summarise(said)) + "\n")
 
 
 if __name__ == "__main__":

@@ -14,8 +14,9 @@ import numpy as np
 
 from jointid.models.controllers import Cascade
 from jointid.models.joints import ClosedLoop, FlexibleJoint
+from jointid.models.springs import Backlash, Spring
 from jointid.records.record import Record
-from jointid.simulation.closed_loop import Outcome, simulate_torque
+from jointid.simulation.closed_loop import Outcome, simulate, simulate_torque
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.synthesis import simulated_record
@@ -122,3 +123,27 @@ def _driven(
         return None
     clean = simulated_record(loop, reference, truth, sample_time=period, injected=known)
     return Case(loop, truth, clean.without("motor_position", "load_position"), mode)
+
+
+def with_spring(loop: ClosedLoop, spring: Spring) -> ClosedLoop:
+    """The loop of a flexible joint with another spring."""
+    assert isinstance(loop.joint, FlexibleJoint)
+    return replace(loop, joint=replace(loop.joint, spring=spring))
+
+
+def gapped_axis(samples: int = 4000) -> tuple[Case, Record]:
+    """An axis with a gap of 0.6 of the largest wind-up, and its record with 2 % of noise on the log."""
+    case = prismatic(1)
+    cut = {name: replace(channel, values=channel.values[:samples]) for name, channel in case.clean.items()}
+    injected = case.clean.injected
+    assert injected is not None
+    clean = replace(case.clean, **{**cut, "injected": replace(injected, channel=cut["injected"])})
+    loop = with_spring(case.loop, Backlash())
+    run = simulate(case.loop, prepare(case.loop, clean), case.truth)
+    assert run.load_position is not None
+    truth = case.truth | {"gap": 0.6 * float(np.max(np.abs(run.motor_position - run.load_position)))}
+    torque = simulate(loop, prepare(loop, clean), truth).torque
+    noise = 0.02 * np.std(torque) * np.random.default_rng(1).standard_normal(samples)
+    assert clean.torque is not None
+    record = replace(clean, torque=replace(clean.torque, values=torque + noise))
+    return replace(case, loop=loop, truth=truth), record

@@ -10,6 +10,7 @@ from .diagnostics.experiment_design import advise, design_stiffness_test
 from .diagnostics.identify import identify
 from .diagnostics.intervals import intervals
 from .diagnostics.method_comparison import compare_methods
+from .diagnostics.spring_comparison import compare_springs
 from .diagnostics.validation import Validation, validate
 from .estimation.methods.didim import DIDIM
 from .estimation.methods.flexible import FlexibleDIDIM
@@ -87,6 +88,7 @@ __all__ = [
     "check_loop",
     "compare_estimates",
     "compare_methods",
+    "compare_springs",
     "convert",
     "design_stiffness_test",
     "excitation",

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-import numpy as np
 import pytest
 
 import jointid as ji
@@ -13,41 +10,19 @@ from jointid.config import dumps, loads
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.summary import settings_facts
-from jointid.models.joints import ClosedLoop, FlexibleJoint
+from jointid.models.joints import FlexibleJoint
 from jointid.models.springs import SPRINGS, Backlash, Spring, ThreePieceSpring, TwoPieceSpring
-from jointid.simulation.closed_loop import simulate
-from jointid.simulation.loop_input import prepare
 from jointid.simulation.prescribed import DriveSide
 from studies.mechanics import Spoiled, spoiled
 from tests.joint_files import FLEXIBLE, SMALLEST, faults
-from tests.plants import prismatic
-
-
-def with_spring(loop: ClosedLoop, spring: Spring) -> ClosedLoop:
-    assert isinstance(loop.joint, FlexibleJoint)
-    return replace(loop, joint=replace(loop.joint, spring=spring))
+from tests.plants import gapped_axis, prismatic, with_spring
 
 
 @pytest.fixture(scope="module")
 def gapped() -> tuple[ji.Estimate, dict[str, float]]:
     """A drive with a gap of 0.6 of the largest wind-up, 2 % of noise on its log: what is found, and what it has."""
-    case = prismatic(1)
-    samples = 4000
-    cut = {name: replace(channel, values=channel.values[:samples]) for name, channel in case.clean.items()}
-    injected = case.clean.injected
-    assert injected is not None
-    cut_injected = replace(injected, channel=cut.pop("injected"))
-    clean = replace(case.clean, **cut, injected=cut_injected)
-    loop = with_spring(case.loop, Backlash())
-    run = simulate(case.loop, prepare(case.loop, clean), case.truth)
-    assert run.load_position is not None
-    truth = case.truth | {"gap": 0.6 * float(np.max(np.abs(run.motor_position - run.load_position)))}
-    torque = simulate(loop, prepare(loop, clean), truth).torque
-    noise = 0.02 * np.std(torque) * np.random.default_rng(1).standard_normal(samples)
-    assert clean.torque is not None
-    record = replace(clean, torque=replace(clean.torque, values=torque + noise))
-    method = ji.FlexibleDIDIM(frequency=case.mode)
-    return identify(record, loop, method), truth
+    case, record = gapped_axis()
+    return identify(record, case.loop, ji.FlexibleDIDIM(frequency=case.mode)), case.truth
 
 
 def test_a_gap_is_found_with_the_stiffness_behind_it(gapped: tuple[ji.Estimate, dict[str, float]]) -> None:

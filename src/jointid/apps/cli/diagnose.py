@@ -42,6 +42,34 @@ def methods(joint: Path, /, *, options: Options = DEFAULTS, filtering: Filtering
     deliver(comparison, options.json)
 
 
+def springs(joint: Path, /, *, options: Options = DEFAULTS, filtering: FilteringName | None = None) -> None:
+    """Identify a flexible joint with every law of its spring, and say which one the record shows.
+
+    Each law is judged by how well it predicts parts of the record that were kept from its fit.
+
+    Args:
+        joint: the joint file (TOML); of its method the settings of didim are used.
+        options: those that most commands have.
+        filtering: of every fit, as for identify.
+    """
+    from jointid import FlexibleDIDIM, MethodError, compare_springs
+
+    file = options.load(joint, options.outputs, filtering=filtering, method="didim")
+    if file.loop is None:
+        raise MethodError("Springs are compared in the closed loop; declare the [controller].")
+    record = file.record(options.record)
+    ready(options.progress)
+    comparison = compare_springs(
+        record,
+        file.loop,
+        filtering=file.filtering,
+        parameters=file.parameters,
+        didim=file.method if isinstance(file.method, FlexibleDIDIM) else None,
+        progress=options.progress,
+    )
+    deliver(comparison, options.json)
+
+
 def intervals(
     joint: Path,
     /,

@@ -119,12 +119,9 @@ class FlexibleDIDIM(Method):
             RecordError: a channel is missing.
             MethodError: the loop cannot be simulated at any start.
         """
-        record, loop, progress = task.record, task.loop, task.progress
-        assert loop is not None
-        problem = torque_problem(record, loop, task.filtering, task.parameters, _at_rest(record, self))
-        problem = problem if loop.joint.gravity is None else _hanging(problem)
+        record, progress = task.record, task.progress
         history = History(progress)
-        solved, simulations = self._search(problem, task, history)
+        solved, simulations = self.solve(task, history)
         starts = solved.solution.starts
         if self.free:
             tolerance = stopping_tolerance(self)
@@ -161,11 +158,15 @@ class FlexibleDIDIM(Method):
             fit={"trace": tuple(history.trace), "simulations": history.tally.evaluations + simulations},
         )
 
-    def _search(self, problem: ClosedLoopProblem, task: Task, history: History) -> tuple[Solved, int]:
+    def solve(self, task: Task, history: History) -> tuple[Solved, int]:
         """Return where the search ends, and the simulations of the rigid joints it began with.
 
         A spring in pieces is looked for from where a linear one ended.
         """
+        loop = task.loop
+        assert loop is not None
+        problem = torque_problem(task.record, loop, task.filtering, task.parameters, _at_rest(task.record, self))
+        problem = problem if loop.joint.gravity is None else _hanging(problem)
         joint = problem.joint
         assert isinstance(joint, FlexibleJoint)
         if joint.spring.linear:
@@ -173,8 +174,8 @@ class FlexibleDIDIM(Method):
         if self.minimiser != "least-squares":
             joint.require_linear_spring("Nelder-Mead takes")
         linear = with_linear_spring(problem)
-        loop = linear.loop
-        solved, simulations = _searched(linear, replace(task, loop=loop, joint=loop.joint), self, history)
+        own = replace(task, loop=linear.loop, joint=linear.joint)
+        solved, simulations = _searched(linear, own, self, history)
         return from_linear_spring(problem, solved, stopping_tolerance(self), history), simulations
 
 

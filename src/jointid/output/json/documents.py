@@ -146,6 +146,20 @@ SHAPES: Mapping[str, Shape] = {
         "schema": always("jointid.comparison/1"),
         **same("record", "model", "methods", "disagreements"),
     },
+    "SpringComparison": {
+        "schema": always("jointid.springs/1"),
+        **same("record", "transmission", "declared"),
+        "shown": "shown.name",
+        **same("answer", "springs"),
+    },
+    "FittedSpring": {
+        **same("name", "parameters", "values", "std"),
+        "fitted_error_percent": percent("fitted"),
+        "kept_error_percent": percent("kept"),
+        **same("worse"),
+        "worse_std": "error",
+        **same("predicts_as_well", "refusal"),
+    },
     "LoopCheck": {
         "schema": always("jointid.loop/1"),
         **same("as_declared", "level", "sentences", "reasons", "findings", "undecided"),
@@ -314,8 +328,8 @@ def to_dict(result: object) -> Json:
     """Return a result as a dict of numbers, words, lists and dicts, with its `schema`: what `--json` writes.
 
     Args:
-        result: of `identify`, `validate`, `compare_methods`, `check_loop`, `advise`, `design_stiffness_test`, `tune`,
-            `learn_loop`, `inspect`, `compare_estimates`.
+        result: of `identify`, `validate`, `compare_methods`, `compare_springs`, `check_loop`, `advise`,
+            `design_stiffness_test`, `tune`, `learn_loop`, `inspect`, `compare_estimates`.
 
     Raises:
         MethodError: it is no such result.

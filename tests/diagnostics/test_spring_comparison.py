@@ -1,0 +1,144 @@
+"""Which spring a record shows."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jointid as ji
+from jointid.common.errors import MethodError
+from jointid.diagnostics import spring_comparison
+from jointid.diagnostics.spring_comparison import RIGID, FittedSpring, SpringComparison, SpringShown, compare_springs
+from jointid.models.springs import SPRINGS, LinearSpring
+from jointid.records.record import Record
+from studies.mechanics import spoiled
+from tests.plants import Case, gapped_axis, prismatic, with_spring
+
+
+def some_of(record: Record, samples: int) -> Record:
+    """The first samples of a record."""
+    cut = {name: replace(channel, values=channel.values[:samples]) for name, channel in record.items()}
+    injected = record.injected
+    assert injected is not None
+    return replace(record, **{**cut, "injected": replace(injected, channel=cut["injected"])})
+
+
+@pytest.fixture(scope="module")
+def gapped() -> tuple[Case, SpringComparison]:
+    case, record = gapped_axis()
+    return case, compare_springs(
+        record, with_spring(case.loop, LinearSpring()), didim=ji.FlexibleDIDIM(frequency=case.mode)
+    )
+
+
+@pytest.fixture(scope="module")
+def plain() -> tuple[Case, SpringComparison]:
+    case = prismatic(1)
+    record = some_of(case.clean, 4000)
+    assert record.torque is not None
+    noise = 0.02 * np.std(record.torque.values) * np.random.default_rng(2).standard_normal(4000)
+    record = replace(record, torque=replace(record.torque, values=record.torque.values + noise))
+    return case, compare_springs(record, case.loop, didim=ji.FlexibleDIDIM(frequency=case.mode))
+
+
+def test_a_gap_is_shown_and_not_the_laws_that_have_more_parameters(gapped: tuple[Case, SpringComparison]) -> None:
+    case, found = gapped
+    assert found.shown.name == "backlash"
+    for name in ("stiffness", "gap"):
+        assert abs(found.shown.values[name] - case.truth[name]) < 3 * found.shown.std[name], name
+    by_name = {one.name: one for one in found.springs}
+    assert list(by_name) == [RIGID, *sorted(SPRINGS, key=lambda name: len(SPRINGS[name]().parameters))]
+    assert by_name["linear"].kept > 1.5 * found.shown.kept
+    assert not by_name["linear"].predicts_as_well
+    assert found.answer.code == SpringShown.ANOTHER
+    assert found.sentence.endswith('; set joint.spring = "backlash" to identify it.')
+
+
+def test_a_linear_spring_is_told_as_that(plain: tuple[Case, SpringComparison]) -> None:
+    case, found = plain
+    assert found.shown.name == "linear"
+    assert found.answer.code == SpringShown.AS_DECLARED
+    assert "set joint" not in found.sentence
+    assert abs(found.shown.values["stiffness"] - case.truth["stiffness"]) < 3 * found.shown.std["stiffness"]
+
+
+def test_what_is_kept_from_a_fit_is_predicted_worse_than_what_is_fitted(plain: tuple[Case, SpringComparison]) -> None:
+    _, found = plain
+    assert all(one.kept > one.fitted for one in found.springs)
+    more = {one.name: one.kept - one.fitted for one in found.springs}
+    assert more["three-piece"] > more["linear"]
+
+
+def test_a_rigid_axis_shows_no_spring() -> None:
+    loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0))
+    reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
+    truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
+    record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
+    assert record.torque is not None
+    noise = 0.5 * np.random.default_rng(3).standard_normal(len(record.torque))
+    record = replace(record, torque=replace(record.torque, values=record.torque.values + noise))
+    found = compare_springs(record, replace(loop, joint=ji.FlexibleJoint()))
+    assert found.shown.name == RIGID
+    assert found.answer.code == SpringShown.NONE
+    assert 'set joint.model = "rigid"' in found.sentence
+
+
+def one(name: str, parameters: int, worse: float, error: float) -> FittedSpring:
+    return FittedSpring(name, parameters, {}, {}, 0.01, 0.01, worse, error)
+
+
+def test_the_simplest_of_those_that_predict_alike_is_shown() -> None:
+    laws = (one("linear", 2, 0.5, 0.1), one("backlash", 3, 0.25, 0.1), one("two-piece", 4, 0.0, 0.0))
+    assert SpringComparison("record", laws, "linear").shown.name == "backlash"
+    laws = (replace(laws[0], worse=0.29), *laws[1:])
+    assert SpringComparison("record", laws, "linear").shown.name == "linear"
+
+
+def test_a_law_that_cannot_be_identified_is_listed_with_the_reason(
+    plain: tuple[Case, SpringComparison], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise MethodError("The loop runs away.")
+
+    monkeypatch.setattr(spring_comparison, "from_linear_spring", fail)
+    case, _ = plain
+    found = compare_springs(some_of(case.clean, 2000), case.loop, didim=ji.FlexibleDIDIM(frequency=case.mode))
+    assert found.shown.name == "linear"
+    assert [law.refusal for law in found.springs] == ["", "", *["The loop runs away."] * 3]
+    assert "not identified" in str(found)
+    assert json.loads(json.dumps(ji.to_dict(found)))["springs"][2]["kept_error_percent"] is None
+
+
+def test_what_cannot_be_compared_is_refused_in_a_sentence(plain: tuple[Case, SpringComparison]) -> None:
+    case, _ = plain
+    with pytest.raises(MethodError, match="Only a flexible joint has a spring"):
+        compare_springs(case.clean, replace(case.loop, joint=ji.RigidJoint()))
+    with pytest.raises(MethodError, match="compared by least squares; received the minimiser nelder-mead"):
+        compare_springs(case.clean, case.loop, didim=ji.FlexibleDIDIM(minimiser="nelder-mead"))
+    with pytest.raises(MethodError, match="cut into 24 parts to compare springs; this one has 150 rows, expected 192"):
+        spring_comparison._cut(150)
+
+
+def test_the_answer_is_written(gapped: tuple[Case, SpringComparison]) -> None:
+    _, found = gapped
+    answer = ji.to_dict(found)
+    assert answer["schema"] == "jointid.springs/1"
+    assert answer["shown"] == "backlash"
+    page = (Path(__file__).resolve().parents[2] / "docs" / "answers.md").read_text(encoding="utf-8")
+    of_each = answer["springs"][0]
+    assert isinstance(of_each, dict)
+    assert all(f"`{key}`" in page for key in (*answer, *of_each))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("fault", "spring"), [("none", "linear"), ("backlash", "backlash"), ("spring in pieces", "three-piece")]
+)
+def test_the_spring_of_another_simulator_is_shown(fault: str, spring: str) -> None:
+    made = spoiled(0, fault, 8.0)
+    assert made is not None
+    assert compare_springs(made.record, made.axis.loop).shown.name == spring
