@@ -261,7 +261,7 @@ def judge(seed: int, fault: str, longest: float = 12.0, spring: str = LinearSpri
 
 @dataclass(frozen=True)
 class Chosen:
-    """Which spring a drive's record shows, its own stiffness in contact or of the first piece, and how far it is off."""
+    """The spring that a drive's record shows, and how far its stiffness is off, in standard errors."""
 
     seed: int
     fault: str

@@ -235,7 +235,7 @@ def compare_springs(
     given, linear = parameters or {}, replace(loop, joint=joint.linear)
     own = adjusted(joint.linear.parameters, _known(given, joint.linear))
     solved, _ = settings.solve(Task(record, joint.linear, linear, own, filtering or Filtering(), progress), history)
-    parts = _cut(solved.solution.residual.size)
+    parts = _cut(solved.problem)
     laws = sorted((law() for law in SPRINGS.values()), key=lambda law: len(law.parameters))
     found: list[tuple[FittedSpring, FloatArray | None]] = []
     for law in (None, *laws):
@@ -288,14 +288,22 @@ def _with(
     return from_linear_spring(problem, solved, _TOLERANCE, history)
 
 
-def _cut(rows: int) -> NDArray[np.intp]:
-    """Return the part that each row is in, (rows,)."""
+def _cut(problem: ClosedLoopProblem) -> NDArray[np.intp]:
+    """Return the part that each row is in, (rows,): half by time, half by how much the torque changes.
+
+    What a spring does it does where the torque changes. Parts of equal length would hold all of that in a few of them,
+    where an axis rests or glides for most of a record.
+    """
+    torque = problem.filtered(problem.measured)
+    change = np.square(np.diff(torque, prepend=torque[0]))
+    rows = change.size
     if rows < _FEWEST * _PARTS:
         raise MethodError(
             f"A record is cut into {_PARTS} parts to compare springs; this one has {rows} rows, expected "
             f"{_FEWEST * _PARTS} or more: give a longer record, or a higher cut-off."
         )
-    return np.asarray(np.arange(rows) * _PARTS // rows, dtype=np.intp)
+    share = 0.5 / rows + 0.5 * change / np.sum(change)
+    return np.asarray(np.minimum((np.cumsum(share) - 0.5 * share) * _PARTS, _PARTS - 1), dtype=np.intp)
 
 
 def _judge(
