@@ -106,5 +106,5 @@ def test_what_takes_the_spring_for_linear_refuses_another(gapped: tuple[ji.Estim
         identify(record, with_spring(prismatic(0).loop, Backlash()), ji.FlexibleDIDIM.paper())
     with pytest.raises(MethodError, match="Tuning takes the spring for linear"):
         ji.tune(found)
-    with pytest.raises(MethodError, match="An export takes the spring for linear"):
-        ji.export(found, "mjcf")
+    with pytest.raises(MethodError, match="A state space takes the spring for linear"):
+        ji.export(found, "state-space")

@@ -11,6 +11,10 @@ import jointid as ji
 from jointid.models.joints import Joint
 from jointid.output.export.joint_model import JointModel, joint_model
 from jointid.output.json import plain
+from jointid.paper.twin import TABLE_2
+
+PIECES = TABLE_2 | {"gap": 3e-4, "stiffness_2": 1.2e6, "stiffness_3": 1.5e6, "torque_1": 20.0, "torque_2": 40.0}
+"""The paper's axis with what springs in pieces have, too."""
 
 
 def answer(joint: Joint, values: Mapping[str, float | None], record: str = "run 7") -> dict[str, Any]:
@@ -21,6 +25,7 @@ def answer(joint: Joint, values: Mapping[str, float | None], record: str = "run 
         "model": joint.model,
         "kind": joint.kind,
         "friction": joint.friction.name,
+        "spring": joint.spring_name,
         "gravity": plain(joint.gravity),
         "transmission": plain(joint.transmission),
         "record": {"name": record, "sample_time": 1e-3, "torque_sha256": "5f1c"},

@@ -9,10 +9,11 @@ import pytest
 
 import jointid as ji
 from jointid.models.joints import Joint
+from jointid.models.springs import Backlash, Spring, ThreePieceSpring
 from jointid.paper.twin import CONTROLLERS, TABLE_2
 from tests.geared import FLEXIBLE, LAW, RIGID, TURNED_SCREW
 from tests.output.export.modelica_reader import ModelicaModel
-from tests.output.export.models import apart, model, servo, simulated
+from tests.output.export.models import PIECES, apart, model, servo, simulated
 
 REFERENCE = ji.excitation.trapezoids((0.042, 0.125), 0.83, 0.05, 1e-3, duration=2.0)
 
@@ -24,6 +25,7 @@ def torque_of(
     reference: np.ndarray,
     side: str | None = None,
     to_side: float = 1.0,
+    steps: int = 4,
 ) -> np.ndarray:
     """The torque of the loop around the exported model; `to_side` takes the joint's torque to the exported side."""
     text = ji.export(model(joint, values), "modelica", side=side).text
@@ -32,7 +34,7 @@ def torque_of(
     plant = ModelicaModel(text, "axis", **states)
 
     def held(torque: float) -> float:
-        plant.advance(1e-3, 4, torque=to_side * torque)
+        plant.advance(1e-3, steps, torque=to_side * torque)
         return to_side * plant.values["motor_position"]
 
     return servo(law, reference, 1e-3, held)
@@ -83,3 +85,14 @@ def test_what_was_identified_stands_in_it_and_a_hostile_name_does_not_break_it()
         assert plant.values[parameter] == value
     assert all(line.startswith("  //") for line in text.splitlines() if "run" in line)
     assert ModelicaModel(ji.export(model(ji.FlexibleJoint(), TABLE_2, "model"), "modelica").text, "joint_model")
+
+
+@pytest.mark.parametrize("spring", [Backlash(), ThreePieceSpring()], ids=lambda spring: spring.name)
+def test_a_spring_in_pieces_gives_our_torque(spring: Spring) -> None:
+    joint, law = ji.FlexibleJoint(spring=spring), CONTROLLERS["L19"]
+    reference = REFERENCE[:600]
+    ours = simulated(joint, law, reference, PIECES)
+    coarse, fine = (apart(torque_of(joint, PIECES, law, reference, steps=steps), ours) for steps in (4, 16))
+    assert fine < 3e-5  # the interpreter steps over the edges of the pieces
+    assert fine < 0.5 * coarse
+    assert apart(simulated(ji.FlexibleJoint(), law, reference, PIECES), ours) > 0.01

@@ -13,9 +13,10 @@ import pytest
 
 import jointid as ji
 from jointid.models.joints import FlexibleJoint, Joint
+from jointid.models.springs import Backlash, Spring, ThreePieceSpring
 from jointid.paper.twin import CONTROLLERS, TABLE_2
 from tests.geared import FLEXIBLE, LAW
-from tests.output.export.models import apart, model, servo, simulated
+from tests.output.export.models import PIECES, apart, model, servo, simulated
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -66,6 +67,23 @@ def test_the_twin_s_torque_is_ours_with_both_frictions_and_the_spring() -> None:
     fine = apart(mjcf_torque(joint, TABLE_2, law, REFERENCE, timestep=5e-5), ours)
     assert by_itself < 0.004  # measured: 0.0029
     assert fine < 0.0015  # measured: 0.0010
+
+
+@pytest.mark.parametrize("spring", [Backlash(), ThreePieceSpring()], ids=lambda spring: spring.name)
+def test_a_spring_in_pieces_is_tendons_beside_each_other(spring: Spring) -> None:
+    joint, law = ji.FlexibleJoint(spring=spring), CONTROLLERS["L19"]
+    ours = simulated(joint, law, REFERENCE, PIECES)
+    linear = apart(simulated(ji.FlexibleJoint(), law, REFERENCE, PIECES), ours)
+    assert apart(mjcf_torque(joint, PIECES, law, REFERENCE, timestep=5e-5), ours) < 0.2 * linear
+    lost = ji.export(model(joint, PIECES), "mjcf").lost
+    assert any("nothing damps" in one for one in lost) == (spring == Backlash())
+
+
+def test_a_spring_that_becomes_softer_is_none_of_mujoco_s() -> None:
+    joint = ji.FlexibleJoint(spring=ThreePieceSpring())
+    with pytest.raises(ji.MethodError, match=r"falls from 800000 to 100000 N/m; export to Modelica"):
+        ji.export(model(joint, PIECES | {"stiffness_2": 1e5}), "mjcf")
+    assert "stiffness_2" not in ji.export(model(joint, PIECES | {"stiffness_2": 1e5}), "modelica").lost
 
 
 def test_without_coulomb_friction_only_the_steps_are_between_us() -> None:

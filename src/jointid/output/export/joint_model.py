@@ -8,6 +8,7 @@ machine: the same answer gives the same bytes. Whoever named a record must not w
 
 from __future__ import annotations
 
+import math
 import re
 import unicodedata
 from collections.abc import Collection, Mapping, Sequence
@@ -24,6 +25,7 @@ from jointid.estimation.result.parts import EstimatedParameter, on_other_side
 from jointid.models.friction import Directions
 from jointid.models.gravity import Gravity
 from jointid.models.joints import FlexibleJoint, Joint
+from jointid.models.springs import LinearSpring, Piece, Spring
 from jointid.output.json import plain
 from jointid.output.json.estimates import ESTIMATE_SCHEMA, LONG_SCHEMA, TOGETHER_SCHEMA, Json
 from jointid.output.json.reading import number_or_none
@@ -197,6 +199,41 @@ class JointModel:
         return self.values.get("damping", 0.0)
 
     @property
+    def spring(self) -> Spring | None:
+        """The law of the spring; None where the joint is rigid."""
+        return self.joint.spring if isinstance(self.joint, FlexibleJoint) else None
+
+    @property
+    def pieces(self) -> tuple[Piece, ...]:
+        """One side of a spring in pieces; none where the spring is linear, or the joint rigid.
+
+        Raises:
+            MethodError: a stiffness or a torque is negative, or a piece has no stiffness and never ends.
+        """
+        spring = self.spring
+        if spring is None or spring.linear:
+            return ()
+        values = self.values
+        wrong = [f"{p.name} is {values[p.name]:g}" for p in spring.parameters if values[p.name] < 0]
+        found = () if wrong else spring.pieces(values)
+        if wrong or not all(math.isfinite(piece.deflection) for piece in found):
+            what = " and ".join(wrong) or "a piece has no stiffness"
+            raise MethodError(
+                f"Of this {spring.name} spring {what}; expected pieces that follow each other: identify again."
+            )
+        return found
+
+    @property
+    def stiffest(self) -> float:
+        """The stiffness of the stiffest piece of the spring; 0 where the joint is rigid."""
+        return max((piece.stiffness for piece in self.pieces), default=self.stiffness)
+
+    @property
+    def mode(self) -> float:
+        """Frequency in Hz at which motor and load swing against each other, on the stiffest piece of the spring."""
+        return FlexibleJoint.frequencies(self.values | {"stiffness": self.stiffest})["free_free"]
+
+    @property
     def friction_shift(self) -> float:
         """The constant force on the motor: its offset, and what makes an even Coulomb friction an uneven one."""
         return self.values["offset"] + self.motor.shift
@@ -261,16 +298,17 @@ def joint_model(answer: Json, joint: Joint, name: str | None = None, source: str
 
 
 def _read(answer: Json, joint: Joint, name: str) -> JointModel:
-    if isinstance(joint, FlexibleJoint):
-        joint.require_linear_spring("An export takes")
+    usual = LinearSpring.name if isinstance(joint, FlexibleJoint) else None  # answers of 0.1 know no other
     declared = (
         joint.model,
         joint.kind,
         joint.friction.name,
         plain(joint.gravity),
         plain(joint.transmission),
+        joint.spring_name,
     )
     told = tuple(answer[key] for key in ("model", "kind", "friction", "gravity", "transmission"))
+    told = (*told, answer.get("spring", usual))
     if answer["schema"] not in SCHEMAS or told != declared:
         raise ValueError
     found = answer["parameters"]

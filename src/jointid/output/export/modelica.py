@@ -33,10 +33,11 @@ def modelica(model: JointModel) -> tuple[str, tuple[str, ...]]:
     name, lost = identifier(model.name, _RESERVED), effects_left_out(model)
     prefixes = {mass: f"{mass}_" if model.flexible else "" for mass in model.masses}
     _ = model.stiffness  # which refuses what no joint has
+    in_pieces = {p.name for p in model.spring.parameters} if model.spring is not None and model.pieces else set()
     lines = [
         f'model {name} "{model.kind} {model.joint.model} joint, identified"',
         *(f"  // {line}" for line in remarks(model, lost)),
-        *(_declared(p) for p in model.parameters),
+        *(_declared(p) for p in model.parameters if p.name not in in_pieces),
     ]
     if model.gravity is not None:
         angle = number(model.gravity.angle)
@@ -47,11 +48,12 @@ def modelica(model: JointModel) -> tuple[str, tuple[str, ...]]:
     lines.append(f'  input Real torque(unit="{_unit(model.torque_unit)}") "of the motor{side}";')
     for mass in prefixes:
         lines += _variables(model, mass)
+    lines += _spring_variables(model)
     lines.append("initial equation")
     for mass, prefix in prefixes.items():
         lines.append(f"  {mass}_direction = if {mass}_velocity > 0 then 1 else if {mass}_velocity < 0 then -1")
         lines.append(f"    else {_released(model, mass, prefix)};")
-    lines.append("equation")
+    lines += ["equation", *_spring_equations(model)]
     for mass, prefix in prefixes.items():
         lines += _equations(model, mass, prefix)
     return "\n".join([*lines, f"end {name};", ""]), lost
@@ -112,8 +114,43 @@ def _friction(model: JointModel, prefix: str) -> tuple[tuple[str, str], tuple[st
     return (forwards[0], forwards[1]), (backwards[0], backwards[1])
 
 
+_OF_A_PIECE = ("begin", "torque", "stiffness", "damping")
+"""What a piece of a spring has, in the order of `Piece`: where it begins, with which torque, and how it goes on."""
+
+
+def _spring_variables(model: JointModel) -> Iterator[str]:
+    """Yield the numbers of each piece of a spring, and the torque between motor and load; nothing of a linear one."""
+    position, force = model.position_unit, _unit(model.torque_unit)
+    units = (position, force, f"{force}/{position}", f"{force}.s/{position}")
+    for i, piece in enumerate(model.pieces, 1):
+        for word, value, unit in zip(_OF_A_PIECE, piece, units, strict=True):
+            yield f'  parameter Real spring_{i}_{word}(unit="{unit}") = {number(value)};'
+    if model.pieces:
+        yield f'  Real windup(unit="{position}") "of the load beyond the motor";'
+        yield f'  Real spring(unit="{force}") "between motor and load";'
+
+
+def _spring_equations(model: JointModel) -> Iterator[str]:
+    """Yield the torque of a spring in pieces, the last one first; nothing of a linear one."""
+    pieces = model.pieces
+    if not pieces:
+        return
+    yield "  windup = load_position - motor_position;"
+    yield "  spring ="
+    for i in range(len(pieces), 0, -1):
+        begin, torque, stiffness, damping = (f"spring_{i}_{word}" for word in _OF_A_PIECE)
+        elastic, damped = f"{stiffness} * windup", f"{damping} * (load_velocity - motor_velocity)"
+        if i == 1:
+            yield f"    {elastic} + {damped};"
+            continue
+        beside = f"({torque} - {stiffness} * {begin})"
+        yield f"    if windup > {begin} then {beside} + {elastic} + {damped} else"
+        yield f"    if windup < -{begin} then -{beside} + {elastic} + {damped} else"
+
+
 def _push(model: JointModel, mass: str) -> str:
     spring = "stiffness * (load_position - motor_position) + damping * (load_velocity - motor_velocity)"
+    spring = "spring" if model.pieces else spring
     push = "torque - offset" if mass == "motor" else f"-({spring})"
     if mass == "motor" and model.flexible:
         push = f"{push} + {spring}"

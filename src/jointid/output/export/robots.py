@@ -16,7 +16,7 @@ from xml.etree import ElementTree as ET
 from jointid.common.errors import MethodError
 from jointid.common.parameters import TORQUE_UNIT
 from jointid.common.text import number as shown
-from jointid.models.joints import FlexibleJoint
+from jointid.models.springs import Piece
 from jointid.output.export.joint_model import (
     JointModel,
     Mass,
@@ -66,9 +66,8 @@ def urdf(model: JointModel) -> tuple[str, tuple[str, ...]]:
         mass = Mass(motor.inertia + load.inertia, (forwards, backwards, coulomb, coulomb_back))
         constant += load.shift
         lost.append(
-            f"the spring of {shown(model.stiffness)} {model.torque_unit}/{model.position_unit} and its damping; "
-            "inertia and friction are the sums of both sides, which hold below about a fifth of "
-            f"{shown(FlexibleJoint.frequencies(model.values)['free_free'])} Hz"
+            f"the spring of {_spring_of(model)} and its damping; inertia and friction are the sums of both sides, "
+            f"which hold below about a fifth of {shown(model.mode)} Hz"
         )
     constant += 0.0 if weight is None else weight.constant
     if constant:
@@ -136,10 +135,9 @@ def mjcf(model: JointModel, *, timestep: float | None = None) -> tuple[str, tupl
         rotor = (1 - _SMALL) * motor.inertia
         world.append(_body("motor", model.kind, motor, _body_of(small, model.kind), rotor))
         world.append(_body("load", model.kind, load, _body_of(load, model.kind, weight)))
-        between = {"stiffness": number(model.stiffness), "damping": number(model.damping), "springlength": "0"}
-        spring = ET.SubElement(ET.SubElement(root, "tendon"), "fixed", {"name": "spring", **between})
-        ET.SubElement(spring, "joint", joint="load", coef="1")
-        ET.SubElement(spring, "joint", joint="motor", coef="-1")
+        root.append(_tendons(model))
+        if any(piece.damping != model.damping for piece in model.pieces):
+            lost.append("a gap in which nothing damps: the damper of a MuJoCo tendon acts there, too")
     root.append(_actuators(model))
     sensors = ET.SubElement(root, "sensor")
     for name in model.masses:
@@ -148,10 +146,43 @@ def mjcf(model: JointModel, *, timestep: float | None = None) -> tuple[str, tupl
     return _document(root, [*remarks(model, lost), *_how_to_drive(model)]), tuple(lost)
 
 
+def _spring_of(model: JointModel) -> str:
+    """Return a spring in words, its damping left out."""
+    assert model.spring is not None
+    return model.spring.describe({p.name: f"{shown(p.value)} {p.unit}" for p in model.parameters})
+
+
+def _tendons(model: JointModel) -> ET.Element:
+    """Return the spring between motor and load as tendons beside each other.
+
+    A tendon does not pull within its `springlength`: one that begins with each piece of a spring, as stiff as the piece
+    is more than the one before, makes all of them.
+    """
+    element, before = ET.Element("tendon"), 0.0
+    for i, piece in enumerate(model.pieces or (Piece(0.0, 0.0, model.stiffness, model.damping),), 1):
+        more, slack = piece.stiffness - before, piece.deflection
+        if more < 0:
+            raise MethodError(
+                f"MJCF has no spring that becomes softer, and the stiffness falls from {shown(before)} to "
+                f"{shown(piece.stiffness)} {model.torque_unit}/{model.position_unit}; export to Modelica."
+            )
+        before = piece.stiffness
+        length = _numbers(-slack, slack) if slack else "0"
+        damping = number(model.damping if i == 1 else 0.0)
+        if not more and i > 1:
+            continue
+        name = "spring" if i == 1 else f"spring_{i}"
+        springs = {"name": name, "stiffness": number(more), "damping": damping, "springlength": length}
+        tendon = ET.SubElement(element, "fixed", springs)
+        ET.SubElement(tendon, "joint", joint="load", coef="1")
+        ET.SubElement(tendon, "joint", joint="motor", coef="-1")
+    return element
+
+
 def _step(model: JointModel) -> float:
     sample_time, longest = model.sample_time or _SAMPLE_TIME, _LONGEST
-    if model.stiffness > 0:
-        longest = min(longest, 1 / (_STEPS * FlexibleJoint.frequencies(model.values)["free_free"]))
+    if model.stiffest > 0:
+        longest = min(longest, 1 / (_STEPS * model.mode))
     return sample_time / math.ceil(sample_time / longest)
 
 
@@ -192,7 +223,7 @@ def _how_to_drive(model: JointModel) -> list[str]:
     if model.flexible:
         lines.append(
             "In a robot, motor and load are both children of the link before; the load is the link, and the motor is "
-            f"beside it. Free-free mode {shown(FlexibleJoint.frequencies(model.values)['free_free'])} Hz."
+            f"beside it. Free-free mode {shown(model.mode)} Hz."
         )
     if model.kind == "revolute":
         lines.append("Masses and centres are chosen; inertia about the axis and weight are what was identified.")

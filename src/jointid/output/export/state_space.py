@@ -25,6 +25,7 @@ from jointid.common.document import dumps
 from jointid.common.errors import MethodError, extra
 from jointid.common.parameters import Quantity, unit_of
 from jointid.common.text import number as shown
+from jointid.models.joints import FlexibleJoint
 from jointid.models.linear import OUTPUTS, discretise, drive_matrices
 from jointid.output.export.joint_model import JointModel, effects_left_out, identifier, number, remarks, uneven_viscous
 from jointid.output.json import plain
@@ -119,8 +120,10 @@ def linear_part(model: JointModel) -> StateSpace:
     """Return the linear part of a joint, continuous: from the torque on its side to every position and velocity.
 
     Raises:
-        MethodError: a value is refused, or no joint can have it.
+        MethodError: a value is refused, no joint can have it, or the spring is not linear.
     """
+    if isinstance(model.joint, FlexibleJoint):
+        model.joint.require_linear_spring("A state space takes")
     masses, weight = model.masses.values(), model.weight
     rate = 0.0 if weight is None else weight.rate
     A, b = drive_matrices(
