@@ -235,6 +235,13 @@ def test_the_torque_is_recognised_by_unit_and_usual_names(
     assert draft.get(f"record.channels.torque.unit@{kind or 'revolute'}") == unit
 
 
+def test_a_spring_is_asked_for_where_the_joint_has_one() -> None:
+    gapped = {**FILLED, "joint.model": "flexible", "joint.spring": "backlash"}
+    assert 'spring = "backlash"' in make_order(gapped, "a.csv")[0]
+    assert read_joint_file(make_order(gapped, "a.csv")[0])["joint.spring"] == "backlash"
+    assert "spring" not in make_order({**gapped, "joint.model": "rigid"}, "a.csv")[0]
+
+
 def test_a_record_in_ampere_is_read_with_the_torque_constant() -> None:
     tables = make_reading_tables({**FILLED, "joint.torque_constant": "0,5"}, "a.csv")
     assert tables["joint"] == {"kind": "prismatic", "torque_constant": 0.5}

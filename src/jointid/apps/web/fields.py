@@ -18,6 +18,7 @@ from jointid.common.settings import Declared, settings_of
 from jointid.common.units import UnitError, spelled, unit, units_of
 from jointid.config.schema_record import Source
 from jointid.models.friction import FRICTIONS
+from jointid.models.springs import SPRINGS
 from jointid.records.columns import known_units, unit_in_name
 from jointid.records.record import CHANNELS
 
@@ -339,6 +340,9 @@ JOINT = (
     Field("joint.friction", "Friction", "", "choice",
           choices=tuple((law.name, law.label) for law in FRICTIONS.values()),
           usual="symmetric"),
+    Field("joint.spring", "Spring", "jointid diagnose springs says which one a record shows.", "choice",
+          when={"joint.model": ("flexible",)}, usual="linear",
+          choices=tuple((name, law.label) for name, law in SPRINGS.items())),
     _of(Gravity, "gravity.load", "Gravity", "",
         {"": "does not matter", "constant": "a vertical axis: a constant weight",
          "link": "an arm that swings up and down"}),
