@@ -29,6 +29,7 @@ from jointid.common.messages import Message, Progress, silent
 from jointid.common.parameters import Parameter, adjusted
 from jointid.common.text import number
 from jointid.common.transmission import Transmission
+from jointid.diagnostics.held_out import FEWEST, PARTS, TIMES, cut
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.registry import Task
 from jointid.estimation.methods.search import History, Solved, least_squares
@@ -47,8 +48,6 @@ from jointid.uncertainty.position_dependent_error import uncertainty
 RIGID = "none"
 """Name of the spring of a rigid joint, which is judged beside the laws."""
 
-_PARTS, _TIMES = 24, 3  # parts of the record, and fits, each without every third part
-_FEWEST = 8  # rows of a part
 _ERRORS = 3.0  # standard errors of a mean logarithm within which two laws predict alike: the best of several is lucky
 _HARDLY = 0.02  # mean logarithm, an error 1 % less: so little is no reason to believe in another spring
 _NOTHING = 1e-6  # of the torque: less than that is left by rounding
@@ -160,7 +159,7 @@ class SpringComparison(Documented):
             for one in self.springs
         )
         header = ("spring", "parameters", "left, fitted", "left, kept apart", "", "value +- 2 sigma")
-        note = f"{_TIMES} fits, each without a third of {_PARTS} parts of the record, which it then predicts"
+        note = f"{TIMES} fits, each without a third of {PARTS} parts of the record, which it then predicts"
         facts = Facts((("record", self.record), *common_facts(None, self.transmission)))
         return Document(self.sentence, (facts, Table(header, rows, note, words=(0, 4, 5))))
 
@@ -235,7 +234,12 @@ def compare_springs(
     given, linear = parameters or {}, replace(loop, joint=joint.linear)
     own = adjusted(joint.linear.parameters, _known(given, joint.linear))
     solved, _ = settings.solve(Task(record, joint.linear, linear, own, filtering or Filtering(), progress), history)
-    parts = _cut(solved.problem)
+    parts = cut(solved.problem)
+    if parts is None:
+        raise MethodError(
+            f"A record is cut into {PARTS} parts to compare springs; this one has "
+            f"{solved.solution.residual.size} rows, expected {FEWEST} or more: give a longer record, or a higher cut-off."
+        )
     laws = sorted((law() for law in SPRINGS.values()), key=lambda law: len(law.parameters))
     found: list[tuple[FittedSpring, FloatArray | None]] = []
     for law in (None, *laws):
@@ -288,24 +292,6 @@ def _with(
     return from_linear_spring(problem, solved, _TOLERANCE, history)
 
 
-def _cut(problem: ClosedLoopProblem) -> NDArray[np.intp]:
-    """Return the part that each row is in, (rows,): half by time, half by how much the torque changes.
-
-    What a spring does it does where the torque changes. Parts of equal length would hold all of that in a few of them,
-    where an axis rests or glides for most of a record.
-    """
-    torque = problem.filtered(problem.measured)
-    change = np.square(np.diff(torque, prepend=torque[0]))
-    rows = change.size
-    if rows < _FEWEST * _PARTS:
-        raise MethodError(
-            f"A record is cut into {_PARTS} parts to compare springs; this one has {rows} rows, expected "
-            f"{_FEWEST * _PARTS} or more: give a longer record, or a higher cut-off."
-        )
-    share = 0.5 / rows + 0.5 * change / np.sum(change)
-    return np.asarray(np.minimum((np.cumsum(share) - 0.5 * share) * _PARTS, _PARTS - 1), dtype=np.intp)
-
-
 def _judge(
     solved: Solved, name: str, of_spring: Sequence[Parameter], parts: NDArray[np.intp]
 ) -> tuple[FittedSpring, FloatArray]:
@@ -326,11 +312,11 @@ def _judge(
     solver = replace(least_squares(begun, _ROUGHLY), evaluations=_EVALUATIONS)
 
     def predicted(time: int) -> FloatArray:
-        kept = parts % _TIMES == time
+        kept = parts % TIMES == time
         end = solve(_Part(begun, ~kept), solver, begun.vector(values))
         return np.where(kept, begun.residual(end.x), 0.0)
 
-    apart = np.sum(in_threads(predicted, range(_TIMES)), axis=0)
+    apart = np.sum(in_threads(predicted, range(TIMES)), axis=0)
     size = problem.size
     joint = problem.joint
     found = FittedSpring(
@@ -342,7 +328,7 @@ def _judge(
         float(np.linalg.norm(apart)) / size,
         words=joint.spring.describe(words) if isinstance(joint, FlexibleJoint) else "",
     )
-    return found, np.asarray(np.bincount(parts, weights=apart**2) + (_NOTHING * size) ** 2 / _PARTS)
+    return found, np.asarray(np.bincount(parts, weights=apart**2) + (_NOTHING * size) ** 2 / PARTS)
 
 
 def _interval(value: float, std: float | None, unit: str) -> str:

@@ -1,0 +1,107 @@
+"""What of a residual follows the motion: a part that no noise has, and that the model has not.
+
+Noise in the loop is coloured by it and repeats nowhere, so that whiteness says nothing of the model there; and what a
+spring or a friction lacks depends on more than the place. So the residual is asked whether the motion foretells it:
+free responses, as long as a loop remembers, of the simulated wind-up and speeds, and of products of them which springs
+and frictions that are not the model's would draw out, are fitted to it without every third part of the record, and
+foretell that part. The parts are those of `spring_comparison`. What they take away of it, by the mean logarithm of the
+ratio of squares and its standard error, no noise gives away: it is not coherent with the reference (J. S. Bendat, A. G.
+Piersol, Random Data, 2010, chapter 9, has the same of linear responses).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.diagnostics.held_out import PARTS, TIMES, cut
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.simulation.closed_loop import Simulation
+
+_LAGS = 8  # of each response ...
+_MEMORY = 0.08  # s that they reach back
+_RIDGE = 1e-3  # of a column's square
+_SURE = 4.0  # standard errors
+_MUCH = 0.05  # logarithm of the ratio of squares: 2.5 % less error
+
+
+@dataclass(frozen=True, slots=True)
+class Foretold:
+    """How much of a residual the motion foretells.
+
+    Attributes:
+        share: of the torque that is foretold where nothing was fitted; 0 where none is.
+        gain, error: mean over the parts of the logarithm by which squares fall, and its standard error.
+    """
+
+    share: float
+    gain: float
+    error: float
+
+    @property
+    def follows(self) -> bool:
+        """True if no noise does that."""
+        return self.gain > max(_SURE * self.error, _MUCH)
+
+
+def foretell_residual(problem: ClosedLoopProblem, x: FloatArray) -> Foretold | None:
+    """Return how much of the residual of a flexible joint its motion foretells; None of too few rows.
+
+    Args:
+        problem: that was solved.
+        x: (free,) where.
+    """
+    run, error = problem.simulate(x), problem.residual(x)
+    if run.load_position is None or run.torque.size != problem.measured.size:
+        return None
+    inputs = problem.filtered(_inputs(run))
+    parts = cut(problem)
+    if parts is None:
+        return None
+    columns = _responses(inputs, problem.sample_time * problem.measured.size / error.size)
+    if error.size < 2 * columns.shape[1]:
+        return None
+    foretold = np.zeros_like(error)
+    for time in range(TIMES):
+        kept = parts % TIMES == time
+        fitted = columns[~kept]
+        weights = np.linalg.solve(
+            fitted.T @ fitted + _RIDGE * np.diag(np.sum(fitted**2, axis=0)), fitted.T @ error[~kept]
+        )
+        foretold[kept] = columns[kept] @ weights
+    left = error - foretold
+    before, after = (np.bincount(parts, weights=signal**2, minlength=PARTS) for signal in (error, left))
+    seen = before > 0
+    gain = np.log(before[seen] / after[seen])
+    squares = max(float(error @ error - left @ left), 0.0)
+    return Foretold(
+        math.sqrt(squares) / problem.size, float(np.mean(gain)), float(np.std(gain, ddof=1)) / math.sqrt(gain.size)
+    )
+
+
+def _inputs(run: Simulation) -> FloatArray:
+    """Return what springs and frictions follow, each by its own size, (samples, inputs)."""
+    assert run.load_position is not None and run.load_velocity is not None
+    windup, slow, fast = run.motor_position - run.load_position, run.motor_velocity, run.load_velocity
+    windup, slow, fast = (one / (float(np.max(np.abs(one))) or 1.0) for one in (windup, slow, fast))
+    late = np.linspace(-0.5, 0.5, windup.size)
+    columns = [
+        windup, windup**3, np.clip(windup, -0.1, 0.1), np.clip(windup, -0.3, 0.3), np.abs(windup) * np.sign(fast),
+        slow, slow * np.abs(slow), np.sign(slow), np.sign(fast), np.exp(-np.abs(slow) / 0.05) * np.sign(slow),
+        late * slow, late * np.sign(slow),
+    ]  # fmt: skip
+    return np.column_stack(columns)
+
+
+def _responses(inputs: FloatArray, row_time: float) -> FloatArray:
+    """Return each input and itself later, (rows, inputs * lags), by size."""
+    step = max(round(_MEMORY / _LAGS / row_time), 1)
+    later = [
+        np.vstack([np.zeros((lag * step, inputs.shape[1])), inputs[: len(inputs) - lag * step]]) for lag in range(_LAGS)
+    ]
+    columns = np.column_stack([*later, np.ones(len(inputs))])
+    sizes = np.sqrt(np.mean(columns**2, axis=0))
+    return np.asarray(columns / np.where(sizes > 0, sizes, 1.0))
