@@ -47,6 +47,7 @@ from jointid.diagnostics.other_laws import (
     runs_at_the_logs_rate,
 )
 from jointid.diagnostics.plain_causes import find_too_short
+from jointid.diagnostics.unmodelled_motion import foretell_residual
 from jointid.estimation.methods.force_in_loop import find_force, simulate_with_force
 from jointid.estimation.methods.search import History, least_squares
 from jointid.estimation.problems.base import surrounding
@@ -54,6 +55,7 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.controllers.drive_numbers import DriveNumber
+from jointid.models.joints import FlexibleJoint
 from jointid.records.record import Record
 from jointid.uncertainty.covariance import robust
 from jointid.uncertainty.position_dependent_error import Cells, cells, widened
@@ -146,6 +148,8 @@ def add_loop_verdict(
     An estimate that simulated no loop is returned as it is; one with a parameter that is not identifiable, with the
     verdict that the loop was not checked. Where the record does not fit, and a cause explains it (`find_causes`), that
     is the verdict: what the sensitivities then find is not it. It is told in the drive's units where `shown` has them.
+    Where loop and log are as declared, but the residual of a flexible joint follows its motion all the same, the
+    verdict on what repeats says so (`unmodelled_motion`).
     """
     return add_loop_check(estimate, record, progress, shown)[0]
 
@@ -177,7 +181,21 @@ def add_loop_check(
         verdict = Verdict(Subject.LOOP, Status.FAILED, (causes.message,))
     elif short is not None:
         verdict = Verdict(Subject.LOOP, Status.FAILED, (short,))
-    return estimate.amended(checks={"verdicts": (*estimate.checks.verdicts, verdict)}), check
+    verdicts = (*estimate.checks.verdicts, verdict)
+    if check is not None and verdict.status is Status.PASSED and (follows := _find_unmodelled(estimate, record)):
+        verdicts = tuple(follows if one.subject is follows.subject else one for one in verdicts)
+    return estimate.amended(checks={"verdicts": verdicts}), check
+
+
+def _find_unmodelled(estimate: Estimate, record: Record) -> Verdict | None:
+    """Return that the residual of a flexible joint follows its motion; None where it does not."""
+    if not isinstance(estimate.settings.joint, FlexibleJoint):
+        return None
+    try:
+        found = foretell_residual(*rebuild_problem(estimate, record, ""))
+    except (JointidError, np.linalg.LinAlgError):  # no check ends an identification
+        return None
+    return found.verdict if found is not None and found.follows else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

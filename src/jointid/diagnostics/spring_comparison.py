@@ -237,8 +237,8 @@ def compare_springs(
     parts = cut(solved.problem)
     if parts is None:
         raise MethodError(
-            f"A record is cut into {PARTS} parts to compare springs; this one has "
-            f"{solved.solution.residual.size} rows, expected {FEWEST} or more: give a longer record, or a higher cut-off."
+            f"A record is cut into {PARTS} parts to compare springs; this one has {solved.solution.residual.size} "
+            f"rows, expected {FEWEST} or more: give a longer record, or a higher cut-off."
         )
     laws = sorted((law() for law in SPRINGS.values()), key=lambda law: len(law.parameters))
     found: list[tuple[FittedSpring, FloatArray | None]] = []

@@ -74,6 +74,7 @@ class Reason(StrEnum):
     RESIDUAL_REPEATS = "residual_repeats"
     NOTHING_REPEATS = "nothing_repeats"
     NO_PLACE_REVISITED = "no_place_revisited"
+    RESIDUAL_FOLLOWS_MOTION = "residual_follows_motion"
     ALL_DETERMINED = "all_determined"
     ONLY_SUMS = "only_sums"
     NONE_AT_BOUND = "none_at_bound"

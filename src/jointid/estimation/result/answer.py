@@ -265,6 +265,7 @@ def _effects(estimate: Estimate, asked: EstimatedParameter) -> Iterator[Message]
         lag = f"{number(1e3 * checks.encoder_lag.lag, 2)} ms"
         words = f"{checks.encoder_lag.late} seems {lag} late, which hides the spring"
         yield Message(Against.ENCODER_LAG, words, {"lag": checks.encoder_lag.lag})
+    yield from (one for v in checks.verdicts for one in v.reasons if one.code is Reason.RESIDUAL_FOLLOWS_MOTION)
     if not fit.filtered_error <= POOR_FIT:  # nor is it where the error is no number
         left = f"{number(100 * fit.filtered_error, 2)} % of the {fit.compared} is not explained"
         yield Message(Against.TORQUE_UNEXPLAINED, left, {"remaining": fit.filtered_error})

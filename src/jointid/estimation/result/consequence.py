@@ -6,7 +6,7 @@ from jointid.common.text import listed, signed
 from jointid.estimation.result.answer import Trust, moved_by_loop
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter
-from jointid.uncertainty.verdict import Subject, Verdict
+from jointid.uncertainty.verdict import Reason, Subject, Verdict
 
 
 def spares_answer(estimate: Estimate, verdict: Verdict) -> bool:
@@ -43,6 +43,8 @@ def _against(asked: EstimatedParameter, verdict: Verdict) -> str:
     }
     if not asked.identifiable:
         why[Subject.IDENTIFIABILITY] = "the record determines it only together with others"
+    if any(one.code is Reason.RESIDUAL_FOLLOWS_MOTION for one in verdict.reasons):
+        why[Subject.REPEATABLE] = "what the model lacks may move it by more than its interval"
     if asked.at_bound is not None:
         why[Subject.BOUNDS] = "a bound holds it, not the record"
     return why.get(verdict.subject, "")

@@ -1,0 +1,76 @@
+"""A residual that follows the motion, and what is said of a value then."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import jointid as ji
+from jointid.diagnostics.intervals import rebuild_problem
+from jointid.diagnostics.unmodelled_motion import Foretold, foretell_residual
+from jointid.estimation.identify import identify
+from jointid.estimation.result.answer import Trust
+from jointid.estimation.result.consequence import consequence, spares_answer
+from jointid.models.springs import LinearSpring
+from jointid.records.record import Record
+from jointid.uncertainty.verdict import Reason, Status, Subject
+from tests.plants import Case, gapped_axis, prismatic, with_spring
+
+
+def foretold(record: Record, case: Case) -> Foretold:
+    loop = with_spring(case.loop, LinearSpring())
+    estimate = identify(record, loop, ji.FlexibleDIDIM(frequency=case.mode))
+    found = foretell_residual(*rebuild_problem(estimate, record, ""))
+    assert found is not None
+    return found
+
+
+@pytest.fixture(scope="module")
+def of_a_gap() -> Foretold:
+    case, record = gapped_axis(16_000)
+    return foretold(record, case)
+
+
+def test_a_residual_that_a_gap_leaves_follows_the_motion(of_a_gap: Foretold) -> None:
+    assert of_a_gap.follows
+    assert of_a_gap.share > 0.05
+
+
+@pytest.mark.parametrize("coloured", [False, True])
+def test_noise_does_not_follow_it(coloured: bool) -> None:
+    case = prismatic(1)
+    torque = case.clean.torque
+    assert torque is not None
+    noise = np.random.default_rng(5).standard_normal(torque.values.size)
+    if coloured:
+        noise = np.convolve(noise, 0.98 ** np.arange(300))[: noise.size]
+    noise *= 0.02 * np.std(torque.values) / np.std(noise)
+    record = replace(case.clean, torque=replace(torque, values=torque.values + noise))
+    found = foretold(record, case)
+    assert not found.follows
+    assert found.gain < 0.02
+
+
+def test_a_value_is_not_to_be_relied_on_then(of_a_gap: Foretold) -> None:
+    case = prismatic(1)
+    estimate = ji.identify(case.noisy(0.01, 1), case.loop, ji.FlexibleDIDIM(frequency=case.mode))
+    assert estimate.answer.trust.code == Trust.RELIABLE
+    follows = of_a_gap.verdict
+    assert (follows.subject, follows.status) == (Subject.REPEATABLE, Status.FAILED)
+    verdicts = tuple(follows if one.subject is follows.subject else one for one in estimate.checks.verdicts)
+    doubted = estimate.amended(checks={"verdicts": verdicts})
+    assert doubted.answer.trust.code == Trust.NOT_YET
+    assert str(Reason.RESIDUAL_FOLLOWS_MOTION) in doubted.answer.trust.values["reasons"]
+    assert "of the torque follows the motion and is not in the model" in doubted.sentence
+    assert not spares_answer(doubted, follows)
+    assert "what the model lacks may move it" in consequence(doubted, follows)
+
+
+def test_too_few_rows_say_nothing() -> None:
+    case = prismatic(1)
+    estimate = identify(case.clean, case.loop, ji.FlexibleDIDIM(frequency=case.mode))
+    problem, x = rebuild_problem(estimate, case.clean, "")
+    few = replace(problem, filtering=replace(problem.filtering, decimation=200))
+    assert foretell_residual(few, x) is None
