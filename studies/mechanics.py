@@ -23,7 +23,9 @@ from scipy.signal import lfilter
 import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
+from jointid.diagnostics.intervals import rebuild_problem
 from jointid.diagnostics.spring_comparison import compare_springs
+from jointid.diagnostics.unmodelled_motion import foretell_residual
 from jointid.models.springs import SPRINGS, LinearSpring, spring_named
 from jointid.simulation.loop_input import LoopInput, prepare
 from studies.healthy import Drive, drive
@@ -225,6 +227,7 @@ class Said:
     z: float | None
     off: float | None
     named: tuple[str, ...]
+    follows: bool = False  # whether the motion foretells some of the residual
 
     @property
     def silent(self) -> bool:
@@ -255,8 +258,13 @@ def judge(seed: int, fault: str, longest: float = 12.0, spring: str = LinearSpri
         seed, fault, made.size, about, "", found.sentence, str(found.answer.trust.code),
         (row.value - truth) / row.stderr if row.value is not None and row.stderr else None,
         100 * (row.value / truth - 1) if row.value is not None else None,
-        tuple(filter(None, named)),
+        tuple(filter(None, named)), _follows(found, made.record),
     )  # fmt: skip
+
+
+def _follows(estimate: ji.Estimate, record: ji.Record) -> bool:
+    foretold = foretell_residual(*rebuild_problem(estimate, record, ""))
+    return foretold is not None and foretold.follows
 
 
 @dataclass(frozen=True)
@@ -301,7 +309,10 @@ def summarise_choices(runs: Sequence[Chosen]) -> str:
 
 def summarise(runs: Sequence[Said]) -> str:
     """Return a row for each fault: how far stiffnesses are off, how many are silent, and what is named first."""
-    lines = ["fault, drives, given; off by %, median and 90 %; deviations, the same; relied on, silent; named first"]
+    lines = [
+        "fault, drives, given; off by %, median and 90 %; deviations, the same; relied on, silent; residuals that "
+        "follow the motion; named first"
+    ]
     for fault in dict.fromkeys(run.fault for run in runs):
         here = [run for run in runs if run.fault == fault]
         given = [run for run in here if run.z is not None]
@@ -312,7 +323,7 @@ def summarise(runs: Sequence[Said]) -> str:
         named = Counter(run.named[0] if run.named else "nothing" for run in here).most_common()
         lines.append(
             f"{fault}, {len(here)}, {len(given)}; {'; '.join(sizes)}; {relied}, {sum(run.silent for run in given)}; "
-            + ", ".join(f"{name} {count}" for name, count in named)
+            f"{sum(run.follows for run in given)}; " + ", ".join(f"{name} {count}" for name, count in named)
         )
     return "\n".join(lines)
 

@@ -20,7 +20,7 @@ import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -50,30 +50,32 @@ _DAMPING = 0.05  # of the load that is tried: as wide as the steps of the grid
 _REFINED, _WORSE = 3, 3.0  # valleys of the grid that are refined, at most; and how much worse than the best
 
 
-@dataclass(frozen=True, slots=True)
-class _PrescribedFit(Method):
-    """The settings that both methods have."""
-
-    log_delay: float | None = setting(
+def _log_delay() -> Any:
+    """Return the setting of when the log shows the torque."""
+    return setting(
         None,
         "how much later than it acts the log shows the torque, negative for a command that comes first; without it "
         "estimated",
         unit="s",
     )
-    frequency: float | None = setting(
-        None, "motor-locked frequency of the start; without it the best of a grid", unit="Hz", above=0
-    )
+
+
+def _frequency() -> Any:
+    """Return the setting of the mode that the search starts from."""
+    words = "motor-locked frequency of the start; without it the best of a grid"
+    return setting(None, words, unit="Hz", above=0)
 
 
 @documented
 @dataclass(frozen=True, slots=True)
-class DriveSideFit(_PrescribedFit):
+class DriveSideFit(Method):
     """Settings of the drive-side identification."""
 
     name = "drive_side"
     title = "the drive-side method"
     default_for = DriveSide
 
+    log_delay: float | None = _log_delay()
     current_lag: float | None = setting(
         0.0,
         "time constant between the log and the torque beside that delay: of the current loop behind a command, or of "
@@ -82,6 +84,7 @@ class DriveSideFit(_PrescribedFit):
         at_least=0,
         none="estimated",
     )
+    frequency: float | None = _frequency()
     instruments: Literal["tested", "always", "never"] = setting(
         "tested",
         "whether the reference and the injected signal replace least squares when they show that it is biased, "
@@ -219,19 +222,21 @@ def _reported(progress: Progress) -> Watch:
 
 @documented
 @dataclass(frozen=True, slots=True)
-class OpenLoopFit(_PrescribedFit):
+class OpenLoopFit(Method):
     """Settings of the open-loop identification."""
 
     name = "open_loop"
     title = "the open-loop method"
     default_for = OpenLoop
 
+    log_delay: float | None = _log_delay()
     highpass: float | None = setting(
         None,
         "frequency below which the position is drift, and not compared; without it 3 % of the cut-off",
         unit="Hz",
         above=0,
     )
+    frequency: float | None = _frequency()
     tolerance: float = setting(1e-8, "change of the criterion or the parameters to stop at, as a share", above=0)
 
     def identify(self, task: Task) -> Estimate:
@@ -246,7 +251,7 @@ class OpenLoopFit(_PrescribedFit):
         closing = OpenLoop(task.joint)
         problem = position_problem(task.record, closing, task.filtering, task.parameters, self.log_delay, self.highpass)
         task.progress("identifying the drive side for a start")
-        first = DriveSideFit(self.log_delay, 0.0, self.frequency, "never").identify(task)
+        first = DriveSideFit(log_delay=self.log_delay, frequency=self.frequency, instruments="never").identify(task)
         found = {p.name: p.value for p in first.params if p.value is not None}
         given = {p.name: p.start for p in problem.parameters if p.start is not None}
         start, solver = problem.vector({**found, **given}), LevenbergMarquardt(self.tolerance)
