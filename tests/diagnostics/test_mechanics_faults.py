@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -46,7 +47,7 @@ def test_forces_on_motor_and_load_act_as_one_on_the_motor() -> None:
     run, stiffness = made.simulate(x), where.truth["stiffness"]
     assert run.load_position is not None
     small = 1e-4 * stiffness * (run.motor_position - run.load_position)
-    force = _through_the_spring(small, where.truth, made.sample_time) - small
+    force = _through_the_spring(small, where.truth, where.truth["load_viscous"], made.sample_time) - small
     shown = made.filtered(_with_force(made, x, force) - made.torque(x))
     names = [p.name for p in made.free]
     exact = -1e-4 * stiffness * made.linearised(x)[1][:, names.index("stiffness")]
@@ -94,8 +95,19 @@ def test_a_rigid_joint_has_no_spring() -> None:
     assert not {one.name for one in check_loop(estimate, record).tests} & set(MECHANICS)
 
 
-def test_a_healthy_joint_has_none_of_them() -> None:
+def test_they_are_the_same_of_a_friction_with_a_number_for_each_direction() -> None:
     where = setting("L19")
     made = problem(where, None, None)
     x = made.vector(where.truth)
-    assert {one.name for one in vary_mechanics(made, x)} == set(MECHANICS)
+    asymmetric = replace(made.joint, friction=ji.AsymmetricFriction())
+    loop = replace(made.loop, joint=asymmetric)
+    values = made.values(x)
+    values |= {p.name: values[p.name.rpartition("_")[0]] for p in asymmetric.parameters if p.name.endswith("wards")}
+    beside = made.parameters[len(made.joint.parameters) :]
+    own = tuple(p.fixed(values[p.name]) if p.name == "offset" else p for p in asymmetric.parameters)
+    other = replace(made, loop=loop, parameters=(*own, *beside))
+    ours, theirs = list(vary_mechanics(made, x)), list(vary_mechanics(other, other.vector(values)))
+    assert {one.name for one in ours} == set(MECHANICS)
+    assert [one.name for one in ours] == [one.name for one in theirs]
+    for one, there in zip(ours, theirs, strict=True):
+        assert np.allclose(one.column, there.column, rtol=1e-6, atol=1e-6 * np.max(np.abs(one.column))), one.name

@@ -27,8 +27,8 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.diagnostics.fault_signature import FaultSignature
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.models.friction import PARTS, Part
 from jointid.models.joints import FlexibleJoint
-from jointid.models.springs import Spring
 from jointid.records.record import Tap
 from jointid.simulation.closed_loop import Simulation
 from jointid.simulation.loop_input import as_logged
@@ -53,8 +53,9 @@ def vary_mechanics(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultS
     joint = problem.joint
     assert isinstance(joint, FlexibleJoint)
     base, largest = problem.torque(x), float(np.max(np.abs(problem.measured)))
-    for name, shape, on_motor, on_load in _forces(run, values, joint.spring):
-        force = on_motor + _through_the_spring(on_load, values, problem.sample_time)
+    viscous = sum(weight * values[name] for name, weight in joint.friction.mean("viscous", "load_").items())
+    for name, shape, on_motor, on_load in _forces(run, values, joint):
+        force = on_motor + _through_the_spring(on_load, values, viscous, problem.sample_time)
         small = _FORCE * largest / float(np.max(np.abs(force), initial=np.finfo(float).tiny))
         raw = (_with_force(problem, x, small * force) - base) / small
         if problem.experiment.tap is Tap.MEASURED:
@@ -63,11 +64,11 @@ def vary_mechanics(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultS
 
 
 def _forces(
-    run: Simulation, values: Mapping[str, float], spring: Spring
+    run: Simulation, values: Mapping[str, float], joint: FlexibleJoint
 ) -> Iterator[tuple[str, float | None, FloatArray, FloatArray]]:
     """Yield name, shape, and the forces on motor and load, (samples,) each, per unit of every fault's size."""
     assert run.load_position is not None and run.load_velocity is not None
-    windup = run.motor_position - run.load_position
+    windup, spring = run.motor_position - run.load_position, joint.spring
     torque, largest = spring.torque(values, windup, np.zeros_like(windup)), float(np.max(np.abs(windup)))
     if not (largest > 0 and values["stiffness"] > 0 and values["load_inertia"] > 0):
         return
@@ -79,20 +80,30 @@ def _forces(
         yield BACKLASH, share * largest, missing, -missing
     yield LOAD_DEPENDENT_FRICTION, None, np.zeros_like(torque), -np.abs(torque) * np.sign(run.load_velocity)
     late, speeds = run.time / run.time[-1], (run.motor_velocity, run.load_velocity)
-    motor, load = (late * values[f"{side}_viscous"] * speed for side, speed in zip(_SIDES, speeds, strict=True))
-    yield CHANGING_FRICTION, VISCOUS, motor, load
-    motor, load = (
-        late * values[f"{side}_coulomb"] * np.sign(speed) for side, speed in zip(_SIDES, speeds, strict=True)
-    )
-    yield CHANGING_FRICTION, COULOMB, motor, load
+    for part, shape in zip(PARTS, (VISCOUS, COULOMB), strict=True):
+        motor, load = (
+            late * _friction(joint, values, f"{side}_", part, speed) for side, speed in zip(_SIDES, speeds, strict=True)
+        )
+        yield CHANGING_FRICTION, shape, motor, load
 
 
-def _through_the_spring(force: FloatArray, values: Mapping[str, float], sample_time: float) -> FloatArray:
+def _friction(
+    joint: FlexibleJoint, values: Mapping[str, float], prefix: str, part: Part, velocity: FloatArray
+) -> FloatArray:
+    """Return the viscous or the Coulomb friction of one side, (samples,)."""
+    coefficients, columns = joint.friction.coefficients, joint.friction.columns(velocity)
+    own = [values[prefix + c.name] if c.part == part else 0.0 for c in coefficients]
+    return np.asarray(columns @ np.array(own))
+
+
+def _through_the_spring(
+    force: FloatArray, values: Mapping[str, float], viscous: float, sample_time: float
+) -> FloatArray:
     """Return what of a force on a sliding load, (samples,), the motor feels."""
     from scipy.signal import bilinear, lfilter
 
     k, c = values["stiffness"], values["damping"]
-    load = [values["load_inertia"], c + values["load_viscous"], k]
+    load = [values["load_inertia"], c + viscous, k]
     return np.asarray(lfilter(*bilinear([c, k], load, 1.0 / sample_time), force))
 
 
