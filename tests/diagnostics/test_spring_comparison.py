@@ -13,7 +13,7 @@ import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.diagnostics import spring_comparison
 from jointid.diagnostics.spring_comparison import RIGID, FittedSpring, SpringComparison, SpringShown, compare_springs
-from jointid.models.springs import SPRINGS, LinearSpring
+from jointid.models.springs import SPRINGS, LinearSpring, TwoPieceSpring
 from jointid.records.record import Record
 from studies.mechanics import spoiled
 from tests.plants import Case, gapped_axis, prismatic, with_spring
@@ -110,7 +110,22 @@ def test_a_law_that_cannot_be_identified_is_listed_with_the_reason(
     assert found.shown.name == "linear"
     assert [law.refusal for law in found.springs] == ["", "", *["The loop runs away."] * 3]
     assert "not identified" in str(found)
+    assert "; backlash, two-piece and three-piece could not be identified" in found.sentence
     assert json.loads(json.dumps(ji.to_dict(found)))["springs"][2]["kept_error_percent"] is None
+
+
+def test_what_is_declared_of_one_law_is_not_taken_for_another_s(plain: tuple[Case, SpringComparison]) -> None:
+    case, _ = plain
+    record, given = some_of(case.clean, 3000), {p.name: p for p in case.loop.joint.parameters}
+    declared = {
+        "stiffness": given["stiffness"].fixed(0.5 * case.truth["stiffness"]),
+        "offset": given["offset"].fixed(0.0),
+    }
+    loop = with_spring(case.loop, TwoPieceSpring())
+    found = compare_springs(record, loop, parameters=declared, didim=ji.FlexibleDIDIM(frequency=case.mode))
+    by_name = {one.name: one for one in found.springs}
+    assert "stiffness" not in by_name["two-piece"].std  # which is kept
+    assert by_name["linear"].values["stiffness"] == pytest.approx(case.truth["stiffness"], rel=0.05)
 
 
 def test_what_cannot_be_compared_is_refused_in_a_sentence(plain: tuple[Case, SpringComparison]) -> None:
@@ -119,6 +134,11 @@ def test_what_cannot_be_compared_is_refused_in_a_sentence(plain: tuple[Case, Spr
         compare_springs(case.clean, replace(case.loop, joint=ji.RigidJoint()))
     with pytest.raises(MethodError, match="compared by least squares; received the minimiser nelder-mead"):
         compare_springs(case.clean, case.loop, didim=ji.FlexibleDIDIM(minimiser="nelder-mead"))
+    with pytest.raises(MethodError, match="stifness"):
+        compare_springs(case.clean, case.loop, parameters={"stifness": case.loop.joint.parameters[3]})
+    arm = ji.FlexibleJoint("revolute", gravity=ji.Gravity("link"))
+    with pytest.raises(MethodError, match="Springs are not compared beside gravity that follows the position"):
+        compare_springs(case.clean, replace(case.loop, joint=arm))
     with pytest.raises(MethodError, match=r"cut into 24 parts to compare springs; this one has \d+ rows, expected 192"):
         compare_springs(some_of(case.clean, 600), case.loop, didim=ji.FlexibleDIDIM(frequency=case.mode))
 

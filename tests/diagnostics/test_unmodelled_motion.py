@@ -9,7 +9,7 @@ import pytest
 
 import jointid as ji
 from jointid.diagnostics.intervals import rebuild_problem
-from jointid.diagnostics.unmodelled_motion import Foretold, foretell_residual
+from jointid.diagnostics.unmodelled_motion import Foretold, _responses, foretell_residual
 from jointid.estimation.identify import identify
 from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.consequence import consequence, spares_answer
@@ -74,3 +74,4 @@ def test_too_few_rows_say_nothing() -> None:
     problem, x = rebuild_problem(estimate, case.clean, "")
     few = replace(problem, filtering=replace(problem.filtering, decimation=200))
     assert foretell_residual(few, x) is None
+    assert _responses(np.ones((300, 12)), 1e-4) is None  # of 30 ms

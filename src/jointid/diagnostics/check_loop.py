@@ -183,7 +183,10 @@ def add_loop_check(
         verdict = Verdict(Subject.LOOP, Status.FAILED, (short,))
     verdicts = (*estimate.checks.verdicts, verdict)
     if check is not None and verdict.status is Status.PASSED and (follows := _find_unmodelled(estimate, record)):
-        verdicts = tuple(follows if one.subject is follows.subject else one for one in verdicts)
+        before = next((one for one in verdicts if one.subject is follows.subject), None)
+        kept = before.reasons if before is not None and before.status is Status.FAILED else ()
+        others = tuple(one for one in verdicts if one is not before)
+        verdicts = (*others[:-1], replace(follows, reasons=(*follows.reasons, *kept)), others[-1])
     return estimate.amended(checks={"verdicts": verdicts}), check
 
 

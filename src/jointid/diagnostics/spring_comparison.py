@@ -14,7 +14,6 @@ pieces: the check of loop and log (`check_loop`) of an estimate with the spring 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -26,18 +25,18 @@ from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.document import Document, Documented, Facts, Table, common_facts
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Message, Progress, silent
-from jointid.common.parameters import Parameter, adjusted
-from jointid.common.text import number
+from jointid.common.parameters import Parameter, Quantity, adjusted
+from jointid.common.text import listed, number
 from jointid.common.transmission import Transmission
-from jointid.diagnostics.held_out import FEWEST, PARTS, TIMES, cut
-from jointid.estimation.methods.flexible import FlexibleDIDIM
+from jointid.diagnostics.held_out import FEWEST, PARTS, TIMES, cut, mean_logarithm, squares_of
+from jointid.estimation.methods.flexible import FlexibleDIDIM, stopping_tolerance
 from jointid.estimation.methods.registry import Task
-from jointid.estimation.methods.search import History, Solved, least_squares
+from jointid.estimation.methods.search import History, Solved, free_more, least_squares
 from jointid.estimation.methods.spring_search import from_linear_spring
 from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.models.joints import ClosedLoop, FlexibleJoint
-from jointid.models.springs import SPRINGS, LinearSpring, Spring
+from jointid.models.springs import SPRINGS, LinearSpring
 from jointid.records.checks import check_record
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -51,6 +50,7 @@ RIGID = "none"
 _ERRORS = 3.0  # standard errors of a mean logarithm within which two laws predict alike: the best of several is lucky
 _HARDLY = 0.02  # mean logarithm, an error 1 % less: so little is no reason to believe in another spring
 _NOTHING = 1e-6  # of the torque: less than that is left by rounding
+_UNKNOWN = 10.0  # times its value: a deviation so large tells nothing
 _BESIDE = 1e-3  # standard errors: so little is 0
 _TOLERANCE = 1e-8  # of the fits to the whole record
 _ROUGHLY, _EVALUATIONS = 1e-5, 20  # of those without a part, which begin where the whole record's ended
@@ -135,6 +135,8 @@ class SpringComparison(Documented):
         else:
             words = f"The record shows a {found.name} spring, {found.words}: it leaves {left}, a linear one "
             words += _percent(linear.kept)
+        if lost := [one.name for one in self.springs if one.refusal]:
+            words += f"; {listed(lost)} could not be identified"
         if found is not declared:
             words += f'; set joint.spring = "{found.name}" to identify it'
         return Message(SpringShown.AS_DECLARED if found is declared else SpringShown.ANOTHER, words, values)
@@ -209,13 +211,14 @@ def compare_springs(
         record: with torque and reference.
         loop: a flexible joint under its controller; its own law of the spring is the one that is declared.
         filtering: see `Filtering`.
-        parameters: changes to the joint's parameters by name; those of a law's own have no meaning in another one.
-        didim: settings of DIDIM, by least squares.
+        parameters: changes to the joint's parameters by name; those of the declared spring are of that law only.
+        didim: settings of DIDIM, by least squares; what it frees around the joint is free with every law.
         progress: is told.
 
     Raises:
         RecordError: the record contradicts its description, or is too short to keep parts of it.
-        MethodError: the joint is rigid, or cannot be identified with a linear spring.
+        MethodError: the joint is rigid, bears gravity that follows the position, or cannot be identified with a linear
+            spring; a parameter has no such name.
 
     Example:
         >>> import jointid as ji
@@ -229,11 +232,19 @@ def compare_springs(
         raise MethodError('Only a flexible joint has a spring; received a rigid one: set joint.model = "flexible".')
     if settings.minimiser != "least-squares":
         raise MethodError(f"Springs are compared by least squares; received the minimiser {settings.minimiser}.")
+    if joint.gravity is not None and joint.gravity.varies:
+        raise MethodError(
+            "Springs are not compared beside gravity that follows the position, with which springs in pieces are not "
+            "simulated; expected a constant load or none."
+        )
     check_record(record)
-    history = History(progress)
-    given, linear = parameters or {}, replace(loop, joint=joint.linear)
-    own = adjusted(joint.linear.parameters, _known(given, joint.linear))
+    history, tolerance = History(progress), stopping_tolerance(settings)
+    given, linear = dict(parameters or {}), replace(loop, joint=joint.linear)
+    adjusted(joint.parameters, given)  # which refuses names that it does not have
+    own = adjusted(joint.linear.parameters, _of_law(given, joint, joint.linear))
     solved, _ = settings.solve(Task(record, joint.linear, linear, own, filtering or Filtering(), progress), history)
+    if settings.free:
+        solved = free_more(solved.problem, solved.solution.x, settings.free, tolerance, history)
     parts = cut(solved.problem)
     if parts is None:
         raise MethodError(
@@ -248,47 +259,63 @@ def compare_springs(
         try:
             if law is None:
                 end = _rigid(solved, record, linear, history)
+            elif law.linear:
+                end = solved
             else:
-                end = _with(solved, record, loop, law, given, history)
+                end = _with(solved, record, replace(loop, joint=replace(joint, spring=law)), given, joint, history)
             found.append(_judge(end, name, of_spring, parts))
         except (JointidError, np.linalg.LinAlgError) as error:
+            why = str(error) if isinstance(error, JointidError) else "the search met a law without a solution"
             if law is not None and law.linear:
-                raise
-            refused = FittedSpring(name, len(of_spring), {}, {}, None, None, refusal=str(error))
-            found.append((refused, None))
+                raise MethodError(f"The joint cannot be judged with a linear spring: {why}") from error
+            found.append((FittedSpring(name, len(of_spring), {}, {}, None, None, refusal=why), None))
     best = min((squares for _, squares in found if squares is not None), key=lambda one: float(np.mean(np.log(one))))
     springs = tuple(one if squares is None else _compared(one, squares, best) for one, squares in found)
     return SpringComparison(record.name, springs, joint.spring.name, joint.transmission)
 
 
-def _known(given: Mapping[str, Parameter], joint: FlexibleJoint) -> dict[str, Parameter]:
-    """Return the changes that a joint has parameters for."""
-    names = {p.name for p in joint.parameters}
-    return {name: change for name, change in given.items() if name in names}
+def _of_law(given: Mapping[str, Parameter], declared: FlexibleJoint, joint: FlexibleJoint) -> dict[str, Parameter]:
+    """Return the changes that mean the same with another spring than the declared one: not those of the spring."""
+    if joint == declared:
+        return dict(given)
+    changed = {p.name for p in (*declared.spring.parameters, *joint.spring.parameters)} - {"damping"}
+    return {name: change for name, change in given.items() if name not in changed}
 
 
 def _rigid(solved: Solved, record: Record, loop: ClosedLoop, history: History) -> Solved:
-    """Return where the search for a rigid joint ends, on the band and from the sums of both sides of a flexible one."""
+    """Return where the search for a rigid joint ends, on the band and from the sums of both sides of a flexible one.
+
+    What is kept there of both sides is kept of their sum, too.
+    """
     flexible, problem, values = loop.joint, solved.problem, solved.problem.values(solved.solution.x)
     assert isinstance(flexible, FlexibleJoint)
-    joint, beside = flexible.rigid, problem.parameters[len(flexible.parameters) :]
-    rigid = torque_problem(record, replace(loop, joint=joint), problem.filtering, joint.parameters, beside)
-    sums = {
-        p.name: values[f"motor_{p.name}"] + values[f"load_{p.name}"] for p in joint.parameters if p.name not in values
-    }
+    known, sums = {p.name: p for p in problem.parameters}, dict[str, float]()
+    own = []
+    for p in flexible.rigid.parameters:
+        if p.name in known:
+            own.append(known[p.name])
+            continue
+        sides = [f"{side}_{p.name}" for side in ("motor", "load")]
+        sums[p.name] = sum(values[name] for name in sides)
+        own.append(p if any(known[name].free for name in sides) else p.fixed(sums[p.name]))
+    beside = problem.parameters[len(flexible.parameters) :]
+    rigid = torque_problem(record, replace(loop, joint=flexible.rigid), problem.filtering, tuple(own), beside)
     return history.solve(rigid, least_squares(rigid, _TOLERANCE), rigid.vector(values | sums))
 
 
 def _with(
-    solved: Solved, record: Record, loop: ClosedLoop, law: Spring, given: Mapping[str, Parameter], history: History
+    solved: Solved,
+    record: Record,
+    loop: ClosedLoop,
+    given: Mapping[str, Parameter],
+    declared: FlexibleJoint,
+    history: History,
 ) -> Solved:
-    """Return where the search with a law ends, from where that with a linear spring did."""
-    if law.linear:
-        return solved
-    assert isinstance(loop.joint, FlexibleJoint)
-    joint = replace(loop.joint, spring=law)
-    own = adjusted(joint.parameters, _known(given, joint))
-    problem = torque_problem(record, replace(loop, joint=joint), solved.problem.filtering, own)
+    """Return where the search with the law of a loop's spring ends, from where that with a linear spring did."""
+    joint = loop.joint
+    assert isinstance(joint, FlexibleJoint)
+    own = adjusted(joint.parameters, _of_law(given, declared, joint))
+    problem = torque_problem(record, loop, solved.problem.filtering, own)
     return from_linear_spring(problem, solved, _TOLERANCE, history)
 
 
@@ -300,14 +327,11 @@ def _judge(
     error, slopes = problem.linearised(x)
     names = [p.name for p in problem.free]
     known = uncertainty(-slopes, -slopes, error, problem.cells(problem.simulate(x)), names, problem.torque_unit)
-    felt = column_norms(slopes) * np.abs(x) > _NOTHING * problem.size  # not of a piece that the record never reaches
-    std = {n: float(sigma) for n, sigma, shown in zip(names, known.covariance.std, felt, strict=True) if shown}
+    shown = column_norms(slopes) > 0.0  # not of a piece that the record never reaches
+    std = {n: float(sigma) for n, sigma, told in zip(names, known.covariance.std, shown, strict=True) if told}
     values, units = problem.values(x), problem.units
     untold = {p.name for p in problem.free} - set(std)
-    words = {
-        p.name: "not told" if p.name in untold else _interval(values[p.name], std.get(p.name), units[p.name])
-        for p in of_spring
-    }
+    words = {p.name: _interval(p, values[p.name], std.get(p.name), units[p.name], p.name in untold) for p in of_spring}
     begun = problem.keeping({name: values[name] for name in INITIAL if name in values})  # only the first part shows it
     solver = replace(least_squares(begun, _ROUGHLY), evaluations=_EVALUATIONS)
 
@@ -328,17 +352,21 @@ def _judge(
         float(np.linalg.norm(apart)) / size,
         words=joint.spring.describe(words) if isinstance(joint, FlexibleJoint) else "",
     )
-    return found, np.asarray(np.bincount(parts, weights=apart**2) + (_NOTHING * size) ** 2 / PARTS)
+    return found, squares_of(apart, parts, (_NOTHING * size) ** 2 / PARTS)
 
 
-def _interval(value: float, std: float | None, unit: str) -> str:
-    if std is None or not math.isfinite(std):
+def _interval(p: Parameter, value: float, std: float | None, unit: str, untold: bool) -> str:
+    """Return a value with its interval; what the record does not tell as that, unless it may be 0."""
+    vanishes = p.quantity in (Quantity.POSITION, Quantity.VISCOUS)  # a gap, a damping
+    if not vanishes and (untold or (std is not None and std > _UNKNOWN * abs(value))):
+        return "(not told)"
+    if std is None:
         return f"{number(value, 4)} {unit}"
-    near_none = abs(value) < _BESIDE * std  # how near a search comes to a bound at 0 says nothing
+    near_none = vanishes and abs(value) < _BESIDE * std  # how near a search comes to a bound at 0 says nothing
     return f"{number(0.0 if near_none else value, 4)} +- {number(2 * std, 2)} {unit}"
 
 
 def _compared(one: FittedSpring, squares: FloatArray, best: FloatArray) -> FittedSpring:
     """Return a law with how much worse it predicts than the best one."""
-    worse = np.log(squares / best)
-    return replace(one, worse=float(np.mean(worse)), error=float(np.std(worse, ddof=1)) / math.sqrt(worse.size))
+    worse, error = mean_logarithm(squares, best)
+    return replace(one, worse=worse, error=error)

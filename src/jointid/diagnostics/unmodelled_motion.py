@@ -4,7 +4,7 @@ Noise in the loop is coloured by it and repeats nowhere, so that whiteness says 
 spring or a friction lacks depends on more than the place. So the residual is asked whether the motion foretells it:
 free responses, as long as a loop remembers, of the simulated wind-up and speeds, and of products of them which springs
 and frictions that are not the model's would draw out, are fitted to it without every third part of the record, and
-foretell that part. The parts are those of `spring_comparison`. What they take away of it, by the mean logarithm of the
+foretell that part. The parts are those of `held_out`. What they take away of it, by the mean logarithm of the
 ratio of squares and its standard error, no noise gives away: it is not coherent with the reference (J. S. Bendat, A. G.
 Piersol, Random Data, 2010, chapter 9, has the same of linear responses). It is asked as it is, and made white, which
 shows what little stands in a noise of other frequencies.
@@ -17,12 +17,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from jointid.common.arrays import FloatArray
 from jointid.common.messages import Message
 from jointid.common.text import number
-from jointid.diagnostics.held_out import PARTS, TIMES, cut
+from jointid.diagnostics.held_out import TIMES, cut, mean_logarithm, squares_of
+from jointid.estimation.problems.base import filter_rows
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.simulation.closed_loop import Simulation
 from jointid.uncertainty.verdict import Reason, Status, Subject, Verdict
@@ -32,6 +32,7 @@ _MEMORY = 0.08  # s that they reach back
 _RIDGES = (1e-3, 1e-1, 1.0, 10.0)  # of a column's square: the more, the less is fitted to noise, and the less is seen
 _ORDER = 4  # of the filter that makes a residual white
 _SURE = 3.0  # standard errors
+_LITTLE = 1e-3  # of the torque: simulators and encoders differ by as much
 _MUCH = 0.05  # logarithm of the ratio of squares: 2.5 % less error
 
 
@@ -51,7 +52,7 @@ class Foretold:
     @property
     def follows(self) -> bool:
         """True if no noise does that."""
-        return self.gain > max(_SURE * self.error, _MUCH)
+        return self.gain > max(_SURE * self.error, _MUCH) and self.share > _LITTLE
 
     @property
     def verdict(self) -> Verdict:
@@ -70,18 +71,19 @@ def foretell_residual(problem: ClosedLoopProblem, x: FloatArray) -> Foretold | N
         problem: that was solved.
         x: (free,) where.
     """
-    run, error = problem.simulate(x), problem.residual(x)
+    run = problem.simulate(x)
     if run.load_position is None or run.torque.size != problem.measured.size:
         return None
+    error = problem.filtered(problem.measured - run.torque)
     inputs = problem.filtered(_inputs(run))
     parts = cut(problem)
-    if parts is None:
+    if parts is None or not np.any(error):
         return None
     columns = _responses(inputs, problem.sample_time * problem.measured.size / error.size)
-    if error.size < 2 * columns.shape[1]:
+    if columns is None or error.size < 2 * columns.shape[1]:
         return None
     taps = _whitening(error)
-    white = _through(taps, error), _through(taps, columns)
+    white = filter_rows(taps, error), filter_rows(taps, columns)
     sizes = problem.size, problem.size * float(np.linalg.norm(white[0]) / np.linalg.norm(error))
     seen = zip(((error, columns), white), sizes, strict=True)
     judged = [_judge(*one, parts, ridge, size) for one, size in seen for ridge in _RIDGES]
@@ -91,12 +93,7 @@ def foretell_residual(problem: ClosedLoopProblem, x: FloatArray) -> Foretold | N
 def _whitening(error: FloatArray) -> FloatArray:
     """Return the taps of a filter that leaves of a residual, (rows,), what its last few rows do not foretell."""
     before = np.column_stack([np.concatenate([np.zeros(lag), error[:-lag]]) for lag in range(1, _ORDER + 1)])
-    return np.concatenate([[1.0], -np.linalg.lstsq(before, error)[0]])
-
-
-def _through(taps: FloatArray, columns: FloatArray) -> FloatArray:
-    """Return signals, (rows,) or (rows, columns), through a filter; before the first row there was nothing."""
-    return np.asarray(lfilter(taps, [1.0], columns, axis=0))
+    return np.concatenate([[1.0], -np.linalg.lstsq(before, error, rcond=None)[0]])
 
 
 def _judge(error: FloatArray, columns: FloatArray, parts: NDArray[np.intp], ridge: float, size: float) -> Foretold:
@@ -111,13 +108,11 @@ def _judge(error: FloatArray, columns: FloatArray, parts: NDArray[np.intp], ridg
         kept = parts % TIMES == time
         square = np.sum(products, axis=0) - products[time]
         shrunk = square + np.diag(ridge * np.diag(square) + np.finfo(float).tiny)
-        foretold[kept] = columns[kept] @ np.linalg.lstsq(shrunk, np.sum(projected, axis=0) - projected[time])[0]
+        known = np.sum(projected, axis=0) - projected[time]
+        foretold[kept] = columns[kept] @ np.linalg.lstsq(shrunk, known, rcond=None)[0]
     left = error - foretold
-    before, after = (np.bincount(parts, weights=signal**2, minlength=PARTS) for signal in (error, left))
-    seen = before > 0
-    gain = np.log(before[seen] / after[seen])
-    mean, spread = float(np.mean(gain)), float(np.std(gain, ddof=1)) / math.sqrt(gain.size)
-    share = math.sqrt(max(1.0 - math.exp(-mean), 0.0)) * float(np.linalg.norm(error)) / size
+    mean, spread = mean_logarithm(squares_of(error, parts), squares_of(left, parts))
+    share = math.sqrt(-math.expm1(-max(mean, 0.0))) * float(np.linalg.norm(error)) / size
     return Foretold(share, mean, spread)
 
 
@@ -135,9 +130,11 @@ def _inputs(run: Simulation) -> FloatArray:
     return np.column_stack(columns)
 
 
-def _responses(inputs: FloatArray, row_time: float) -> FloatArray:
-    """Return each input and itself later, (rows, inputs * lags), by size."""
+def _responses(inputs: FloatArray, row_time: float) -> FloatArray | None:
+    """Return each input and itself later, (rows, inputs * lags), by size; None where a record is hardly longer."""
     step = max(round(_MEMORY / _LAGS / row_time), 1)
+    if 2 * _LAGS * step > len(inputs):
+        return None
     later = [
         np.vstack([np.zeros((lag * step, inputs.shape[1])), inputs[: len(inputs) - lag * step]]) for lag in range(_LAGS)
     ]

@@ -96,3 +96,10 @@ def test_a_spring_in_pieces_gives_our_torque(spring: Spring) -> None:
     assert fine < 3e-5  # the interpreter steps over the edges of the pieces
     assert fine < 0.5 * coarse
     assert apart(simulated(ji.FlexibleJoint(), law, reference, PIECES), ours) > 0.01
+
+
+def test_pieces_that_do_not_follow_each_other_are_refused() -> None:
+    joint = ji.FlexibleJoint(spring=ThreePieceSpring())
+    for wrong in ({"torque_2": 10.0}, {"stiffness_2": 0.0}, {"stiffness_2": -1.0}):
+        with pytest.raises(ji.MethodError, match="expected pieces that follow each other"):
+            ji.export(model(joint, PIECES | wrong), "modelica")

@@ -216,8 +216,9 @@ class JointModel:
         values = self.values
         wrong = [f"{p.name} is {values[p.name]:g}" for p in spring.parameters if values[p.name] < 0]
         found = () if wrong else spring.pieces(values)
-        if wrong or not all(math.isfinite(piece.deflection) for piece in found):
-            what = " and ".join(wrong) or "a piece has no stiffness"
+        begins = [piece.deflection for piece in found]
+        if wrong or not all(map(math.isfinite, begins)) or begins != sorted(begins):
+            what = " and ".join(wrong) or "the torques do not rise, or a piece has no stiffness"
             raise MethodError(
                 f"Of this {spring.name} spring {what}; expected pieces that follow each other: identify again."
             )
@@ -230,8 +231,8 @@ class JointModel:
 
     @property
     def mode(self) -> float:
-        """Frequency in Hz at which motor and load swing against each other, on the stiffest piece of the spring."""
-        return FlexibleJoint.frequencies(self.values | {"stiffness": self.stiffest})["free_free"]
+        """Frequency in Hz at which motor and load swing against each other, on the first stiffness of the spring."""
+        return FlexibleJoint.frequencies(self.values)["free_free"]
 
     @property
     def friction_shift(self) -> float:

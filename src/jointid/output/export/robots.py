@@ -11,11 +11,13 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from itertools import pairwise
 from xml.etree import ElementTree as ET
 
 from jointid.common.errors import MethodError
 from jointid.common.parameters import TORQUE_UNIT
 from jointid.common.text import number as shown
+from jointid.models.joints import FlexibleJoint
 from jointid.models.springs import Piece
 from jointid.output.export.joint_model import (
     JointModel,
@@ -136,7 +138,7 @@ def mjcf(model: JointModel, *, timestep: float | None = None) -> tuple[str, tupl
         world.append(_body("motor", model.kind, motor, _body_of(small, model.kind), rotor))
         world.append(_body("load", model.kind, load, _body_of(load, model.kind, weight)))
         root.append(_tendons(model))
-        if any(piece.damping != model.damping for piece in model.pieces):
+        if any(p.damping != model.damping and after.deflection > p.deflection for p, after in pairwise(model.pieces)):
             lost.append("a gap in which nothing damps: the damper of a MuJoCo tendon acts there, too")
     root.append(_actuators(model))
     sensors = ET.SubElement(root, "sensor")
@@ -182,7 +184,8 @@ def _tendons(model: JointModel) -> ET.Element:
 def _step(model: JointModel) -> float:
     sample_time, longest = model.sample_time or _SAMPLE_TIME, _LONGEST
     if model.stiffest > 0:
-        longest = min(longest, 1 / (_STEPS * model.mode))
+        stiffest = FlexibleJoint.frequencies(model.values | {"stiffness": model.stiffest})
+        longest = min(longest, 1 / (_STEPS * stiffest["free_free"]))
     return sample_time / math.ceil(sample_time / longest)
 
 
