@@ -242,15 +242,11 @@ def compare_springs(
     given, linear = dict(parameters or {}), replace(loop, joint=joint.linear)
     adjusted(joint.parameters, given)  # which refuses names that it does not have
     own = adjusted(joint.linear.parameters, _of_law(given, joint, joint.linear))
+    _parts(torque_problem(record, linear, filtering or Filtering(), own))  # before the search, which takes its time
     solved, _ = settings.solve(Task(record, joint.linear, linear, own, filtering or Filtering(), progress), history)
     if settings.free:
         solved = free_more(solved.problem, solved.solution.x, settings.free, tolerance, history)
-    parts = cut(solved.problem)
-    if parts is None:
-        raise MethodError(
-            f"A record is cut into {PARTS} parts to compare springs; this one has {solved.solution.residual.size} "
-            f"rows, expected {FEWEST} or more: give a longer record, or a higher cut-off."
-        )
+    parts = _parts(solved.problem)
     laws = sorted((law() for law in SPRINGS.values()), key=lambda law: len(law.parameters))
     found: list[tuple[FittedSpring, FloatArray | None]] = []
     for law in (None, *laws):
@@ -272,6 +268,21 @@ def compare_springs(
     best = min((squares for _, squares in found if squares is not None), key=lambda one: float(np.mean(np.log(one))))
     springs = tuple(one if squares is None else _compared(one, squares, best) for one, squares in found)
     return SpringComparison(record.name, springs, joint.spring.name, joint.transmission)
+
+
+def _parts(problem: ClosedLoopProblem) -> NDArray[np.intp]:
+    """Return the part that each row is in, (rows,).
+
+    Raises:
+        MethodError: there are too few rows.
+    """
+    parts = cut(problem)
+    if parts is None:
+        raise MethodError(
+            f"A record is cut into {PARTS} parts to compare springs, which takes {FEWEST} rows or more; received "
+            f"{problem.filtered(problem.measured).size}: give a longer record, or a higher cut-off."
+        )
+    return parts
 
 
 def _of_law(given: Mapping[str, Parameter], declared: FlexibleJoint, joint: FlexibleJoint) -> dict[str, Parameter]:

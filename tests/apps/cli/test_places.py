@@ -52,6 +52,7 @@ COMMANDS = (
     "diagnose methods joint.toml --json record.csv",
     "diagnose loop joint.toml --json joint.toml",
     "diagnose sensors joint.toml --json record.csv",
+    "diagnose springs joint.toml --json record.csv",
 )
 
 
@@ -212,6 +213,7 @@ OUTPUTS: dict[str, tuple[str, dict[str, str]]] = {
     "diagnose loop": ("joint.toml", {"--json": "x.json"}),
     "diagnose methods": ("joint.toml", {"--json": "x.json"}),
     "diagnose sensors": ("joint.toml", {"--json": "x.json"}),
+    "diagnose springs": ("joint.toml", {"--json": "x.json"}),
     "export": ("joint.toml --estimate estimate.json", {"--out": "x.urdf"}),
     "identify": ("joint.toml", {"--json": "x.json", "--figure": "x.png"}),
     "report": ("joint.toml", {"--html": "x.html", "--json": "x.json", "--markdown": "x", "--figures": "."}),

@@ -87,7 +87,9 @@ def test_what_was_identified_stands_in_it_and_a_hostile_name_does_not_break_it()
     assert ModelicaModel(ji.export(model(ji.FlexibleJoint(), TABLE_2, "model"), "modelica").text, "joint_model")
 
 
-@pytest.mark.parametrize("spring", [Backlash(), ThreePieceSpring()], ids=lambda spring: spring.name)
+@pytest.mark.parametrize(
+    "spring", [pytest.param(Backlash(), marks=pytest.mark.slow), ThreePieceSpring()], ids=["backlash", "three-piece"]
+)
 def test_a_spring_in_pieces_gives_our_torque(spring: Spring) -> None:
     joint, law = ji.FlexibleJoint(spring=spring), CONTROLLERS["L19"]
     reference = REFERENCE[:600]
