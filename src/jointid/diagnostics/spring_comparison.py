@@ -52,7 +52,6 @@ _HARDLY = 0.02  # mean logarithm, an error 1 % less: so little is no reason to b
 _NOTHING = 1e-6  # of the torque: less than that is left by rounding
 _UNKNOWN = 10.0  # times its value: a deviation so large tells nothing
 _BESIDE = 1e-3  # standard errors: so little is 0
-_TOLERANCE = 1e-8  # of the fits to the whole record
 _ROUGHLY, _EVALUATIONS = 1e-5, 20  # of those without a part, which begin where the whole record's ended
 
 
@@ -216,14 +215,14 @@ def compare_springs(
         progress: is told.
 
     Raises:
-        RecordError: the record contradicts its description, or is too short to keep parts of it.
+        RecordError: the record contradicts its description.
         MethodError: the joint is rigid, bears gravity that follows the position, or cannot be identified with a linear
-            spring; a parameter has no such name.
+            spring; a parameter has no such name; the record is too short to keep parts of it.
 
     Example:
         >>> import jointid as ji
-        >>> twin = ji.paper.twin()
-        >>> found = ji.compare_springs(twin.record, twin.loop, didim=ji.FlexibleDIDIM(frequency=30.0))
+        >>> axis = ji.twin(noise="white")
+        >>> found = ji.compare_springs(axis.record, axis.loop, didim=ji.FlexibleDIDIM(frequency=30.0))
         >>> found.shown.name
         'linear'
     """
@@ -254,11 +253,13 @@ def compare_springs(
         progress(f"fitting {'a rigid joint' if law is None else f'a {name} spring'}")
         try:
             if law is None:
-                end = _rigid(solved, record, linear, history)
+                end = _rigid(solved, record, linear, tolerance, history)
             elif law.linear:
                 end = solved
             else:
-                end = _with(solved, record, replace(loop, joint=replace(joint, spring=law)), given, joint, history)
+                other = replace(joint, spring=law)
+                own = adjusted(other.parameters, _of_law(given, joint, other))
+                end = _with(solved, record, replace(loop, joint=other), own, tolerance, history)
             found.append(_judge(end, name, of_spring, parts))
         except (JointidError, np.linalg.LinAlgError) as error:
             why = str(error) if isinstance(error, JointidError) else "the search met a law without a solution"
@@ -293,7 +294,7 @@ def _of_law(given: Mapping[str, Parameter], declared: FlexibleJoint, joint: Flex
     return {name: change for name, change in given.items() if name not in changed}
 
 
-def _rigid(solved: Solved, record: Record, loop: ClosedLoop, history: History) -> Solved:
+def _rigid(solved: Solved, record: Record, loop: ClosedLoop, tolerance: float, history: History) -> Solved:
     """Return where the search for a rigid joint ends, on the band and from the sums of both sides of a flexible one.
 
     What is kept there of both sides is kept of their sum, too.
@@ -311,23 +312,20 @@ def _rigid(solved: Solved, record: Record, loop: ClosedLoop, history: History) -
         own.append(p if any(known[name].free for name in sides) else p.fixed(sums[p.name]))
     beside = problem.parameters[len(flexible.parameters) :]
     rigid = torque_problem(record, replace(loop, joint=flexible.rigid), problem.filtering, tuple(own), beside)
-    return history.solve(rigid, least_squares(rigid, _TOLERANCE), rigid.vector(values | sums))
+    return history.solve(rigid, least_squares(rigid, tolerance), rigid.vector(values | sums))
 
 
 def _with(
     solved: Solved,
     record: Record,
     loop: ClosedLoop,
-    given: Mapping[str, Parameter],
-    declared: FlexibleJoint,
+    own: tuple[Parameter, ...],
+    tolerance: float,
     history: History,
 ) -> Solved:
     """Return where the search with the law of a loop's spring ends, from where that with a linear spring did."""
-    joint = loop.joint
-    assert isinstance(joint, FlexibleJoint)
-    own = adjusted(joint.parameters, _of_law(given, declared, joint))
     problem = torque_problem(record, loop, solved.problem.filtering, own)
-    return from_linear_spring(problem, solved, _TOLERANCE, history)
+    return from_linear_spring(problem, solved, tolerance, history)
 
 
 def _judge(
