@@ -25,7 +25,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.diagnostics.intervals import rebuild_problem
 from jointid.diagnostics.spring_comparison import compare_springs
-from jointid.diagnostics.unmodelled_motion import foretell_residual
+from jointid.diagnostics.unmodelled_motion import predict_residual
 from jointid.models.springs import SPRINGS, LinearSpring, spring_named
 from jointid.simulation.loop_input import LoopInput, prepare
 from studies.healthy import Drive, drive
@@ -227,7 +227,7 @@ class Said:
     z: float | None
     off: float | None
     named: tuple[str, ...]
-    follows: bool = False  # whether the motion foretells some of the residual
+    follows: bool = False  # whether the motion predicts some of the residual
 
     @property
     def silent(self) -> bool:
@@ -263,8 +263,8 @@ def judge(seed: int, fault: str, longest: float = 12.0, spring: str = LinearSpri
 
 
 def _follows(estimate: ji.Estimate, record: ji.Record) -> bool:
-    foretold = foretell_residual(*rebuild_problem(estimate, record, ""))
-    return foretold is not None and foretold.follows
+    predicted = predict_residual(*rebuild_problem(estimate, record, ""))
+    return predicted is not None and predicted.follows
 
 
 @dataclass(frozen=True)

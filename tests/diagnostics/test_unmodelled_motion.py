@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 import jointid as ji
+from jointid.diagnostics import check_loop
 from jointid.diagnostics.intervals import rebuild_problem
-from jointid.diagnostics.unmodelled_motion import Foretold, _responses, foretell_residual
+from jointid.diagnostics.loop_findings import LoopCheck
+from jointid.diagnostics.unmodelled_motion import PredictedResidual, _responses, predict_residual
 from jointid.estimation.identify import identify
 from jointid.estimation.result.answer import Trust
 from jointid.estimation.result.consequence import consequence, spares_answer
@@ -19,21 +21,21 @@ from jointid.uncertainty.verdict import Reason, Status, Subject
 from tests.plants import Case, gapped_axis, prismatic, with_spring
 
 
-def foretold(record: Record, case: Case) -> Foretold:
+def predicted(record: Record, case: Case) -> PredictedResidual:
     loop = with_spring(case.loop, LinearSpring())
     estimate = identify(record, loop, ji.FlexibleDIDIM(frequency=case.mode))
-    found = foretell_residual(*rebuild_problem(estimate, record, ""))
+    found = predict_residual(*rebuild_problem(estimate, record, ""))
     assert found is not None
     return found
 
 
 @pytest.fixture(scope="module")
-def of_a_gap() -> Foretold:
+def of_a_gap() -> PredictedResidual:
     case, record = gapped_axis(16_000)
-    return foretold(record, case)
+    return predicted(record, case)
 
 
-def test_a_residual_that_a_gap_leaves_follows_the_motion(of_a_gap: Foretold) -> None:
+def test_a_residual_that_a_gap_leaves_follows_the_motion(of_a_gap: PredictedResidual) -> None:
     assert of_a_gap.follows
     assert of_a_gap.share > 0.05
 
@@ -48,12 +50,12 @@ def test_noise_does_not_follow_it(coloured: bool) -> None:
         noise = np.convolve(noise, 0.98 ** np.arange(300))[: noise.size]
     noise *= 0.02 * np.std(torque.values) / np.std(noise)
     record = replace(case.clean, torque=replace(torque, values=torque.values + noise))
-    found = foretold(record, case)
+    found = predicted(record, case)
     assert not found.follows
     assert found.gain < 0.02
 
 
-def test_a_value_is_not_to_be_relied_on_then(of_a_gap: Foretold) -> None:
+def test_a_value_is_not_to_be_relied_on_then(of_a_gap: PredictedResidual) -> None:
     case = prismatic(1)
     estimate = ji.identify(case.noisy(0.01, 1), case.loop, ji.FlexibleDIDIM(frequency=case.mode))
     assert estimate.answer.trust.code == Trust.RELIABLE
@@ -68,10 +70,28 @@ def test_a_value_is_not_to_be_relied_on_then(of_a_gap: Foretold) -> None:
     assert "what the model lacks may move it" in consequence(doubted, follows)
 
 
+def test_it_is_said_where_loop_and_log_pass_their_check(monkeypatch: pytest.MonkeyPatch) -> None:
+    case, record = gapped_axis(16_000)
+    loop = with_spring(case.loop, LinearSpring())
+    estimate = identify(record, loop, ji.FlexibleDIDIM(frequency=case.mode))
+    before = next(one for one in estimate.checks.verdicts if one.subject is Subject.REPEATABLE)
+    nothing_found = LoopCheck((), (), 0.05, {}, {}, None, None, {})
+    monkeypatch.setattr(check_loop, "check_loop", lambda *_, **__: nothing_found)
+    monkeypatch.setattr(check_loop, "explain_misfit", lambda *_: None)
+    checked = check_loop.add_loop_verdict(estimate, record)
+    (said,) = (one for one in checked.checks.verdicts if one.subject is Subject.REPEATABLE)
+    assert said.status is Status.FAILED
+    assert said.reasons[0].code == Reason.RESIDUAL_FOLLOWS_MOTION
+    assert set(said.reasons[1:]) == (set(before.reasons) if before.status is Status.FAILED else set())
+    assert checked.checks.verdicts[-1].subject is Subject.LOOP
+    assert len(checked.checks.verdicts) == len(estimate.checks.verdicts) + 1
+    assert checked.answer.trust.code == Trust.NOT_YET
+
+
 def test_too_few_rows_say_nothing() -> None:
     case = prismatic(1)
     estimate = identify(case.clean, case.loop, ji.FlexibleDIDIM(frequency=case.mode))
     problem, x = rebuild_problem(estimate, case.clean, "")
     few = replace(problem, filtering=replace(problem.filtering, decimation=200))
-    assert foretell_residual(few, x) is None
+    assert predict_residual(few, x) is None
     assert _responses(np.ones((300, 12)), 1e-4) is None  # of 30 ms

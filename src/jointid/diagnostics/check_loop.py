@@ -47,7 +47,7 @@ from jointid.diagnostics.other_laws import (
     runs_at_the_logs_rate,
 )
 from jointid.diagnostics.plain_causes import find_too_short
-from jointid.diagnostics.unmodelled_motion import foretell_residual
+from jointid.diagnostics.unmodelled_motion import predict_residual
 from jointid.estimation.methods.force_in_loop import find_force, simulate_with_force
 from jointid.estimation.methods.search import History, least_squares
 from jointid.estimation.problems.base import surrounding
@@ -195,7 +195,7 @@ def _find_unmodelled(estimate: Estimate, record: Record) -> Verdict | None:
     if not isinstance(estimate.settings.joint, FlexibleJoint):
         return None
     try:
-        found = foretell_residual(*rebuild_problem(estimate, record, ""))
+        found = predict_residual(*rebuild_problem(estimate, record, ""))
     except (JointidError, np.linalg.LinAlgError):  # no check ends an identification
         return None
     return found.verdict if found is not None and found.follows else None

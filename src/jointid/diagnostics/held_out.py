@@ -1,4 +1,4 @@
-"""The parts of a record that are kept from a fit, so that what it foretells of them can be judged.
+"""The parts of a record that are kept from a fit, so that what it predicts of them can be judged.
 
 Parts of equal length would hold all that a motion shows in a few of them, where an axis rests or glides for most of a
 record: half of the cut is by time, half by how much the torque changes.

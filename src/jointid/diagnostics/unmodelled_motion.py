@@ -1,13 +1,14 @@
-"""What of a residual follows the motion: a part that no noise has, and that the model has not.
+"""The part of a residual that the motion predicts: no noise has such a part, so the model lacks something.
 
-Noise in the loop is coloured by it and repeats nowhere, so that whiteness says nothing of the model there; and what a
-spring or a friction lacks depends on more than the place. So the residual is asked whether the motion foretells it:
-free responses, as long as a loop remembers, of the simulated wind-up and speeds, and of products of them which springs
-and frictions that are not the model's would draw out, are fitted to it without every third part of the record, and
-foretell that part. The parts are those of `held_out`. What they take away of it, by the mean logarithm of the
-ratio of squares and its standard error, no noise gives away: it is not coherent with the reference (J. S. Bendat, A. G.
-Piersol, Random Data, 2010, chapter 9, has the same of linear responses). It is asked as it is, and made white, which
-shows what little stands in a noise of other frequencies.
+Noise in the loop is coloured by it, so that whiteness says nothing of the model there; and what a spring or a friction
+lacks depends on more than the place. So free responses, as long as a loop remembers, to the simulated wind-up and
+speeds, and to products of them that springs and frictions of other laws would draw out, are fitted to the residual
+without every third part of the record, and predict that part (`held_out`). The residual is taken as it is, and made
+white, which shows what is small beside a noise of other frequencies. It follows the motion where the mean logarithm by
+which its squares fall, over the parts, is beyond three of its standard errors. Linear responses alone are the coherence
+of residual and reference (J. S. Bendat, A. G. Piersol, Random Data, 2010, chapter 9).
+
+It does not see what the parameters make up for: a second mode moves the stiffness, and leaves nothing.
 """
 
 from __future__ import annotations
@@ -37,11 +38,11 @@ _MUCH = 0.05  # logarithm of the ratio of squares: 2.5 % less error
 
 
 @dataclass(frozen=True, slots=True)
-class Foretold:
-    """How much of a residual the motion foretells.
+class PredictedResidual:
+    """How much of a residual the motion predicts.
 
     Attributes:
-        share: of the torque that is foretold in a typical part, where nothing was fitted; 0 where none is.
+        share: of the torque that is predicted in a typical part, where nothing was fitted; 0 where none is.
         gain, error: mean over the parts of the logarithm by which squares fall, and its standard error.
     """
 
@@ -64,8 +65,8 @@ class Foretold:
         return Verdict(Subject.REPEATABLE, Status.FAILED, (reason,))
 
 
-def foretell_residual(problem: ClosedLoopProblem, x: FloatArray) -> Foretold | None:
-    """Return how much of the residual of a flexible joint its motion foretells; None of too few rows.
+def predict_residual(problem: ClosedLoopProblem, x: FloatArray) -> PredictedResidual | None:
+    """Return how much of the residual of a flexible joint its motion predicts; None of too few rows.
 
     Args:
         problem: that was solved.
@@ -91,41 +92,43 @@ def foretell_residual(problem: ClosedLoopProblem, x: FloatArray) -> Foretold | N
 
 
 def _whitening(error: FloatArray) -> FloatArray:
-    """Return the taps of a filter that leaves of a residual, (rows,), what its last few rows do not foretell."""
+    """Return the taps of a filter that leaves of a residual, (rows,), what its last few rows do not predict."""
     before = np.column_stack([np.concatenate([np.zeros(lag), error[:-lag]]) for lag in range(1, _ORDER + 1)])
     return np.concatenate([[1.0], -np.linalg.lstsq(before, error, rcond=None)[0]])
 
 
-def _judge(error: FloatArray, columns: FloatArray, parts: NDArray[np.intp], ridge: float, size: float) -> Foretold:
-    """Return what columns, (rows, columns), foretell of a residual, (rows,), where they were not fitted to it."""
+def _judge(
+    error: FloatArray, columns: FloatArray, parts: NDArray[np.intp], ridge: float, size: float
+) -> PredictedResidual:
+    """Return what columns, (rows, columns), predict of a residual, (rows,), where they were not fitted to it."""
     products, projected = [], []
     for part in range(TIMES):
         rows = columns[parts % TIMES == part]
         products.append(rows.T @ rows)
         projected.append(rows.T @ error[parts % TIMES == part])
-    foretold = np.zeros_like(error)
+    predicted = np.zeros_like(error)
     for time in range(TIMES):
         kept = parts % TIMES == time
         square = np.sum(products, axis=0) - products[time]
         shrunk = square + np.diag(ridge * np.diag(square) + np.finfo(float).tiny)
         known = np.sum(projected, axis=0) - projected[time]
-        foretold[kept] = columns[kept] @ np.linalg.lstsq(shrunk, known, rcond=None)[0]
-    left = error - foretold
+        predicted[kept] = columns[kept] @ np.linalg.lstsq(shrunk, known, rcond=None)[0]
+    left = error - predicted
     mean, spread = mean_logarithm(squares_of(error, parts), squares_of(left, parts))
     share = math.sqrt(-math.expm1(-max(mean, 0.0))) * float(np.linalg.norm(error)) / size
-    return Foretold(share, mean, spread)
+    return PredictedResidual(share, mean, spread)
 
 
 def _inputs(run: Simulation) -> FloatArray:
     """Return what springs and frictions follow, each by its own size, (samples, inputs)."""
     assert run.load_position is not None and run.load_velocity is not None
-    windup, slow, fast = run.motor_position - run.load_position, run.motor_velocity, run.load_velocity
-    windup, slow, fast = (one / (float(np.max(np.abs(one))) or 1.0) for one in (windup, slow, fast))
+    raw = run.motor_position - run.load_position, run.motor_velocity, run.load_velocity
+    windup, motor, load = (one / (float(np.max(np.abs(one))) or 1.0) for one in raw)
     late = np.linspace(-0.5, 0.5, windup.size)
     columns = [
-        windup, windup**3, np.clip(windup, -0.1, 0.1), np.clip(windup, -0.3, 0.3), np.abs(windup) * np.sign(fast),
-        slow, slow * np.abs(slow), np.sign(slow), np.sign(fast), np.exp(-np.abs(slow) / 0.05) * np.sign(slow),
-        late * slow, late * np.sign(slow),
+        windup, windup**3, np.clip(windup, -0.1, 0.1), np.clip(windup, -0.3, 0.3), np.abs(windup) * np.sign(load),
+        motor, motor * np.abs(motor), np.sign(motor), np.sign(load), np.exp(-np.abs(motor) / 0.05) * np.sign(motor),
+        late * motor, late * np.sign(motor),
     ]  # fmt: skip
     return np.column_stack(columns)
 
