@@ -157,6 +157,19 @@ class Spoiled:
     size: float
     truth: dict[str, float]
 
+    @property
+    def stiffness(self) -> float:
+        """The stiffness between motor and load; of a load that swings in itself, that of both springs.
+
+        A load of which a share hangs on a second spring lags behind the motor, where it is accelerated, as one does
+        whose spring is as soft as both: by `1/K12 + share^2/K23`.
+        """
+        first, third = self.axis.truth["stiffness"], self.truth.get("third_inertia", 0.0)
+        if not third:
+            return first
+        share = third / (third + self.truth["load_inertia"])
+        return 1 / (1 / first + share**2 / self.truth["third_stiffness"])
+
 
 def spoiled(seed: int, fault: str, longest: float = 12.0) -> Spoiled | None:
     """Return a drive of `studies.healthy` with one fault; None where its loop is not stable with it.
@@ -247,7 +260,7 @@ def judge(seed: int, fault: str, longest: float = 12.0, spring: str = LinearSpri
         found = ji.identify(made.record, loop)
     except JointidError as error:
         return Said(seed, fault, made.size, about, f"{type(error).__name__}: {error}", "", "", None, None, ())
-    row, truth = found["stiffness"], made.axis.truth["stiffness"]
+    row, truth = found["stiffness"], made.stiffness
     named = [
         str(reason.values.get("suspect", reason.values.get("law", "")))
         for verdict in found.checks.verdicts
@@ -289,7 +302,7 @@ def choose(seed: int, fault: str, longest: float = 12.0) -> Chosen | None:
         found = compare_springs(made.record, made.axis.loop)
     except JointidError as error:
         return Chosen(seed, fault, made.size, f"{type(error).__name__}: {error}", "", None, {})
-    truth, shown = made.axis.truth["stiffness"], found.shown
+    truth, shown = made.stiffness, found.shown
     std = shown.std.get("stiffness")
     z = (shown.values["stiffness"] - truth) / std if std else None
     return Chosen(seed, fault, made.size, "", shown.name, z, {one.name: one.kept for one in found.springs})

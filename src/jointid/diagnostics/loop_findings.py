@@ -17,6 +17,7 @@ from jointid.diagnostics.mechanics_faults import (
     CUBIC_SPRING,
     LOAD_DEPENDENT_FRICTION,
     MECHANICS,
+    SECOND_MODE,
 )
 from jointid.diagnostics.number_words import call, show_times_beside, tell_difference, tell_difference_in_drive
 from jointid.diagnostics.other_laws import PERIOD, OtherLaw
@@ -31,6 +32,7 @@ _NAMES = {
     BACKLASH: "a backlash",
     LOAD_DEPENDENT_FRICTION: "a friction that grows with the load's torque",
     CHANGING_FRICTION: "a friction that changes over the record",
+    SECOND_MODE: "a load that swings in itself",
 }
 _SMALLEST_SHIFT = 0.5  # of a deviation: a smaller change of a parameter is not listed
 _MICROSECOND = 1e-6  # s: a shorter time is not said in ms
@@ -263,6 +265,9 @@ def _describe_mechanics(s: FaultTest, unit: str, *, spread: bool) -> str:
         return f"the transmission has a backlash of some {number(2 * s.size * (s.shape or 0.0), 2)} {unit} or more"
     if s.name == LOAD_DEPENDENT_FRICTION:
         return f"the load's friction grows with its torque{f', by {percent}of it'.rstrip() if percent else ''}"
+    if s.name == SECOND_MODE:
+        part = f"{percent}of its inertia swings" if percent else "it swings in itself"
+        return f"the load is not one mass: {part} near {number(s.shape, 2)} Hz, and the stiffness is that of both springs"
     kind, sense = "Coulomb" if s.shape == COULOMB else "viscous", "falls" if s.size > 0 else "rises"
     return f"the {kind} friction {sense} over the record{f', by {percent}'.rstrip() if percent else ''}"
 
