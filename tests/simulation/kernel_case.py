@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 
@@ -19,19 +20,42 @@ def drive(plant: Plant) -> np.ndarray:
     return np.array([plant.inertia1, plant.inertia2, *spring, *plant.fv1, *plant.fc1, *plant.fv2, *plant.fc2, *common])
 
 
+def bands(points: tuple[tuple[float, float], ...]) -> list[tuple[float, float, float, float]]:
+    """Return where each line of a friction's rest begins and ends, its slope, and what it is at no speed."""
+    points = points or ((0.0, 0.0),)
+    found = []
+    for (low, more), (high, there) in pairwise([*points, (math.inf, points[-1][1])]):
+        slope = (there - more) / (high - low)
+        found.append((low, high, slope, more - slope * low))
+    return found
+
+
 def segments(plant: Plant) -> np.ndarray | None:
-    """Return the kernel's rows for a spring in pieces: each side's, from the line through each piece."""
-    if not plant.pieces:
+    """Return the kernel's rows for a spring and a friction in pieces: each side's, from the line through each piece."""
+    if not (plant.pieces or plant.more1 or plant.more2):
         return None
-    rows, ends = [], [*(piece[0] for piece in plant.pieces[1:]), math.inf]
-    for i, ((begin, torque, stiffness, damping), end) in enumerate(zip(plant.pieces, ends, strict=True)):
+    pieces = plant.pieces or ((0.0, 0.0, plant.stiffness, plant.damping),)
+    motor, load = bands(plant.more1), bands(plant.more2)
+    steps = [len(motor) * len(load), len(load), 1]
+    springs, ends = [], [*(piece[0] for piece in pieces[1:]), math.inf]
+    for i, ((begin, torque, stiffness, damping), end) in enumerate(zip(pieces, ends, strict=True)):
         for side in (1.0,) if i == 0 else (-1.0, 1.0):
             row = drive(plant)
             row[2:4] = stiffness, damping
             row[12:] += np.array([-1.0, 1.0]) * side * (torque - stiffness * begin)
             low, high = (begin, end) if side > 0 else (-end, -begin)
-            rows.append([*row, -end if i == 0 else low, high])
-    return np.array(sorted(rows, key=lambda row: row[14]))
+            springs.append([*row, -end if i == 0 else low, high])
+    rows = []
+    for spring in sorted(springs, key=lambda row: row[14]):
+        for one in motor:
+            for two in load:
+                row = np.array([*spring, *one[:2], *two[:2], *steps])
+                row[4:6] += one[2]
+                row[6:8] += one[3]
+                row[8:10] += two[2]
+                row[10:12] += two[3]
+                rows.append(row)
+    return np.array(rows)
 
 
 def run(
@@ -83,7 +107,7 @@ def run(
         np.empty(0),
         np.empty((0, 1)),
         states,
-        np.empty(len(states), dtype=np.int8),
+        np.empty(len(states), dtype=np.int16),
         np.empty((0, kernels.TAPE)),
         counts,
         np.array([*plant.gravity, float(plant.inertia2 is not None)]) if any(plant.gravity) else None,

@@ -14,6 +14,9 @@ Two masses (motor q1, v1; load q12, v12) with e = q12 - q1, de = v12 - v1:
 A spring in pieces: where |e| is in the piece that begins at e0 with torque t0, the link's force is
 sign(e) (t0 + stiffness (|e| - e0)) + damping de, with that piece's stiffness and damping.
 
+A friction that is another at low speed adds to f(v), in the direction of v, straight lines over |v| between the given
+points, and what it is at the last of them beyond; at rest it adds to the bounds what it is at 0.
+
 A rigid joint is the motor alone, and gravity acts on it.  The law runs at t_k = k T:
 
     u_lin[k] = w[k] + C z[k] + D q1(t_k);   u[k] = clip(u_lin[k], -limit, limit);   s[k] = u[k] + post[k]
@@ -92,6 +95,8 @@ class Plant:
     damping: float = 0.0
     gravity: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # cos, sin, rate, angle
     pieces: tuple[tuple[float, float, float, float], ...] = ()  # e0, t0, stiffness, damping; else one from 0
+    more1: tuple[tuple[float, float], ...] = ()  # speed, friction that the motor has beside; the first speed is 0
+    more2: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -148,6 +153,8 @@ class _Joint:
         self.fv = (plant.fv1, plant.fv2)
         # The rigid joint's absent load is a mass that always rests and pulls on nothing.
         self.fc = (plant.fc1, (math.inf, math.inf) if self.rigid else plant.fc2)
+        self.more = (plant.more1 or ((0.0, 0.0),), plant.more2 or ((0.0, 0.0),))
+        self.band = [0, 0]
         self.offset = (plant.offset, 0.0 if self.rigid else plant.load_offset)
         self.gravity, self.heavy = plant.gravity, 0 if self.rigid else 1
         linear = (0.0, 0.0, 0.0, 0.0) if self.rigid else (0.0, 0.0, plant.stiffness, plant.damping)
@@ -161,6 +168,8 @@ class _Joint:
         for i, (begin, *_) in enumerate(self.pieces):
             self.piece = i * int(np.sign(self.e)) if abs(self.e) >= begin else self.piece
         self.mode = [int(np.sign(v)) for v in self.v]
+        for mass in (0, 1):
+            self.band[mass] = sum(speed <= abs(self.v[mass]) for speed, _ in self.more[mass][1:])
         self.tau = 0.0
         self.force_size = 0.0
         self.period, self.rtol, self.atol = period, rtol, atol
@@ -172,7 +181,9 @@ class _Joint:
         for i in range(2):
             for j in range(2):
                 stiffness, damping = (max(piece[k] for piece in self.pieces) for k in (2, 3))
-                a = sliding_matrix(self.inertia, (self.fv[0][i], self.fv[1][j]), stiffness, damping)
+                steep = [max(abs(self.line(mass, k)[2]) for k in range(len(self.more[mass]))) for mass in (0, 1)]
+                viscous = self.fv[0][i] + steep[0], self.fv[1][j] + steep[1]
+                a = sliding_matrix(self.inertia, viscous, stiffness, damping)
                 rates.append(float(np.abs(np.linalg.eigvals(a)).max()))
         return max(rates)
 
@@ -198,8 +209,18 @@ class _Joint:
         if mode == 0:
             return 0.0 * y[1]
         side = 0 if mode > 0 else 1
-        friction = self.fv[mass][side] * y[2 * mass + 1] + mode * self.fc[mass][side]
+        speed, more, slope = self.line(mass, self.band[mass])
+        friction = self.fv[mass][side] * y[2 * mass + 1] + mode * (self.fc[mass][side] + more)
+        friction = friction + slope * (y[2 * mass + 1] - mode * speed)
         return (self.net(mass, y) - friction) / self.inertia[mass]
+
+    def line(self, mass: int, band: int) -> tuple[float, float, float]:
+        """Speed at which a band of the friction begins, what is added to it there, and its slope over the speed."""
+        speed, more = self.more[mass][band]
+        if band + 1 == len(self.more[mass]):
+            return speed, more, 0.0
+        further, there = self.more[mass][band + 1]
+        return speed, more, (there - more) / (further - speed)
 
     def net_rate(self, mass: int, y: Any) -> Any:
         """d(net)/dt on a mass at rest: tau is constant in a piece, so only the other mass changes it."""
@@ -235,7 +256,7 @@ class _Joint:
     def decide(self, mass: int) -> int:
         """Mode of a mass at zero velocity; on the edge of its cone it rests until its guard sees it leave."""
         force = self.net(mass, (0.0, self.v[0], 0.0, self.v[1]))
-        up, down = self.fc[mass]
+        up, down = (bound + self.more[mass][0][1] for bound in self.fc[mass])
         edge = EVENT_TOLERANCE * self.force_size
         # A mass that a guard has just released is on the edge: it must not stick again by rounding.
         if force > up + edge or (self.mode[mass] > 0 and force > up - edge):
@@ -249,6 +270,9 @@ class _Joint:
         for mass in (0,) if self.rigid else (0, 1):
             if self.mode[mass]:
                 found.append(self.slide_guard(mass))
+                for to in (self.band[mass] - 1, self.band[mass] + 1):
+                    if 0 <= to < len(self.more[mass]):
+                        found.append(self.band_guard(mass, to))
             else:
                 found += [self.cone_guard(mass, 1), self.cone_guard(mass, -1)]
         for to in (self.piece - 1, self.piece + 1):
@@ -270,6 +294,19 @@ class _Joint:
 
         return _Guard(2, value, slope, EVENT_TOLERANCE * self.velocity_size * self.period, to)
 
+    def band_guard(self, mass: int, to: int) -> _Guard:
+        """The speed stays on this side of the edge to the band `to`."""
+        mode, up = self.mode[mass], to - self.band[mass]
+        edge = self.more[mass][max(to, self.band[mass])][0]
+
+        def value(y: Array) -> Any:
+            return up * (edge - mode * y[2 * mass + 1])
+
+        def slope(y: Array) -> Any:
+            return -up * mode * self.acceleration(mass, y)
+
+        return _Guard(3 + mass, value, slope, EVENT_TOLERANCE * self.velocity_size, to)
+
     def slide_guard(self, mass: int) -> _Guard:
         mode = self.mode[mass]
 
@@ -282,7 +319,7 @@ class _Joint:
         return _Guard(mass, value, slope, EVENT_TOLERANCE * self.velocity_size, 0)
 
     def cone_guard(self, mass: int, sign: int) -> _Guard:
-        bound = self.fc[mass][0 if sign > 0 else 1]
+        bound = self.fc[mass][0 if sign > 0 else 1] + self.more[mass][0][1]
 
         def value(y: Array) -> Any:
             return bound - sign * self.net(mass, y)
@@ -375,6 +412,9 @@ class _Joint:
             if guard.mass == 2:
                 self.piece = guard.to
                 self.begin(start + elapsed, tau, log)  # a damper that begins to act pushes at once
+                continue
+            if guard.mass > 2:
+                self.band[guard.mass - 3] = guard.to
                 continue
             before = self.mode[guard.mass]
             if guard.to:

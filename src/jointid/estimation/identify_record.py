@@ -83,7 +83,7 @@ def _require_fit(method: Method, joint: Joint, loop: ClosedLoop | None) -> None:
         remedy = other if joint.model in other.models else default_method(loop or joint, joint.model)
         raise MethodError(f"{type(method).__name__} is not for a {joint.model} joint; use {remedy.__name__}.")
     if isinstance(joint, FlexibleJoint) and not method.any_spring:
-        joint.require_linear_spring(f"{method.title} takes")
+        joint.require_linear(f"{method.title} takes")
 
 
 def _find_beyond(record: Record, estimate: Estimate, wanted: tuple[Parameter, ...]) -> Parameter | None:

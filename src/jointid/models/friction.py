@@ -4,16 +4,19 @@ Forwards ``Fv+ v + Fc+``, backwards ``Fv- v - Fc-``. Being piecewise linear in v
 being linear in its parameters lets a regression estimate them (`columns`). At standstill the Coulomb force is a set:
 any force within its bounds keeps the mass at rest.
 
-A law states which parameters its coefficients are (`coefficients`); everything else follows from that table. To add
-one, write its class below, and its name in `FRICTIONS`.
+A law states which parameters its coefficients are (`coefficients`); everything else follows from that table. One in
+pieces has other lines at low speed (`bands`), of parameters that no regression takes. To add one, write its class
+below, and its name in `FRICTIONS`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import ClassVar, Literal, TypeAlias
+from itertools import pairwise
+from typing import ClassVar, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -31,6 +34,14 @@ PARTS: tuple[Part, ...] = ("viscous", "coulomb")
 DIRECTIONS: tuple[Direction, ...] = ("forwards", "backwards")
 
 _QUANTITY: Mapping[Part, Quantity] = {"viscous": Quantity.VISCOUS, "coulomb": Quantity.FORCE}
+
+# exp(-x^2) by straight lines between these points, and 0 beyond: within 0.0051 of it (found by linear programming).
+_KNOTS = (
+    (0.0, 1.0), (0.174, 0.9756), (0.407, 0.8526), (0.798, 0.5284), (1.106, 0.2889), (1.405, 0.1338), (1.748, 0.0423),
+    (2.31, 0.0),
+)  # fmt: skip
+_SLOWEST = 1e-12  # of a Stribeck speed, in the joint's unit
+_SPEEDS = (0.02, 0.08)  # of the largest speed: where a search for a Stribeck speed begins
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +61,14 @@ class Coefficient:
     part: Part
     directions: tuple[Direction, ...] = DIRECTIONS
     sign: str = ""
+
+
+class Band(NamedTuple):
+    """Speeds, from `low` to `high`, in which friction is one line in each direction, and that line."""
+
+    low: float
+    high: float
+    directions: Directions
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +124,32 @@ class Friction:
             values[prefix + d] if d else 0.0,
         )
 
+    @property
+    def linear(self) -> bool:
+        """True if the law is one line in each direction, and so linear in its parameters."""
+        return True
+
+    def bands(self, values: Mapping[str, float], prefix: str = "") -> tuple[Band, ...]:
+        """Return the law by the speed, the slowest band first, without a gap; the last has no end."""
+        return (Band(0.0, math.inf, self.directions(values, prefix)),)
+
+    def drag(self, values: Mapping[str, float], velocity: float, prefix: str = "") -> float:
+        """Return the friction of steady motion; 0 at rest."""
+        band = next(one for one in self.bands(values, prefix) if abs(velocity) <= one.high)
+        viscous, viscous_back, coulomb, coulomb_back = band.directions
+        if velocity == 0.0:
+            return 0.0
+        return viscous * velocity + coulomb if velocity > 0 else viscous_back * velocity - coulomb_back
+
+    def starts(self, speed: float, torque: float, prefix: str = "") -> Iterator[dict[str, float]]:
+        """Yield values, from which a search may begin, of what a law in pieces has beside its lines.
+
+        Args:
+            speed: the largest of the joint's motion. torque: a friction that the record would show.
+            prefix: of the names.
+        """
+        yield {}
+
     def mean(self, part: Part, prefix: str = "") -> dict[str, float]:
         """Return the weights, by parameter, whose sum is the mean of a part over both directions."""
         return {f"{prefix}{c.name}": 0.5 * len(c.directions) for c in self.coefficients if c.part == part}
@@ -159,7 +204,54 @@ class AsymmetricFriction(Friction):
     )
 
 
-FRICTIONS: Mapping[str, type[Friction]] = {law.name: law for law in (SymmetricFriction, AsymmetricFriction)}
+@dataclass(frozen=True, slots=True)
+class StribeckFriction(Friction):
+    """Symmetric friction that is another towards standstill: ``(Fc + FS exp(-(v / vS)^2)) sign(v) + Fv v``.
+
+    Positive FS is Stribeck's rise (H. Olsson et al., Friction models and friction compensation, European Journal of
+    Control 4, 1998), negative FS a friction that is smaller there, as before a contact slides. At rest it holds up to
+    Fc + FS. The exponential is taken by straight lines, within 0.51 % of FS, so that the simulation stays exact.
+    """
+
+    name = "stribeck"
+    label = "the same in both directions, another towards standstill"
+    contrast = "symmetric"
+    coefficients = SymmetricFriction.coefficients
+
+    @property
+    def linear(self) -> bool:
+        """False: it is in pieces, and a speed is among its parameters."""
+        return False
+
+    def parameters(self, prefix: str = "", index: str = "") -> tuple[Parameter, ...]:
+        """Return Fv and Fc, then the change towards standstill and the speed below which it is."""
+        return (
+            *Friction.parameters(self, prefix, index),
+            Parameter(f"{prefix}stribeck_force", f"FS{index}", Quantity.FORCE),
+            Parameter(f"{prefix}stribeck_speed", f"vS{index}", Quantity.VELOCITY, lower=_SLOWEST),
+        )
+
+    def bands(self, values: Mapping[str, float], prefix: str = "") -> tuple[Band, ...]:
+        """Return a band between each two of the points of the exponential, and one beyond the last."""
+        viscous, _, coulomb, _ = self.directions(values, prefix)
+        change, speed = values[f"{prefix}stribeck_force"], values[f"{prefix}stribeck_speed"]
+        found = []
+        for (low, more), (high, less) in pairwise(_KNOTS):
+            slope = (less - more) / (high - low)
+            along, at_rest = viscous + change * slope / speed, coulomb + change * (more - slope * low)
+            found.append(Band(low * speed, high * speed, (along, along, at_rest, at_rest)))
+        return (*found, Band(found[-1].high, math.inf, (viscous, viscous, coulomb, coulomb)))
+
+    def starts(self, speed: float, torque: float, prefix: str = "") -> Iterator[dict[str, float]]:
+        """Yield a rise and a fall below a few speeds."""
+        for share in _SPEEDS:
+            for sign in (1.0, -1.0):
+                yield {f"{prefix}stribeck_force": sign * torque, f"{prefix}stribeck_speed": share * speed}
+
+
+FRICTIONS: Mapping[str, type[Friction]] = {
+    law.name: law for law in (SymmetricFriction, AsymmetricFriction, StribeckFriction)
+}
 """Every friction law by its name in the joint file."""
 
 

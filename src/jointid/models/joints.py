@@ -9,14 +9,14 @@ Flexible, (2) of the paper, motor 1 and load 12, elastic deflection q2 = q12 - q
     tau = ZZ1 a1  + Fv1 v1  + Fc1 sign(v1)  - K12 q2 - F12 v2 + offset
     0   = ZZ2 a12 + Fv2 v12 + Fc2 sign(v12) + K12 q2 + F12 v2
 
-where ``K12 q2`` may be the torque of another spring: see `springs`. Gravity, where a joint has it, adds g(q) to (1),
+where ``K12 q2`` may be the torque of another spring, and the friction another law: see `springs`, `friction`. Gravity, where a joint has it, adds g(q) to (1),
 and g(q12) to the second equation of (2): see `gravity`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar, TypeAlias
 
@@ -28,7 +28,7 @@ from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT, Parameter, Qua
 from jointid.common.transmission import Transmission
 from jointid.common.units import Kind
 from jointid.models.controllers import Controller
-from jointid.models.friction import Friction, SymmetricFriction
+from jointid.models.friction import Band, Friction, SymmetricFriction
 from jointid.models.gravity import Gravity
 from jointid.models.springs import LinearSpring, Spring
 
@@ -72,10 +72,24 @@ class _JointBase:
         if self.gravity is not None:
             self.gravity.require(self.kind if gear is None else gear.load, self.friction)
 
+        if not self.friction.linear and self.gravity is not None and self.gravity.varies:
+            raise MethodError(
+                f"{self.friction.name.capitalize()} friction is not simulated beside gravity that follows the position; "
+                "expected a constant load or none: use symmetric friction, or leave gravity out."
+            )
+
     @property
     def spring_name(self) -> str | None:
         """Name of the spring's law; None where it has none."""
         return None
+
+    def require_linear(self, taker: str) -> None:
+        """Raise a `MethodError` if a law is not linear; `taker` says who takes it for that, as "Tuning takes"."""
+        if not self.friction.linear:
+            raise MethodError(
+                f'{taker} friction for one line in each direction; received the law "{self.friction.name}": use '
+                'friction = "symmetric", or simulate and identify the closed loop by the method "didim".'
+            )
 
     @property
     def force_unit(self) -> str:
@@ -136,7 +150,11 @@ class RigidJoint(_JointBase):
         """Return the columns of (1), in the order of `parameters`, shape (1, samples, parameters).
 
         The load of a rigid joint moves with the motor, so its motion is not read.
+
+        Raises:
+            MethodError: the friction is not linear in its parameters.
         """
+        self.require_linear("A regression takes")
         friction, gravity = self.friction.columns(motor.velocity), self._gravity_columns(motor.position)
         rows = [motor.acceleration, *friction.T, np.ones_like(motor.velocity), *gravity.T]
         return np.stack(rows).T[np.newaxis]  # each column is written in one piece
@@ -146,6 +164,18 @@ class RigidJoint(_JointBase):
         friction = self.friction.directions(values, "")
         offset = values["offset"] + self._gravity_constant(values)
         return np.array([values["inertia"], 1.0, 0.0, 0.0, *friction, 0.0, 0.0, 0.0, 0.0, offset, 0.0])
+
+    def segments(self, values: Mapping[str, float]) -> FloatArray | None:
+        """Return a friction in pieces for the simulation, (segments, 23); None of one that is not."""
+        if self.friction.linear:
+            return None
+        drive = self.coefficients(values)
+        return _segments(drive, (_NO_SPRING,), self.friction.bands(values), _NO_FRICTION)
+
+    @property
+    def linear(self) -> RigidJoint:
+        """The joint with symmetric friction in the place of one in pieces."""
+        return self if self.friction.linear else replace(self, friction=SymmetricFriction())
 
     def start(self, values: Mapping[str, float], position: float, velocity: float) -> FloatArray:
         """Return the state at rest or in steady motion: position and velocity (the load's are not used)."""
@@ -202,11 +232,13 @@ class FlexibleJoint(_JointBase):
 
     @property
     def linear(self) -> FlexibleJoint:
-        """The joint with a linear spring in the place of its own."""
-        return self if self.spring.linear else replace(self, spring=LinearSpring())
+        """The joint with a linear spring and symmetric friction in the place of those in pieces."""
+        friction = self.friction if self.friction.linear else SymmetricFriction()
+        return replace(self, spring=self.spring if self.spring.linear else LinearSpring(), friction=friction)
 
-    def require_linear_spring(self, taker: str) -> None:
-        """Raise a `MethodError` if the spring is not linear; `taker` says who takes it for that, as "Tuning takes"."""
+    def require_linear(self, taker: str) -> None:
+        """Raise a `MethodError` if a law is not linear; `taker` says who takes it for that, as "Tuning takes"."""
+        _JointBase.require_linear(self, taker)
         if not self.spring.linear:
             raise MethodError(
                 f'{taker} the spring for linear; received one that is "{self.spring.name}": use spring = "linear", or '
@@ -220,9 +252,9 @@ class FlexibleJoint(_JointBase):
         of (5), where (2) has accelerations.)
 
         Raises:
-            MethodError: there is no motion of the load, or the spring is not linear in its parameters.
+            MethodError: there is no motion of the load, or a law is not linear in its parameters.
         """
-        self.require_linear_spring("A regression takes")
+        self.require_linear("A regression takes")
         if load is None:
             raise MethodError(
                 "The equations of a flexible joint need the motion of the load; IDIM needs load_position."
@@ -242,33 +274,31 @@ class FlexibleJoint(_JointBase):
         return np.array([*drive, *motor, *load, values["offset"], self._gravity_constant(values)])
 
     def segments(self, values: Mapping[str, float]) -> FloatArray | None:
-        """Return a spring in pieces for the simulation, (segments, 16); None of a linear one.
+        """Return a spring or a friction in pieces for the simulation, (segments, 23); None where none is.
 
-        A row is the drive's coefficients in a segment of the deflection, and where that begins and ends; what the
-        spring's line has where it meets no deflection is among the constant forces of motor and load.
+        A row is the drive's coefficients in a segment of the deflection and of both speeds, where that begins and
+        ends, and how many rows further the next segment of each is; what the spring's line has where it meets no
+        deflection is among the constant forces of motor and load.
         """
-        if self.spring.linear:
+        if self.spring.linear and self.friction.linear:
             return None
-        drive, pieces = self.coefficients(values), self.spring.pieces(values)
+        pieces = self.spring.pieces(values)
         ends = [*(piece.deflection for piece in pieces[1:]), math.inf]
         first, *others = zip(pieces, ends, strict=True)
-        rows = [(*drive[:2], *first[0][2:], *drive[4:], -ends[0], ends[0])]
+        spring = [(-ends[0], ends[0], *first[0][2:], 0.0)]
         for piece, end in others:
             held = piece.torque - piece.stiffness * piece.deflection
-            spring, motor, load = piece[2:], drive[12], drive[13]
-            rows.append((*drive[:2], *spring, *drive[4:12], motor - held, load + held, piece.deflection, end))
-            rows.insert(0, (*drive[:2], *spring, *drive[4:12], motor + held, load - held, -end, -piece.deflection))
-        return np.array(rows)
+            spring.append((piece.deflection, end, *piece[2:], held))
+            spring.insert(0, (-end, -piece.deflection, *piece[2:], -held))
+        bands = (self.friction.bands(values, side) for side in ("motor_", "load_"))
+        return _segments(self.coefficients(values), spring, *bands)
 
     def start(self, values: Mapping[str, float], position: float, velocity: float) -> FloatArray:
         """Return the state at rest or in steady motion: the load moves with the motor, carried by the spring.
 
         At rest the load's Coulomb force may carry any part of it up to its own size; it is taken to carry nothing.
         """
-        forwards, backwards, coulomb, coulomb_back = self.friction.directions(values, "load_")
-        drag = 0.0
-        if velocity != 0.0:
-            drag = forwards * velocity + coulomb if velocity > 0 else backwards * velocity - coulomb_back
+        drag = self.friction.drag(values, velocity, "load_")
         deflection, stiffness = 0.0, values["stiffness"]
         if stiffness > 0.0 and self.gravity is not None:
             deflection = self.gravity.static_deflection(values, stiffness, position, drag)
@@ -304,6 +334,33 @@ class FlexibleJoint(_JointBase):
             "coulomb": values["motor_coulomb"] + values["load_coulomb"],
             **{name: value for name, value in values.items() if acts_on_whole(name)},
         }
+
+
+_NO_SPRING = (-math.inf, math.inf, 0.0, 0.0, 0.0)
+_NO_FRICTION = (Band(0.0, math.inf, (0.0, 0.0, 0.0, 0.0)),)
+
+
+def _segments(
+    drive: FloatArray, spring: Sequence[tuple[float, ...]], motor: Sequence[Band], load: Sequence[Band]
+) -> FloatArray:
+    """Return the segments of a drive, (segments, 23): each piece of the spring with each band of both frictions.
+
+    Args:
+        drive: (14,) its coefficients.
+        spring: where each piece begins and ends, its stiffness and damping, and its torque at no deflection.
+        motor, load: bands of the friction of both sides.
+    """
+    steps = (len(motor) * len(load), len(load), 1)
+    inertias, offset1, offset2 = drive[:2], drive[12], drive[13]
+    return np.array([
+        (
+            *inertias, stiffness, damping, *one.directions, *two.directions, offset1 - held, offset2 + held,
+            low, high, one.low, one.high, two.low, two.high, *steps,
+        )
+        for low, high, stiffness, damping, held in spring
+        for one in motor
+        for two in load
+    ])  # fmt: skip
 
 
 Joint: TypeAlias = RigidJoint | FlexibleJoint

@@ -109,7 +109,7 @@ class ClosedLoopRun:
         loop, experiment, values: what was run.
         drive: (14,) the joint's coefficients.
         gravity: (5,) those of its gravity, or None.
-        segments: (segments, 16) those of its spring in pieces, or None.
+        segments: (segments, 23) those of its spring or its friction in pieces, or None.
         position, velocity: of the motor at the first sample. torque: the controller's there, where that is said.
         before: torque that acted before it.
         command: (periods,) the controller's output. tapped: the same behind its limit, before what filters follow.
@@ -133,7 +133,7 @@ class ClosedLoopRun:
     tapped: FloatArray
     excess: FloatArray
     states: FloatArray
-    modes: NDArray[np.int8]
+    modes: NDArray[np.int16]
     tape: FloatArray
     outcome: Outcome
     counts: NDArray[np.int64]
@@ -195,7 +195,7 @@ def run(
     velocity = initial.velocity or 0.0
     try:
         drive, gravity = loop.joint.coefficients(values), loop.joint.gravity_coefficients(values)
-        segments = None if isinstance(loop.joint, RigidJoint) else loop.joint.segments(values)
+        segments = loop.joint.segments(values)
     except KeyError:
         missing = ", ".join(p.name for p in loop.joint.parameters if p.name not in values)
         raise MethodError(f"A simulation needs a value for every parameter; {missing} has none: give one.") from None
@@ -205,7 +205,7 @@ def run(
     kept = periods * parts if keep else 0
     array = (room or _FRESH).array
     states, excess = array("states", (kept, 4)), array("excess", (periods if keep else 0, elements))
-    modes, tape = array("modes", (kept,), np.int8), array("tape", (taped, kernels.TAPE))
+    modes, tape = array("modes", (kept,), np.int16), array("tape", (taped, kernels.TAPE))
     counts = np.zeros(4, dtype=np.int64)
     outcome, before = Outcome.INVALID, 0.0
     if _possible(drive, gravity) and _ordered(segments) and math.isfinite(position) and math.isfinite(velocity):
@@ -281,18 +281,36 @@ def _possible(drive: FloatArray, gravity: FloatArray | None) -> bool:
 
 
 def _ordered(segments: FloatArray | None) -> bool:
-    """True of a spring whose pieces follow each other, each with a stiffness and a damping that are not negative."""
+    """True of pieces that follow each other, each with a stiffness and a damping that are not negative.
+
+    A friction in pieces holds a mass at rest with no less than nothing.
+    """
     if segments is None:
         return True
-    ends = segments[:-1, 15]
-    return bool(np.all(np.isfinite(ends)) and np.all(np.diff(ends) >= 0) and np.min(segments[:, 2:4]) >= 0)
+    rising = all(np.all(np.isfinite(ends)) and np.all(np.diff(ends) >= 0) for ends in _ends(segments))
+    at_rest = segments[(segments[:, 16] == 0.0) & (segments[:, 18] == 0.0)]
+    cones = min(np.min(at_rest[:, 6] + at_rest[:, 7]), np.min(at_rest[:, 10] + at_rest[:, 11]))
+    return bool(rising and np.min(segments[:, 2:4]) >= 0 and cones >= 0)
+
+
+def _ends(segments: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return where segments end, but the last: in the deflection, and in the speeds of motor and load."""
+    of_spring, of_motor, _ = segments[0, 20:].astype(int)
+    ends = segments[::of_spring, 15], segments[:of_spring:of_motor, 17], segments[:of_motor, 19]
+    return ends[0][:-1], ends[1][:-1], ends[2][:-1]
 
 
 def _drive_at(out: ClosedLoopRun, states: FloatArray) -> FloatArray:
-    """Return the coefficients of the drive, (14,), or in the segments of its spring that it is in, (14, samples)."""
+    """Return the coefficients of the drive, (14,), or in the segments that it is in, (14, samples)."""
     if out.segments is None:
         return out.drive
-    at = np.searchsorted(out.segments[:-1, 15], states[2] - states[0])
+    position, velocity, *load = states
+    deflection, speed = (load[0] - position, np.abs(load[1])) if load else (np.zeros_like(position), None)
+    seen = deflection, np.abs(velocity), deflection if speed is None else speed
+    steps = out.segments[0, 20:].astype(int)
+    at = sum(
+        step * np.searchsorted(ends, one) for step, ends, one in zip(steps, _ends(out.segments), seen, strict=True)
+    )
     return np.asarray(out.segments[at, :14].T)
 
 

@@ -65,7 +65,7 @@ class DriveSide:
 
     def __post_init__(self) -> None:
         if isinstance(self.joint, FlexibleJoint):
-            self.joint.require_linear_spring("The drive side takes")
+            self.joint.require_linear("The drive side takes")
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -209,7 +209,7 @@ class _Load:
     gravity: FloatArray | None
     push: FloatArray
     states: FloatArray
-    modes: NDArray[np.int8]
+    modes: NDArray[np.int16]
     tape: FloatArray
     taped: int
 
@@ -228,7 +228,7 @@ class _Load:
         n, rows = push.size, taped_rows(motion.position.size)
         nothing, none = np.zeros(n), np.zeros(0)
         while True:
-            states, modes, tape = np.empty((n, 4)), np.empty(n, dtype=np.int8), np.empty((rows, kernels.TAPE))
+            states, modes, tape = np.empty((n, 4)), np.empty(n, dtype=np.int16), np.empty((rows, kernels.TAPE))
             counts = np.zeros(4, dtype=np.int64)
             status = kernels.run(
                 drive, np.array([motion.step]), np.zeros(1, dtype=np.int64), none, kernels.NO_FEEDBACK,

@@ -193,15 +193,16 @@ def _followed(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tupl
 
     experiment, joint = out.experiment, out.loop.joint
     law, width = experiment.feedback, sensitivity_kernels.LANES
-    segments, pieces = out.segments, np.zeros((0 if out.segments is None else len(out.segments), 16, width))
+    segments = out.segments
+    pieces = np.zeros((0, 0, width) if segments is None else (*segments.shape, width))
     seeds, weights, start = np.zeros((14, width)), np.zeros((3, width)), np.zeros((4, width))
     memory, delay, limits = np.zeros((law.order, width)), np.zeros(width), np.zeros((law.limits.size, width))
     explicit, by_name = [], _seeds(joint)
-    of_spring = {p.name for p in joint.spring.parameters} if isinstance(joint, FlexibleJoint) else set()
+    in_pieces = _in_pieces(joint)
     for j, name in enumerate(names):
         if name in by_name:
             seeds[:, j] = by_name[name]
-            if segments is not None and name in of_spring:
+            if segments is not None and name in in_pieces:
                 pieces[:, :, j] = segment_seeds(joint, out.values, name)
             elif segments is not None:  # the same in every segment
                 pieces[:, :14, j] = by_name[name]
@@ -255,12 +256,20 @@ def _seeds(joint: Joint) -> Mapping[str, FloatArray]:
     return found
 
 
+def _in_pieces(joint: Joint) -> set[str]:
+    """Return the names of the parameters that segments depend on each in its own way."""
+    found = {p.name for p in joint.spring.parameters} if isinstance(joint, FlexibleJoint) else set[str]()
+    if not joint.friction.linear:
+        prefixes = ("motor_", "load_") if isinstance(joint, FlexibleJoint) else ("",)
+        found |= {p.name for prefix in prefixes for p in joint.friction.parameters(prefix)}
+    return found
+
+
 def segment_seeds(joint: Joint, values: Mapping[str, float], name: str) -> FloatArray:
-    """Return how the segments of a joint's spring depend on one of its parameters, (segments, 16), by a complex step.
+    """Return how the segments of a joint depend on one of its parameters, (segments, 23), by a complex step.
 
     They are rational functions of the parameters, so a step along the imaginary axis differentiates them to rounding.
     """
-    assert isinstance(joint, FlexibleJoint)
     moved: dict[str, Any] = {**values, name: complex(values[name], _IMAGINARY)}
     found = joint.segments(moved)
     assert found is not None

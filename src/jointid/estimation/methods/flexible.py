@@ -172,7 +172,7 @@ class FlexibleDIDIM(Method):
         if joint.spring.linear:
             return _searched(problem, task, self, history)
         if self.minimiser != "least-squares":
-            joint.require_linear_spring("Nelder-Mead takes")
+            joint.require_linear("Nelder-Mead takes")
         linear = with_linear_spring(problem)
         own = replace(task, loop=linear.loop, joint=linear.joint)
         solved, simulations = _searched(linear, own, self, history)

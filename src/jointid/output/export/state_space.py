@@ -123,7 +123,7 @@ def linear_part(model: JointModel) -> StateSpace:
         MethodError: a value is refused, no joint can have it, or the spring is not linear.
     """
     if isinstance(model.joint, FlexibleJoint):
-        model.joint.require_linear_spring("A state space takes")
+        model.joint.require_linear("A state space takes")
     masses, weight = model.masses.values(), model.weight
     rate = 0.0 if weight is None else weight.rate
     A, b = drive_matrices(

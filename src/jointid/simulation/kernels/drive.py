@@ -12,10 +12,11 @@ exact to rounding; each sliding, sticking and direction mode of the two masses h
 
 A rigid joint is the same drive with no spring and a load that nothing pushes: the load sticks for ever.
 
-A spring in pieces is affine in each segment of its deflection, so a segment is a drive of its own, with the spring's
-force at no deflection among the constant forces. Segments are modes like those of friction: each has its maps, the
-proofs have one chord more (the deflection stays in its segment), and the deflection reaching an edge is one event more.
-A joint with a linear spring is compiled without any of it.
+A spring in pieces is affine in each segment of its deflection, and a friction in pieces in each band of a speed. So a
+segment, a box of deflection and both speeds, is a drive of its own, with what its lines have at no deflection and no
+speed among the constant forces. Segments are modes like those of friction: each has its maps, the proofs have a chord
+more for each side of the box, and reaching one is one event more; the force goes on there where it was. A joint with
+a linear spring and one line of friction in each direction is compiled without any of it.
 
 Gravity depends on the position, but slowly: over a part of a period it is held, as the torque is, at what it is in
 mid-part (`_gravity`), and a held force on the load needs nothing new (see `run`). What holding costs is an error of
@@ -56,7 +57,9 @@ _WORK = 20  # Taylor steps a simulation may take, per period: bounds the time an
 # began with, then the mass whose velocity the event took to zero (or -1) and the mode it went on in, or _EDGE and the
 # mode of both masses, as `modes` has it, with the segment that began there; last the segment of the piece.
 TAPE = 11
-_EDGE = 2  # of the spring's segment, where the index of a mass may stand
+_EDGE = 2  # of a segment, where the index of a mass may stand
+SEGMENT = 23  # numbers of a segment: the drive's 14, then where it begins and ends in the three, then the steps to others
+_BOX, _STEPS = 14, 20
 
 # Rows of the event solver's scratch: the series of the states and the spring's force, the function whose root is
 # sought and its slope, then the stack of halved intervals, each with its ends in two more columns.
@@ -97,10 +100,14 @@ class _Drive(NamedTuple):
 
 
 class _Segment(NamedTuple):
-    """Where one segment of the spring's deflection begins and ends."""
+    """Where one segment begins and ends: in the deflection, and in the speeds of motor and load."""
 
     low: float
     high: float
+    slowest1: float
+    fastest1: float
+    slowest2: float
+    fastest2: float
 
 
 class _Gravity(NamedTuple):
@@ -195,23 +202,50 @@ def _drive_of(segments: FloatArray, i: int) -> tuple[_Drive, _Segment]:
     """Return the drive in one segment of its spring, and that segment."""
     d = segments[i]
     drive = _Drive(d[0], d[1], d[2], d[3], d[4], d[5], d[6], d[7], d[8], d[9], d[10], d[11], d[12], d[13])
-    return drive, _Segment(d[14], d[15])
+    return drive, _Segment(d[14], d[15], d[16], d[17], d[18], d[19])
+
+
+@inlined
+def _find_segment(segments: FloatArray, x: FloatArray) -> int:
+    """Return the segment that a state is in."""
+    found = 0
+    for i in range(segments.shape[0]):
+        e, v1, v2 = x[2] - x[0], abs(x[1]), abs(x[3])
+        d = segments[i]
+        if d[14] <= e <= d[15] and d[16] <= v1 <= d[17] and d[18] <= v2 <= d[19]:
+            found = i
+    return found
 
 
 @inlined
 def _reach(segments: FloatArray, h: float) -> float:
     """Return how far a deflection can bend from its chord in `h` seconds, per root energy (see `_margins`)."""
     lowest = 0.0
-    for i in (4, 5):
-        lowest = min(lowest, segments[0, i] / segments[0, 0], segments[0, i + 4] / segments[0, 1])
+    for segment in range(segments.shape[0]):
+        for i in (4, 5):
+            one, two = segments[segment, i] / segments[0, 0], segments[segment, i + 4] / segments[0, 1]
+            lowest = min(lowest, one, two)
     together = math.sqrt(1.0 / segments[0, 0] + 1.0 / segments[0, 1])
     return h * h / 8.0 * together / math.sqrt(segments[0, 0]) * math.exp(min(-lowest * h, 50.0))
 
 
 @inlined
-def _within(edges: _Segment, reach: float, start: float, end: float, bound: float) -> bool:
-    """Prove that the deflection stays inside its segment, from its value at both ends of a period."""
-    return min(min(start, end) - edges.low, edges.high - max(start, end)) > reach * bound
+def _between(low: float, high: float, start: float, end: float, margin: float) -> bool:
+    """Prove that a function stays between two edges, from its values at both ends of a period, within a margin."""
+    return min(min(start, end) - low, high - max(start, end)) > margin
+
+
+@inlined
+def _within(
+    edges: _Segment, start: State, end: State, deflections: float, m1: int, m2: int, bend1: float, bend2: float
+) -> bool:
+    """Prove that a period stays inside its segment, from both its ends and how far it can bend from its chords."""
+    inside = _between(edges.low, edges.high, start[2] - start[0], end[2] - end[0], deflections)
+    if inside and m1 != 0:  # a mass at rest is in the slowest band
+        inside = _between(edges.slowest1, edges.fastest1, m1 * start[1], m1 * end[1], bend1)
+    if inside and m2 != 0:
+        inside = _between(edges.slowest2, edges.fastest2, m2 * start[3], m2 * end[3], bend2)
+    return inside
 
 
 @inlined
@@ -558,7 +592,7 @@ def _travel(
     known1 = 1 if m1 != 0 and x1 == 0.0 else 0
     known2 = 1 if m2 != 0 and x3 == 0.0 else 0
     events, steps = 0, 0
-    done, crossed = 0.0, 0  # the edge that the deflection has just come over: its low (-1) or its high one
+    done, crossed = 0.0, 0  # the side of the segment that the motion has just come in over: see `_first_edge`
     while done < h and events >= 0:
         remaining = h - done
         pieces = 1 if remaining <= longest else math.ceil(remaining / longest)
@@ -568,9 +602,7 @@ def _travel(
         _series(c, p, _motion(p, m1, m2), (x0, x1, x2, x3), s, step, loose1, loose2)
         first, mass, loose = _first_event(c, p, s, m1, m2, known1, known2)
         if segments is not None:
-            first, mass, loose = _first_edge(
-                c, segments[segment, 14], segments[segment, 15], crossed, first, mass, loose
-            )
+            first, mass, loose = _first_edge(c, segments[segment], m1, m2, crossed, first, mass, loose)
         t = min(first, 1.0)
         taped = row + steps - 1
         if taped < tape.shape[0]:
@@ -585,13 +617,14 @@ def _travel(
             back1, back2 = False, False
             crossed = 0
         if segments is not None and first <= 1.0 and mass == _EDGE:
-            segment, crossed = segment + loose, -loose
+            further = int(segments[segment, _STEPS + abs(loose) - 1])
+            segment, crossed = segment + (further if loose > 0 else -further), -loose
             p, _ = _drive_of(segments, segment)
             # The damper may act in one of both segments only, and its push begins at once.
-            if m1 == 0:
+            if m1 == 0 and abs(loose) == 1:
                 m1 = _settled(p, (x0, x1, x2, x3), s, 0)
                 known1 = 1 if m1 != 0 else known1
-            if m2 == 0:
+            if m2 == 0 and abs(loose) == 1:
                 m2 = _settled(p, (x0, x1, x2, x3), s, 1)
                 known2 = 1 if m2 != 0 else known2
             if taped < tape.shape[0]:
@@ -615,19 +648,25 @@ def _travel(
 
 @inlined
 def _first_edge(
-    c: FloatArray, low: float, high: float, crossed: int, first: float, mass: int, loose: int
+    c: FloatArray, segment: FloatArray, m1: int, m2: int, crossed: int, first: float, mass: int, loose: int
 ) -> tuple[float, int, int]:
-    """Return the first event as `_first_event` does, where the deflection may reach an edge of its segment before it.
+    """Return the first event as `_first_event` does, where the motion may come to a side of its segment before it.
 
-    Where it came over an edge a moment ago (`crossed`), that root is divided out.
+    The sides are 1 of the deflection, 2 of the motor's speed, 3 of the load's; negative where it is the low one. Where
+    the motion came in over a side a moment ago (`crossed`), that root is divided out.
     """
-    for side in (-1, 1):
-        edge = low if side < 0 else high
-        if abs(edge) == math.inf:
+    for side in (-1, 1, -2, 2, -3, 3):
+        what = abs(side)
+        edge = segment[_BOX + 2 * what - (2 if side < 0 else 1)]
+        mode = m1 if what == 2 else m2
+        if abs(edge) == math.inf or (what > 1 and (mode == 0 or edge == 0.0)):
             continue
+        sign = -1.0 if side > 0 else 1.0
+        if what > 1:
+            sign *= mode
         for i in range(_ORDER + 1):
-            c[_SOUGHT, i] = -side * (c[2, i] - c[0, i])
-        c[_SOUGHT, 0] += side * edge
+            c[_SOUGHT, i] = sign * (c[2, i] - c[0, i] if what == 1 else c[2 * what - 3, i])
+        c[_SOUGHT, 0] += edge if side > 0 else -edge
         if crossed == side:
             for i in range(_ORDER):
                 c[_SOUGHT, i] = c[_SOUGHT, i + 1]
@@ -803,8 +842,10 @@ def _glide(
                 room2 = 1e-300 + min(p.coulomb2 + (p.offset2 + least), p.coulomb2_back - (p.offset2 + most))
         if not (room1 > chord1 * bound and room2 > chord2 * bound):
             break
-        if edges is not None and not _within(edges, reach, stretch, y2 - y0, bound):
-            break
+        if edges is not None:
+            here, there = (x0, d1 * x1, x2, d2 * x3), (y0, d1 * y1, y2, d2 * y3)
+            if not _within(edges, here, there, reach * bound, m1, m2, chord1 * bound, chord2 * bound):
+                break
         x0, x1, x2, x3 = y0, y1, y2, y3
         stretch = y2 - y0
         k += 1
@@ -827,7 +868,7 @@ def run(
     tapped: FloatArray,
     excess: FloatArray,
     states: FloatArray,
-    modes: NDArray[np.int8],
+    modes: NDArray[np.int16],
     tape: FloatArray,
     counts: IntArray,
     gravity: FloatArray | None = None,
@@ -859,8 +900,10 @@ def run(
         gravity: (5,) factors of the cosine and the sine of an angle, and of the position; the angle per position; 1 if
             it is the load's, whose spring then holds it, and 0 if it is the motor's. Where there is none the compiler
             leaves out all that it would take.
-        segments: (segments, 16) of a spring in pieces, by rising deflection: the coefficients of the drive in each, and
-            where it begins and ends; `drive` is not read then. None of a linear spring, and not beside gravity.
+        segments: (segments, SEGMENT) of a spring or a friction in pieces: the coefficients of the drive in each; where
+            it begins and ends in the deflection and in the speeds of motor and load; and how many rows further the
+            next one of each of the three is. `drive` is not read then. None of a drive in one piece, and not beside
+            gravity.
     """
     n, parts, nz = w.shape[1], lengths.size, z.size
     p = _Drive(
@@ -872,7 +915,7 @@ def run(
         count, reach = segments.shape[0], _reach(segments, np.max(lengths))
         for i in range(count):
             fastest = max(fastest, _fastest_rate(_drive_of(segments, i)[0]))
-            segment = i if x[2] - x[0] >= segments[i, 14] else segment
+        segment = _find_segment(segments, x)
         p, edges = _drive_of(segments, segment)
     longest = _STEP / fastest
     if np.max(lengths) > _PIECES * longest:
@@ -974,8 +1017,11 @@ def run(
             calm, bound = _calm(
                 p, f, maps[b + 20], maps[b + 21], (x0, x1, x2, x3), (y0, y1, y2, y3), s, m1, m2, lengths[part]
             )
-            if segments is not None and edges is not None:
-                calm = calm and _within(edges, reach, x2 - x0, y2 - y0, bound)
+            if segments is not None and edges is not None and calm:
+                calm = _within(
+                    edges, (x0, x1, x2, x3), (y0, y1, y2, y3), reach * bound, m1, m2,
+                    maps[b + 20] * bound, maps[b + 21] * bound,
+                )  # fmt: skip
             if calm:
                 x0, x1, x2, x3 = y0, y1, y2, y3
             else:

@@ -10,8 +10,8 @@ by Taylor series). At an event:
 - where a mass comes loose nothing changes, since its acceleration begins at zero; where a step of the torque tears it
   loose, the time is the controller's and does not move;
 - a delay moves the edges of the torque, so each edge kicks the velocity by the difference of the accelerations;
-- where the deflection of a spring in pieces comes over an edge the force goes on where it was, and nothing changes,
-  but that of a damper that acts on one side of the edge only: it kicks the velocities as the time of the event moves.
+- where the motion comes over an edge of a spring or a friction in pieces the force goes on where it was, and nothing
+  changes, but that of a damper that acts on one side of the edge only: it kicks the velocities as the time of the event moves.
 
 Everything called from `follow` lives in this file but `wide_vectors`, because the compiler's cache on disk does not
 notice edits in another one. All that the loop over the periods goes on from is one array, with rows of a constant
@@ -195,7 +195,7 @@ def _written(q: FloatArray, at: np.uint64, du: FloatArray) -> None:
 @inlined
 def _glide(
     q: FloatArray, law: _Law, phi: FloatArray, M: FloatArray, mode: int, k: int, end: int, limit: float,
-    states: FloatArray, modes: NDArray[np.int8], u: FloatArray, post: FloatArray, explicit: FloatArray,
+    states: FloatArray, modes: NDArray[np.int16], u: FloatArray, post: FloatArray, explicit: FloatArray,
     first_explicit: int, du: FloatArray,
 ) -> int:  # fmt: skip
     """Do what `_control` and `_step` do, at once, while the mode lasts and no limit cuts; return the next period.
@@ -233,7 +233,7 @@ def _glide(
 
 @inlined
 def _rest(
-    q: FloatArray, law: _Law, mode: int, k: int, end: int, limit: float, modes: NDArray[np.int8], u: FloatArray,
+    q: FloatArray, law: _Law, mode: int, k: int, end: int, limit: float, modes: NDArray[np.int16], u: FloatArray,
     explicit: FloatArray, first_explicit: int, du: FloatArray,
 ) -> int:  # fmt: skip
     """Do what `_glide` does while both masses are at rest: the law alone goes on."""
@@ -482,7 +482,7 @@ def follow(
     lengths: FloatArray,
     lags: NDArray[np.int64],
     states: FloatArray,
-    modes: NDArray[np.int8],
+    modes: NDArray[np.int16],
     tape: FloatArray,
     rows: int,
     u: FloatArray,
@@ -517,8 +517,8 @@ def follow(
     parameters of columns `first_explicit` and on, with the motor position and what limits and gates take away held.
 
     `du` is (columns, periods), `dstates` (periods * parts, 4, columns), at the start of every part, or (0, 4, columns).
-    Of a drive in gravity, `dgravity` (3, columns) are the derivatives of the first of `gravity`. Of a spring in pieces,
-    `segments` is as in `kernels.run`, and `dsegments` (segments, 16, columns) their derivatives; `drive` and `seeds`
+    Of a drive in gravity, `dgravity` (3, columns) are the derivatives of the first of `gravity`. Of a spring or a friction
+    in pieces `segments` is as in `kernels.run`, and `dsegments` (segments, SEGMENT, columns) their derivatives; `drive` and `seeds`
     are not read then.
     """
     wide_vectors()
