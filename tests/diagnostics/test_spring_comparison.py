@@ -104,7 +104,7 @@ def test_a_law_that_cannot_be_identified_is_listed_with_the_reason(
     def fail(*_: object) -> None:
         raise MethodError("The loop runs away.")
 
-    monkeypatch.setattr(spring_comparison, "from_linear_spring", fail)
+    monkeypatch.setattr(spring_comparison, "from_linear_laws", fail)
     case, _ = plain
     found = compare_springs(some_of(case.clean, 2000), case.loop, didim=ji.FlexibleDIDIM(frequency=case.mode))
     assert found.shown.name == "linear"

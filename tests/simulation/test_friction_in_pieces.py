@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from jointid.models.friction import StribeckFriction
+from jointid.models.joints import ClosedLoop, FlexibleJoint
+from jointid.simulation.closed_loop import simulate, simulate_torque
+from jointid.simulation.loop_input import prepare
+from jointid.simulation.sensitivities import simulate_sensitivities
+from tests.plants import Case, prismatic, rotary
 from tests.simulation.kernel_case import run
 from tests.simulation.oracle import Plant, random_case
 from tests.simulation.oracle import simulate as reference
@@ -37,6 +44,46 @@ def test_agrees_with_a_reference_that_locates_every_event(seed: int, sign: float
     expected = reference(plant, law, w, post, T, delay, before, x0)
     assert status == 0
     assert counts[0] > 4
-    print(seed, sign, counts, np.abs(u-expected.u).max()/np.abs(expected.u).max())
     np.testing.assert_allclose(u, expected.u, rtol=0, atol=1e-10 * np.abs(expected.u).max())
     np.testing.assert_allclose(x[:, : expected.x.shape[1]], expected.x, rtol=0, atol=1e-10 * np.abs(expected.x).max())
+
+
+RISES = {"stribeck_force": 0.4, "stribeck_speed": 0.05}  # of the Coulomb friction, and of the largest speed
+FALLS = {"stribeck_force": -0.4, "stribeck_speed": 0.05}
+
+
+def slow(case: Case, shares: dict[str, float]) -> tuple[ClosedLoop, dict[str, float]]:
+    """The drive with another friction towards standstill."""
+    joint = case.loop.joint
+    own = simulate(case.loop, prepare(case.loop, case.clean), case.truth)
+    values = dict(case.truth)
+    for prefix in ("motor_", "load_") if isinstance(joint, FlexibleJoint) else ("",):
+        values[f"{prefix}stribeck_force"] = shares["stribeck_force"] * values[f"{prefix}coulomb"]
+        values[f"{prefix}stribeck_speed"] = shares["stribeck_speed"] * float(np.max(np.abs(own.motor_velocity)))
+    return replace(case.loop, joint=replace(joint, friction=StribeckFriction())), values
+
+
+def rigid(case: Case) -> Case:
+    joint = case.loop.joint
+    assert isinstance(joint, FlexibleJoint)
+    return replace(case, loop=replace(case.loop, joint=joint.rigid), truth=joint.rigid_sums(case.truth))
+
+
+def stiff(case: Case) -> Case:
+    return case
+
+
+@pytest.mark.parametrize("model", [rigid, stiff])
+@pytest.mark.parametrize("make", [prismatic, rotary])
+@pytest.mark.parametrize("shares", [RISES, FALLS])
+def test_derivatives_agree_with_central_differences(make: Callable, model: Callable, shares: dict[str, float]) -> None:
+    case = model(make(1))
+    loop, values = slow(case, shares)
+    experiment, names = prepare(loop, case.clean), [p.name for p in loop.joint.parameters]
+    found = simulate_sensitivities(loop, experiment, values, names)
+    assert np.array_equal(found.response.torque, simulate_torque(loop, experiment, values).torque)
+    for i, name in enumerate(names):
+        step = 1e-5 * max(abs(values[name]), 1e-3)
+        low, high = (simulate_torque(loop, experiment, {**values, name: values[name] + by}) for by in (-step, step))
+        expected = (high.torque - low.torque) / (2 * step)
+        assert np.linalg.norm(found.torque[:, i] - expected) < 3e-4 * np.linalg.norm(expected), name

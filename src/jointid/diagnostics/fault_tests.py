@@ -152,6 +152,8 @@ def _vary_injected_gain(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[F
 
 def _vary_low_speed_friction(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultSignature]:
     """Yield the signatures of a friction that is larger, or smaller, at low speed."""
+    if not problem.joint.friction.linear:  # its own law has that
+        return
     velocity = problem.simulate(x).motor_velocity
     if velocity.size != problem.experiment.after_limit.size:
         return  # a force at the controller's instants needs the motion there

@@ -267,7 +267,8 @@ def _describe_mechanics(s: FaultTest, unit: str, *, spread: bool) -> str:
         return f"the load's friction grows with its torque{f', by {percent}of it'.rstrip() if percent else ''}"
     if s.name == SECOND_MODE:
         part = f"{percent}of its inertia swings" if percent else "it swings in itself"
-        return f"the load is not one mass: {part} near {number(s.shape, 2)} Hz, and the stiffness is that of both springs"
+        hertz = number(s.shape, 2)
+        return f"the load is not one mass: {part} near {hertz} Hz, and the stiffness is that of both springs"
     kind, sense = "Coulomb" if s.shape == COULOMB else "viscous", "falls" if s.size > 0 else "rises"
     return f"the {kind} friction {sense} over the record{f', by {percent}'.rstrip() if percent else ''}"
 

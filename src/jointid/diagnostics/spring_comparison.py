@@ -32,7 +32,7 @@ from jointid.diagnostics.held_out import FEWEST, PARTS, TIMES, cut, mean_logarit
 from jointid.estimation.methods.flexible import FlexibleDIDIM, stopping_tolerance
 from jointid.estimation.methods.registry import Task
 from jointid.estimation.methods.search import History, Solved, free_more, least_squares
-from jointid.estimation.methods.spring_search import from_linear_spring
+from jointid.estimation.methods.search_in_pieces import from_linear_laws
 from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.models.joints import ClosedLoop, FlexibleJoint
@@ -238,11 +238,12 @@ def compare_springs(
         )
     check_record(record)
     history, tolerance = History(progress), stopping_tolerance(settings)
-    given, linear = dict(parameters or {}), replace(loop, joint=joint.linear)
+    given, plain = dict(parameters or {}), replace(joint, spring=LinearSpring())
+    linear = replace(loop, joint=plain)
     adjusted(joint.parameters, given)  # which refuses names that it does not have
-    own = adjusted(joint.linear.parameters, _of_law(given, joint, joint.linear))
+    own = adjusted(plain.parameters, _of_law(given, joint, plain))
     _parts(torque_problem(record, linear, filtering or Filtering(), own))  # before the search, which takes its time
-    solved, _ = settings.solve(Task(record, joint.linear, linear, own, filtering or Filtering(), progress), history)
+    solved, _ = settings.solve(Task(record, plain, linear, own, filtering or Filtering(), progress), history)
     if settings.free:
         solved = free_more(solved.problem, solved.solution.x, settings.free, tolerance, history)
     parts = _parts(solved.problem)
@@ -325,7 +326,7 @@ def _with(
 ) -> Solved:
     """Return where the search with the law of a loop's spring ends, from where that with a linear spring did."""
     problem = torque_problem(record, loop, solved.problem.filtering, own)
-    return from_linear_spring(problem, solved, tolerance, history)
+    return from_linear_laws(problem, solved, tolerance, history)
 
 
 def _judge(

@@ -13,7 +13,7 @@ from jointid.common.messages import Progress, silent
 from jointid.common.parameters import Parameter, Quantity, adjusted
 from jointid.estimation.methods.registry import Method, Task, default_method, method_of
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
+from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.checks import EncoderLag, check_record, find_encoder_lag, find_record_warnings
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, differentiate_twice, lowpass
@@ -82,7 +82,7 @@ def _require_fit(method: Method, joint: Joint, loop: ClosedLoop | None) -> None:
         other = method_of(method.name, joint.model)
         remedy = other if joint.model in other.models else default_method(loop or joint, joint.model)
         raise MethodError(f"{type(method).__name__} is not for a {joint.model} joint; use {remedy.__name__}.")
-    if isinstance(joint, FlexibleJoint) and not method.any_spring:
+    if not method.any_law:
         joint.require_linear(f"{method.title} takes")
 
 

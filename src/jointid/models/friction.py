@@ -145,7 +145,8 @@ class Friction:
         """Yield values, from which a search may begin, of what a law in pieces has beside its lines.
 
         Args:
-            speed: the largest of the joint's motion. torque: a friction that the record would show.
+            speed: the largest of the joint's motion.
+            torque: a friction that the record would show.
             prefix: of the names.
         """
         yield {}

@@ -9,8 +9,8 @@ Flexible, (2) of the paper, motor 1 and load 12, elastic deflection q2 = q12 - q
     tau = ZZ1 a1  + Fv1 v1  + Fc1 sign(v1)  - K12 q2 - F12 v2 + offset
     0   = ZZ2 a12 + Fv2 v12 + Fc2 sign(v12) + K12 q2 + F12 v2
 
-where ``K12 q2`` may be the torque of another spring, and the friction another law: see `springs`, `friction`. Gravity, where a joint has it, adds g(q) to (1),
-and g(q12) to the second equation of (2): see `gravity`.
+where ``K12 q2`` may be the torque of another spring, and the friction another law: see `springs`, `friction`. Gravity,
+where a joint has it, adds g(q) to (1), and g(q12) to the second equation of (2): see `gravity`.
 """
 
 from __future__ import annotations
@@ -74,8 +74,8 @@ class _JointBase:
 
         if not self.friction.linear and self.gravity is not None and self.gravity.varies:
             raise MethodError(
-                f"{self.friction.name.capitalize()} friction is not simulated beside gravity that follows the position; "
-                "expected a constant load or none: use symmetric friction, or leave gravity out."
+                f"{self.friction.name.capitalize()} friction is not simulated beside gravity that follows the "
+                "position; expected a constant load or none: use symmetric friction, or leave gravity out."
             )
 
     @property
@@ -348,7 +348,8 @@ def _segments(
     Args:
         drive: (14,) its coefficients.
         spring: where each piece begins and ends, its stiffness and damping, and its torque at no deflection.
-        motor, load: bands of the friction of both sides.
+        motor: bands of the friction on its side.
+        load: the same on the other one.
     """
     steps = (len(motor) * len(load), len(load), 1)
     inertias, offset1, offset2 = drive[:2], drive[12], drive[13]

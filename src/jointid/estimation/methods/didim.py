@@ -27,6 +27,7 @@ from jointid.estimation.methods.least_error import known_of_least_error
 from jointid.estimation.methods.registry import SURROUNDINGS, Method, Task
 from jointid.estimation.methods.rigid_search import End, RigidSearch, known_of_fixed_point
 from jointid.estimation.methods.search import History, Start, given_start, inversion_start, regular_start
+from jointid.estimation.methods.search_in_pieces import with_linear_laws
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.build_estimate import build_closed_loop_estimate
 from jointid.estimation.result.estimate import Estimate
@@ -45,6 +46,7 @@ class DIDIM(Method):
     models = ("rigid",)
     default_for = ClosedLoop
     needs_controller = True
+    any_law = True
 
     form: Literal["least-squares", "residual", "paper"] = setting(
         "least-squares",
@@ -87,11 +89,16 @@ class DIDIM(Method):
                 simulated at the start.
         """
         assert task.loop is not None
-        problem = torque_problem(task.record, task.loop, task.filtering, task.parameters)
+        declared = torque_problem(task.record, task.loop, task.filtering, task.parameters)
+        problem = with_linear_laws(declared)
+        if problem is not declared and self.form != "least-squares":
+            declared.joint.require_linear("A fixed point of a regressor takes")
         search = RigidSearch(self, problem.size, History(task.progress))
         began, starts = self._starts(problem, task.progress)
         end, how = self._searched(search, problem, starts)
-        end = search.with_free(end) if self.free else end
+        end = search.with_free(end) if self.free and problem is declared else end
+        if problem is not declared:
+            end = search.go_on(declared, end, self.free)
         state = end.state
         if self.free or how == _LEAST:
             known = known_of_least_error(

@@ -21,7 +21,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.parameters import Parameter
+from jointid.common.parameters import Parameter, Quantity
 from jointid.common.settings import documented, setting
 from jointid.estimation.methods.flexible_search import (
     by_least_squares,
@@ -33,7 +33,7 @@ from jointid.estimation.methods.flexible_search import (
 from jointid.estimation.methods.force_in_loop import widened_for_force
 from jointid.estimation.methods.registry import SURROUNDINGS, Method, Task
 from jointid.estimation.methods.search import History, Solved, free_more, least_squares
-from jointid.estimation.methods.spring_search import from_linear_spring, with_linear_spring
+from jointid.estimation.methods.search_in_pieces import from_linear_laws, with_linear_laws
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
 from jointid.estimation.result.build_estimate import build_closed_loop_estimate
@@ -63,7 +63,7 @@ class FlexibleDIDIM(Method):
     models = ("flexible",)
     default_for = ClosedLoop
     needs_controller = True
-    any_spring = True
+    any_law = True
 
     minimiser: Literal["least-squares", "nelder-mead"] = setting(
         "least-squares", "least squares with the output sensitivities, or the paper's simplex by MATLAB's fminsearch"
@@ -161,7 +161,7 @@ class FlexibleDIDIM(Method):
     def solve(self, task: Task, history: History) -> tuple[Solved, int]:
         """Return where the search ends, and the simulations of the rigid joints it began with.
 
-        A spring in pieces is looked for from where a linear one ended.
+        Laws in pieces are looked for from where linear ones ended.
         """
         loop = task.loop
         assert loop is not None
@@ -169,14 +169,14 @@ class FlexibleDIDIM(Method):
         problem = problem if loop.joint.gravity is None else _hanging(problem)
         joint = problem.joint
         assert isinstance(joint, FlexibleJoint)
-        if joint.spring.linear:
+        if joint == joint.linear:
             return _searched(problem, task, self, history)
         if self.minimiser != "least-squares":
             joint.require_linear("Nelder-Mead takes")
-        linear = with_linear_spring(problem)
+        linear = with_linear_laws(problem)
         own = replace(task, loop=linear.loop, joint=linear.joint)
         solved, simulations = _searched(linear, own, self, history)
-        return from_linear_spring(problem, solved, stopping_tolerance(self), history), simulations
+        return from_linear_laws(problem, solved, stopping_tolerance(self), history), simulations
 
 
 def stopping_tolerance(settings: FlexibleDIDIM) -> float:
@@ -270,7 +270,9 @@ def refused(estimate: Estimate, spring: Visibility) -> Estimate:
     whole = tuple(
         Known(_sum_of(p, joint.unit(p)), spring.rigid[p.name], std, std / (abs(spring.rigid[p.name]) or 1.0))
         for p in joint.rigid.parameters
-        if (std := spring.rigid_std.get(p.name)) is not None and not acts_on_whole(p.name)
+        if (std := spring.rigid_std.get(p.name)) is not None
+        and not acts_on_whole(p.name)
+        and p.quantity is not Quantity.VELOCITY
     )
     parted = ("motor_", "load_", *(p.name for p in joint.spring.parameters))
     lost = tuple(

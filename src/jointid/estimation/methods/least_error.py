@@ -43,7 +43,7 @@ def known_of_least_error(
     names = [p.name for p in problem.free]
     known = uncertainty(J, J, residual, problem.cells(run), names, problem.torque_unit)
     known = widened_for_force(known, problem, x, J, history, taps)
-    if not isinstance(problem.joint, RigidJoint):
+    if not isinstance(problem.joint, RigidJoint) or not problem.joint.friction.linear:  # no regressor is linear then
         return known
     W = filter_rows(taps, problem.filtered(problem.regressor(run)))
     Z = np.hstack([W, J[:, W.shape[1] :]])

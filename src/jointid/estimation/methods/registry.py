@@ -87,7 +87,7 @@ class Method(Protocol):
         models: of the joints that it is for.
         default_for: the type of model that it identifies where no method is named, None if it must be named.
         needs_controller: whether it simulates the closed loop.
-        any_spring: whether it identifies springs that are not linear.
+        any_law: whether it identifies springs and frictions that are not linear.
     """
 
     name: ClassVar[str]
@@ -95,7 +95,7 @@ class Method(Protocol):
     models: ClassVar[tuple[str, ...]] = MODELS
     default_for: ClassVar[Any] = None
     needs_controller: ClassVar[bool] = False
-    any_spring: ClassVar[bool] = False
+    any_law: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         check_settings(self)

@@ -25,6 +25,7 @@ from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.text import number
 from jointid.estimation.methods.search import MOVING, History, Solved, Start, begins_moving, free_more, least_squares
+from jointid.estimation.methods.search_in_pieces import from_linear_laws
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, initial_of
 from jointid.models.controllers import REFERENCE
 from jointid.simulation.closed_loop import Outcome, Simulation
@@ -207,6 +208,19 @@ class RigidSearch:
         if rough and not (moving and _explains(moving, (1.0 - _SURE) * resting.state.norm)):
             resting = self._solve(resting.state, self._regressor_step, left)
         return moving if moving and _explains(moving, resting.state.norm) else resting
+
+    def go_on(self, problem: ClosedLoopProblem, end: End, names: tuple[str, ...]) -> End:
+        """Go on with laws in pieces from where linear ones ended, and with more of what surrounds the joint free."""
+        tolerance, history, there = self.settings.tolerance, self.history, end.state
+        solution = history.solve(there.problem, least_squares(there.problem, tolerance), there.x)
+        solved = from_linear_laws(problem, solution, tolerance, history)
+        if names:
+            solved = free_more(solved.problem, solved.solution.x, names, tolerance, history)
+        problem, x = solved.problem, solved.solution.x
+        error, slopes = history.counted(problem).linearised(x)
+        after = State(problem, x, problem.simulate(x), error, slopes, slopes, np.ones(len(problem.free_joint)))
+        history.tally.evaluations += 1
+        return End(after, solved.solution.message, solved.solution.converged)
 
     def with_free(self, end: End) -> End:
         """Go on by least squares with more of what surrounds the joint free."""

@@ -217,10 +217,7 @@ def profile_modes(
     high = _STIFFEST * cutoff
     low = min(_SOFTEST * crossover(law, rigid["inertia"]), 0.5 * high)
     names = tuple(p.name for p in problem.free if p.name not in _SPRING)
-    start = {p.name: rigid.get(p.name, 0.0) for p in problem.parameters}
-    for name, value in rigid.items():  # its friction is on the motor's side
-        if f"motor_{name}" in start:
-            start[f"motor_{name}"] = value
+    start = friction_on_motor(problem.parameters, rigid)
     start |= {"inertia": rigid["inertia"], "ratio": _DAMPED, "share": _SHARE, "mode": high}
     wide = replace(problem, filtering=band).all_free()
     made = ModeProfile(wide, names, (low, high), start)
@@ -261,6 +258,19 @@ def _describe(values: Mapping[str, float]) -> dict[str, float]:
     whole = values["motor_inertia"] + values["load_inertia"]
     ratio = min(damping_ratio(values), MOST_DAMPED)
     return {"inertia": whole, "ratio": ratio, "share": values["load_inertia"] / whole, "mode": frequency_of(values)}
+
+
+def friction_on_motor(parameters: Sequence[Parameter], rigid: Mapping[str, float]) -> dict[str, float]:
+    """Return values of a flexible joint's parameters from those of a rigid one, all friction on the motor's side.
+
+    A speed that a friction depends on is that of both sides.
+    """
+    values = {}
+    for p in parameters:
+        of_motor = p.name.startswith("motor_") or p.quantity is Quantity.VELOCITY
+        whole = p.name.removeprefix("motor_").removeprefix("load_") if of_motor else p.name
+        values[p.name] = rigid.get(p.name, rigid.get(whole, 0.0))
+    return values
 
 
 def _threshold(made: ModeProfile) -> float:

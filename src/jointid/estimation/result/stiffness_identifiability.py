@@ -27,9 +27,10 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.messages import Message, Progress, silent
+from jointid.common.parameters import Quantity
 from jointid.estimation.methods.flexible_search import FASTEST, frequency_of
 from jointid.estimation.methods.search import History, least_squares
-from jointid.estimation.methods.spring_search import with_linear_spring
+from jointid.estimation.methods.search_in_pieces import with_linear_spring
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.build_estimate import find_lost
 from jointid.estimation.result.stiffness_bounds import (
@@ -37,6 +38,7 @@ from jointid.estimation.result.stiffness_bounds import (
     ModeProfile,
     bound_all,
     damping_ratio,
+    friction_on_motor,
     profile_modes,
     spring,
 )
@@ -232,8 +234,9 @@ def _fit_rigid(problem: ClosedLoopProblem, values: Mapping[str, float]) -> tuple
     loop = ClosedLoop(joint, problem.loop.controller)
     rigid = replace(problem, loop=loop, parameters=(*joint.parameters, *surroundings))
     start = {p.name: values[p.name] for p in surroundings}
-    for p in joint.parameters:  # the sum of both sides
-        start[p.name] = values[p.name] if p.name in values else values[f"motor_{p.name}"] + values[f"load_{p.name}"]
+    for p in joint.parameters:  # the sum of both sides; of a speed the mean
+        sides = [values[p.name]] if p.name in values else [values[f"{side}_{p.name}"] for side in ("motor", "load")]
+        start[p.name] = sum(sides) / (len(sides) if p.quantity is Quantity.VELOCITY else 1)
     return rigid, History(silent).solve(rigid, least_squares(rigid, 1e-8), rigid.vector(start)).solution
 
 
@@ -244,9 +247,7 @@ def _springs(problem: ClosedLoopProblem, rigid: Mapping[str, float], error: Floa
     free = problem.all_free()
 
     def bent(at: tuple[float, float]) -> FloatArray:
-        values = {p.name: rigid.get(p.name, 0.0) for p in problem.parameters}
-        # Its friction is on the motor's side.
-        values |= {f"motor_{name}": value for name, value in rigid.items() if f"motor_{name}" in values}
+        values = friction_on_motor(problem.parameters, rigid)
         values |= split_by_mode(rigid["inertia"], at[0], at[1] * cutoff)
         return free.residual(np.array([values[p.name] for p in free.parameters]))
 

@@ -58,7 +58,9 @@ _WORK = 20  # Taylor steps a simulation may take, per period: bounds the time an
 # mode of both masses, as `modes` has it, with the segment that began there; last the segment of the piece.
 TAPE = 11
 _EDGE = 2  # of a segment, where the index of a mass may stand
-SEGMENT = 23  # numbers of a segment: the drive's 14, then where it begins and ends in the three, then the steps to others
+SEGMENT = (
+    23  # numbers of a segment: the drive's 14, then where it begins and ends in the three, then the steps to others
+)
 _BOX, _STEPS = 14, 20
 
 # Rows of the event solver's scratch: the series of the states and the spring's force, the function whose root is

@@ -11,7 +11,8 @@ by Taylor series). At an event:
   loose, the time is the controller's and does not move;
 - a delay moves the edges of the torque, so each edge kicks the velocity by the difference of the accelerations;
 - where the motion comes over an edge of a spring or a friction in pieces the force goes on where it was, and nothing
-  changes, but that of a damper that acts on one side of the edge only: it kicks the velocities as the time of the event moves.
+  changes, but that of a damper that acts on one side of the edge only: it kicks the velocities as the time of the
+  event moves.
 
 Everything called from `follow` lives in this file but `wide_vectors`, because the compiler's cache on disk does not
 notice edits in another one. All that the loop over the periods goes on from is one array, with rows of a constant
@@ -517,9 +518,9 @@ def follow(
     parameters of columns `first_explicit` and on, with the motor position and what limits and gates take away held.
 
     `du` is (columns, periods), `dstates` (periods * parts, 4, columns), at the start of every part, or (0, 4, columns).
-    Of a drive in gravity, `dgravity` (3, columns) are the derivatives of the first of `gravity`. Of a spring or a friction
-    in pieces `segments` is as in `kernels.run`, and `dsegments` (segments, SEGMENT, columns) their derivatives; `drive` and `seeds`
-    are not read then.
+    Of a drive in gravity, `dgravity` (3, columns) are the derivatives of the first of `gravity`. Of a spring or a
+    friction in pieces `segments` is as in `kernels.run`, and `dsegments` (segments, SEGMENT, columns) their
+    derivatives; `drive` and `seeds` are not read then.
     """
     wide_vectors()
     n, parts, nz, elements = u.size, lengths.size, feedback.A.shape[1], feedback.limits.size

@@ -1,0 +1,93 @@
+"""The search for a joint with laws in pieces: from where one with linear laws ended, by the starts of the laws.
+
+The linear spring and the friction of one line that fit best lie between the pieces: everything else about the joint is
+nearly right there. Where the pieces begin is not known, and the criterion has more than one valley over it, so that
+every start of the laws is followed a little, and the best to the end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+
+from jointid.estimation.methods.search import History, Solved, least_squares
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
+from jointid.models.springs import LinearSpring
+from jointid.simulation.closed_loop import Simulation
+
+_ROUGHLY, _FEW = 1e-5, 30  # tolerance and evaluations of a descent that only has to show where it leads
+_CHANGE = 0.3  # of the Coulomb friction: what a change of it towards standstill begins with
+
+
+def with_linear_spring(problem: ClosedLoopProblem) -> ClosedLoopProblem:
+    """Return the problem of the same joint with a linear spring; itself where it has one."""
+    joint = problem.joint
+    assert isinstance(joint, FlexibleJoint)
+    return problem if joint.spring.linear else _with_joint(problem, replace(joint, spring=LinearSpring()))
+
+
+def with_linear_laws(problem: ClosedLoopProblem) -> ClosedLoopProblem:
+    """Return the problem of the same joint with linear laws; itself where it has no others."""
+    return problem if problem.joint.linear == problem.joint else _with_joint(problem, problem.joint.linear)
+
+
+def _with_joint(problem: ClosedLoopProblem, joint: Joint) -> ClosedLoopProblem:
+    """Return the problem of a joint whose parameters are among those of its own."""
+    given = {p.name: p for p in problem.parameters}
+    own = tuple(replace(given[p.name], symbol=p.symbol) for p in joint.parameters)
+    beside = problem.parameters[len(problem.joint.parameters) :]
+    return replace(problem, loop=ClosedLoop(joint, problem.loop.controller), parameters=(*own, *beside))
+
+
+def from_linear_laws(problem: ClosedLoopProblem, found: Solved, tolerance: float, history: History) -> Solved:
+    """Return where the search for a joint with laws in pieces ends.
+
+    Args:
+        problem: of that joint.
+        found: with linear laws, see `with_linear_laws`; or with a linear spring.
+        tolerance: of the parameters and the criterion.
+        history: of the search.
+    """
+    joint, linear = problem.joint, found.problem
+    surroundings = linear.parameters[len(linear.joint.parameters) :]  # the search may have let the motor begin moving
+    own = problem.parameters[: len(joint.parameters)]
+    problem = replace(problem, filtering=linear.filtering, parameters=(*own, *surroundings))
+    values, run = linear.values(found.solution.x), linear.simulate(found.solution.x)
+    history.tally.evaluations += 1
+    given = {p.name: p.start for p in own if p.start is not None}
+    starts = [{**values, **start, **given} for start in _starts(joint, linear.joint, values, run)]
+    laws = [f"{joint.spring.name} spring"] if isinstance(joint, FlexibleJoint) and not joint.spring.linear else []
+    laws += [] if joint.friction.linear else [f"{joint.friction.name} friction"]
+    history.progress(f"looking for a {' and '.join(laws)}, from {len(starts)} starts")
+    rough = replace(least_squares(problem, _ROUGHLY), evaluations=_FEW)
+    ends = [history.solve(problem, rough, problem.vector(start)).solution for start in starts]
+    best = min(ends, key=lambda end: float(np.linalg.norm(end.residual)))
+    end = history.solve(problem, least_squares(problem, tolerance), best.x).solution
+    return Solved(problem, replace(end, starts=found.solution.starts))
+
+
+def _starts(joint: Joint, linear: Joint, values: Mapping[str, float], run: Simulation) -> Iterator[dict[str, float]]:
+    """Yield what the laws in pieces may begin with: each start of the spring with each of the friction."""
+    springs: list[dict[str, float]] = [{}]
+    if isinstance(joint, FlexibleJoint) and not joint.spring.linear:
+        assert run.load_position is not None
+        windup = float(np.max(np.abs(run.motor_position - run.load_position)))
+        springs = list(joint.spring.starts(values["stiffness"], windup))
+    frictions: list[dict[str, float]] = [{}]
+    if not joint.friction.linear and linear.friction.linear:
+        sides = {"motor_": run.motor_velocity, "load_": run.load_velocity}
+        moving = sides if isinstance(joint, FlexibleJoint) else {"": run.motor_velocity}
+        by_side = []
+        for prefix, velocity in moving.items():
+            assert velocity is not None
+            change = _CHANGE * values[f"{prefix}coulomb"]
+            by_side.append(list(joint.friction.starts(float(np.max(np.abs(velocity))), change, prefix)))
+        frictions = [
+            {name: value for one in both for name, value in one.items()} for both in zip(*by_side, strict=True)
+        ]
+    for spring, friction in product(springs, frictions):
+        yield spring | friction
