@@ -125,9 +125,14 @@ class Friction:
         )
 
     @property
+    def lines(self) -> Friction:
+        """The law of one line in each direction that this one is, or has beside its pieces."""
+        return self
+
+    @property
     def linear(self) -> bool:
         """True if the law is one line in each direction, and so linear in its parameters."""
-        return True
+        return self.lines == self
 
     def bands(self, values: Mapping[str, float], prefix: str = "") -> tuple[Band, ...]:
         """Return the law by the speed, the slowest band first, without a gap; the last has no end."""
@@ -217,12 +222,12 @@ class StribeckFriction(Friction):
     name = "stribeck"
     label = "the same in both directions, another towards standstill"
     contrast = "symmetric"
-    coefficients = SymmetricFriction.coefficients
+    coefficients: ClassVar[tuple[Coefficient, ...]] = SymmetricFriction.coefficients
 
     @property
-    def linear(self) -> bool:
-        """False: it is in pieces, and a speed is among its parameters."""
-        return False
+    def lines(self) -> Friction:
+        """Viscous and Coulomb friction, as they are beyond low speed."""
+        return SymmetricFriction()
 
     def parameters(self, prefix: str = "", index: str = "") -> tuple[Parameter, ...]:
         """Return Fv and Fc, then the change towards standstill and the speed below which it is."""
@@ -234,14 +239,16 @@ class StribeckFriction(Friction):
 
     def bands(self, values: Mapping[str, float], prefix: str = "") -> tuple[Band, ...]:
         """Return a band between each two of the points of the exponential, and one beyond the last."""
-        viscous, _, coulomb, _ = self.directions(values, prefix)
+        viscous, viscous_back, coulomb, coulomb_back = self.directions(values, prefix)
         change, speed = values[f"{prefix}stribeck_force"], values[f"{prefix}stribeck_speed"]
+        speed = speed or (math.nan if change else 1.0)  # below no speed there is no change
         found = []
         for (low, more), (high, less) in pairwise(_KNOTS):
             slope = (less - more) / (high - low)
-            along, at_rest = viscous + change * slope / speed, coulomb + change * (more - slope * low)
-            found.append(Band(low * speed, high * speed, (along, along, at_rest, at_rest)))
-        return (*found, Band(found[-1].high, math.inf, (viscous, viscous, coulomb, coulomb)))
+            steeper, higher = change * slope / speed, change * (more - slope * low)
+            line = viscous + steeper, viscous_back + steeper, coulomb + higher, coulomb_back + higher
+            found.append(Band(low * speed, high * speed, line))
+        return (*found, Band(found[-1].high, math.inf, (viscous, viscous_back, coulomb, coulomb_back)))
 
     def starts(self, speed: float, torque: float, prefix: str = "") -> Iterator[dict[str, float]]:
         """Yield a rise and a fall below a few speeds."""
@@ -250,8 +257,23 @@ class StribeckFriction(Friction):
                 yield {f"{prefix}stribeck_force": sign * torque, f"{prefix}stribeck_speed": share * speed}
 
 
+@dataclass(frozen=True, slots=True)
+class AsymmetricStribeckFriction(StribeckFriction):
+    """Viscous and Coulomb friction that differ between the directions, and alike are others towards standstill."""
+
+    name = "asymmetric-stribeck"
+    label = "different in the two directions, another towards standstill"
+    contrast = "asymmetric"
+    coefficients = AsymmetricFriction.coefficients
+
+    @property
+    def lines(self) -> Friction:
+        """Viscous and Coulomb friction of both directions, as they are beyond low speed."""
+        return AsymmetricFriction()
+
+
 FRICTIONS: Mapping[str, type[Friction]] = {
-    law.name: law for law in (SymmetricFriction, AsymmetricFriction, StribeckFriction)
+    law.name: law for law in (SymmetricFriction, AsymmetricFriction, StribeckFriction, AsymmetricStribeckFriction)
 }
 """Every friction law by its name in the joint file."""
 

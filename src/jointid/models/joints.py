@@ -88,7 +88,7 @@ class _JointBase:
         if not self.friction.linear:
             raise MethodError(
                 f'{taker} friction for one line in each direction; received the law "{self.friction.name}": use '
-                'friction = "symmetric", or simulate and identify the closed loop by the method "didim".'
+                f'friction = "{self.friction.lines.name}", or simulate and identify the closed loop by "didim".'
             )
 
     @property
@@ -174,8 +174,8 @@ class RigidJoint(_JointBase):
 
     @property
     def linear(self) -> RigidJoint:
-        """The joint with symmetric friction in the place of one in pieces."""
-        return self if self.friction.linear else replace(self, friction=SymmetricFriction())
+        """The joint with the lines of its friction alone."""
+        return replace(self, friction=self.friction.lines)
 
     def start(self, values: Mapping[str, float], position: float, velocity: float) -> FloatArray:
         """Return the state at rest or in steady motion: position and velocity (the load's are not used)."""
@@ -232,9 +232,8 @@ class FlexibleJoint(_JointBase):
 
     @property
     def linear(self) -> FlexibleJoint:
-        """The joint with a linear spring and symmetric friction in the place of those in pieces."""
-        friction = self.friction if self.friction.linear else SymmetricFriction()
-        return replace(self, spring=self.spring if self.spring.linear else LinearSpring(), friction=friction)
+        """The joint with a linear spring in the place of one in pieces, and the lines of its friction alone."""
+        return replace(self, spring=self.spring if self.spring.linear else LinearSpring(), friction=self.friction.lines)
 
     def require_linear(self, taker: str) -> None:
         """Raise a `MethodError` if a law is not linear; `taker` says who takes it for that, as "Tuning takes"."""

@@ -84,7 +84,8 @@ def _starts(joint: Joint, linear: Joint, values: Mapping[str, float], run: Simul
         by_side = []
         for prefix, velocity in moving.items():
             assert velocity is not None
-            change = _CHANGE * values[f"{prefix}coulomb"]
+            coulomb = joint.friction.mean("coulomb", prefix)
+            change = _CHANGE * sum(weight * values[name] for name, weight in coulomb.items())
             by_side.append(list(joint.friction.starts(float(np.max(np.abs(velocity))), change, prefix)))
         frictions = [
             {name: value for one in both for name, value in one.items()} for both in zip(*by_side, strict=True)
