@@ -179,6 +179,8 @@ class LoopCheck(Documented):
             named = [name for name in (s.name, *s.alike, *finding.rivals) if name in _SPRINGS]
             tried = " or ".join(f'"{_SPRINGS[name]}"' for name in dict.fromkeys(named))
             said += f"; to identify it, set joint.spring = {tried}, as jointid diagnose springs tells"
+        if s.name in (STRIBECK, PRESLIDING):
+            said += '; to identify it, set joint.friction = "stribeck", or "asymmetric-stribeck"'
         values = {"suspect": s.name, "alike": list(s.alike), "more_than_declared": s.size, "std": s.std}
         values |= {"p_value": s.p_value, "changes": {name: change.by for name, change in finding.changes.items()}}
         clause = self._describe_fault(finding, spread=False)

@@ -236,8 +236,12 @@ class FlexibleJoint(_JointBase):
         return replace(self, spring=self.spring if self.spring.linear else LinearSpring(), friction=self.friction.lines)
 
     def require_linear(self, taker: str) -> None:
-        """Raise a `MethodError` if a law is not linear; `taker` says who takes it for that, as "Tuning takes"."""
+        """Raise a `MethodError` if a law is not linear; `taker` says who takes it for that, as "A regression takes"."""
         _JointBase.require_linear(self, taker)
+        self.require_linear_spring(taker)
+
+    def require_linear_spring(self, taker: str) -> None:
+        """Raise a `MethodError` if the spring is not linear; `taker` says who takes it for that, as "Tuning takes"."""
         if not self.spring.linear:
             raise MethodError(
                 f'{taker} the spring for linear; received one that is "{self.spring.name}": use spring = "linear", or '

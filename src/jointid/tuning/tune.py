@@ -106,7 +106,7 @@ def tune(
     """
     settings = settings or Tuning()
     if isinstance(estimate.settings.joint, FlexibleJoint):
-        estimate.settings.joint.require_linear("Tuning takes")
+        estimate.settings.joint.require_linear_spring("Tuning takes")
     if estimate.settings.loop is None:
         raise MethodError(
             f"Margins are of a loop, and the controller of {estimate.data.record} is not known; identify with "

@@ -406,11 +406,14 @@ def interval(p: EstimatedParameter) -> str:
     return f"{text.number(p.value)} {p.unit} ({known}{'' if p.identifiable else '; not told by the record'})"
 
 
-def uneven_viscous(model: JointModel) -> tuple[str, ...]:
-    """Return the sentence on a viscous friction that two directions share although they have their own; or none."""
-    if all(mass.evenly_viscous for mass in model.masses.values()):
-        return ()
-    return ("the difference between viscous friction forwards and backwards; the mean of both is written",)
+def friction_left_out(model: JointModel) -> tuple[str, ...]:
+    """Return sentences on friction in a format that has one viscous and one Coulomb friction for each mass."""
+    found = []
+    if not all(mass.evenly_viscous for mass in model.masses.values()):
+        found.append("the difference between viscous friction forwards and backwards; the mean of both is written")
+    if not model.joint.friction.linear:
+        found.append("the change of friction towards standstill; what it is beyond low speed is written")
+    return tuple(found)
 
 
 def effects_left_out(model: JointModel) -> tuple[str, ...]:

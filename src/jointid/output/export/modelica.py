@@ -82,15 +82,17 @@ def _equations(model: JointModel, mass: str, prefix: str) -> Iterator[str]:
         f"{mass}_{word}" for word in ("position", "velocity", "push", "direction")
     )  # fmt: skip
     (viscous, coulomb), (viscous_back, coulomb_back) = _friction(model, prefix)
+    (holds, holds_back), slow = _holds(model, prefix), _slow(model, prefix, velocity)
+    less, more = (f" - {slow}", f" + {slow}") if slow else ("", "")
     yield f"  der({position}) = {velocity};"
     yield f"  {push} = {_push(model, mass)};"
     yield f"  {prefix}inertia * der({velocity}) ="
-    yield f"    if {direction} > 0 then {push} - {viscous} * {velocity} - {coulomb}"
-    yield f"    else if {direction} < 0 then {push} - {viscous_back} * {velocity} + {coulomb_back}"
+    yield f"    if {direction} > 0 then {push} - {viscous} * {velocity} - {coulomb}{less}"
+    yield f"    else if {direction} < 0 then {push} - {viscous_back} * {velocity} + {coulomb_back}{more}"
     yield "    else 0;"
     stops = [f"pre({direction}) > 0 and {velocity} < 0", f"pre({direction}) < 0 and {velocity} > 0"]
     starts = [
-        f"pre({direction}) == 0 and {push} > {coulomb}", f"pre({direction}) == 0 and {push} < -{coulomb_back}"
+        f"pre({direction}) == 0 and {push} > {holds}", f"pre({direction}) == 0 and {push} < -{holds_back}"
     ]  # fmt: skip
     yield "  when {"
     yield ",\n".join(f"    {condition}" for condition in (*stops, *starts))
@@ -102,8 +104,23 @@ def _equations(model: JointModel, mass: str, prefix: str) -> Iterator[str]:
 
 def _released(model: JointModel, mass: str, prefix: str) -> str:
     """Return where a mass at rest goes."""
+    holds, holds_back = _holds(model, prefix)
+    return f"if {mass}_push > {holds} then 1 else if {mass}_push < -{holds_back} then -1 else 0"
+
+
+def _holds(model: JointModel, prefix: str) -> tuple[str, str]:
+    """Return up to which push friction holds a mass at rest, forwards and backwards."""
     (_, coulomb), (_, coulomb_back) = _friction(model, prefix)
-    return f"if {mass}_push > {coulomb} then 1 else if {mass}_push < -{coulomb_back} then -1 else 0"
+    if model.joint.friction.linear:
+        return coulomb, coulomb_back
+    return f"({coulomb} + {prefix}stribeck_force)", f"({coulomb_back} + {prefix}stribeck_force)"
+
+
+def _slow(model: JointModel, prefix: str, velocity: str) -> str:
+    """Return by how much friction is another at low speed; nothing of a law that has no such part."""
+    if model.joint.friction.linear:
+        return ""
+    return f"{prefix}stribeck_force * exp(-({velocity} / {prefix}stribeck_speed)^2)"
 
 
 def _friction(model: JointModel, prefix: str) -> tuple[tuple[str, str], tuple[str, str]]:

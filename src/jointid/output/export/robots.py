@@ -24,11 +24,11 @@ from jointid.output.export.joint_model import (
     Mass,
     Weight,
     effects_left_out,
+    friction_left_out,
     identifier,
     number,
     one_line,
     remarks,
-    uneven_viscous,
 )
 
 _AXES = {"revolute": "0 -1 0", "prismatic": "1 0 0"}
@@ -76,7 +76,7 @@ def urdf(model: JointModel) -> tuple[str, tuple[str, ...]]:
         lost.append(f"a constant force of {shown(constant)} {model.torque_unit}")
     if weight is not None and weight.rate:
         lost.append("the spring of the counterbalance")
-    lost += [*uneven_viscous(model), *_lost_weight(weight), *effects_left_out(model)]
+    lost += [*friction_left_out(model), *_lost_weight(weight), *effects_left_out(model)]
 
     name = identifier(model.name)
     root = ET.Element("robot", name=name)
@@ -120,7 +120,7 @@ def mjcf(model: JointModel, *, timestep: float | None = None) -> tuple[str, tupl
     if timestep is not None and not 0 < timestep < 1:
         raise MethodError(f"A time step is a positive number of seconds below 1; received {timestep}.")
     _require_mechanical(model, "MJCF")
-    lost = [*uneven_viscous(model), *_lost_weight(model.weight), *effects_left_out(model)]
+    lost = [*friction_left_out(model), *_lost_weight(model.weight), *effects_left_out(model)]
     if any(mass.coulomb for mass in model.masses.values()):
         lost.append("true sticking: MuJoCo's friction creeps where it should hold")
 

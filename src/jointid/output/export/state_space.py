@@ -27,7 +27,14 @@ from jointid.common.parameters import Quantity, unit_of
 from jointid.common.text import number as shown
 from jointid.models.joints import FlexibleJoint
 from jointid.models.linear import OUTPUTS, discretise, drive_matrices
-from jointid.output.export.joint_model import JointModel, effects_left_out, identifier, number, remarks, uneven_viscous
+from jointid.output.export.joint_model import (
+    JointModel,
+    effects_left_out,
+    friction_left_out,
+    identifier,
+    number,
+    remarks,
+)
 from jointid.output.json import plain
 from jointid.output.json.estimates import Json
 
@@ -123,7 +130,7 @@ def linear_part(model: JointModel) -> StateSpace:
         MethodError: a value is refused, no joint can have it, or the spring is not linear.
     """
     if isinstance(model.joint, FlexibleJoint):
-        model.joint.require_linear("A state space takes")
+        model.joint.require_linear_spring("A state space takes")
     masses, weight = model.masses.values(), model.weight
     rate = 0.0 if weight is None else weight.rate
     A, b = drive_matrices(
@@ -229,7 +236,7 @@ def _not_linear(model: JointModel) -> tuple[str, ...]:
         lost.append(f"the constant load, {shown(weight.constant)} {unit}")
     if weight is not None and weight.turns:
         lost.append("the weight, which follows the cosine and the sine of the position")
-    return (*lost, *uneven_viscous(model), *effects_left_out(model))
+    return (*lost, *friction_left_out(model), *effects_left_out(model))
 
 
 def _matrices(system: StateSpace) -> Json:
