@@ -35,10 +35,10 @@ DIRECTIONS: tuple[Direction, ...] = ("forwards", "backwards")
 
 _QUANTITY: Mapping[Part, Quantity] = {"viscous": Quantity.VISCOUS, "coulomb": Quantity.FORCE}
 
-# exp(-x^2) by straight lines between these points, and 0 beyond: within 0.0051 of it (found by linear programming).
+# exp(-x^2) by straight lines between these points, and 0 beyond: within 0.0042 of it (found by linear programming).
 _KNOTS = (
-    (0.0, 1.0), (0.174, 0.9756), (0.407, 0.8526), (0.798, 0.5284), (1.106, 0.2889), (1.405, 0.1338), (1.748, 0.0423),
-    (2.31, 0.0),
+    (0.0, 1.0), (0.148, 0.9822), (0.338, 0.8961), (0.575, 0.7206), (0.982, 0.3774), (1.247, 0.207), (1.514, 0.0973),
+    (1.836, 0.0308), (2.375, 0.0),
 )  # fmt: skip
 _SLOWEST = 1e-12  # of a Stribeck speed, in the joint's unit
 _SPEEDS = (0.02, 0.08)  # of the largest speed: where a search for a Stribeck speed begins
@@ -216,7 +216,7 @@ class StribeckFriction(Friction):
 
     Positive FS is Stribeck's rise (H. Olsson et al., Friction models and friction compensation, European Journal of
     Control 4, 1998), negative FS a friction that is smaller there, as before a contact slides. At rest it holds up to
-    Fc + FS. The exponential is taken by straight lines, within 0.51 % of FS, so that the simulation stays exact.
+    Fc + FS. The exponential is taken by straight lines, within 0.5 % of FS, so that the simulation stays exact.
     """
 
     name = "stribeck"

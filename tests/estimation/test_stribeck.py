@@ -1,0 +1,116 @@
+"""Friction that is another towards standstill: identified from torque and reference, and refused where no line is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import jointid as ji
+from jointid.common.errors import MethodError
+from jointid.diagnostics.validation import validate
+from jointid.estimation.identify import identify
+from jointid.models.friction import FRICTIONS, AsymmetricStribeckFriction, StribeckFriction
+from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
+from jointid.records.record import Record
+from jointid.simulation.closed_loop import simulate
+from jointid.simulation.loop_input import prepare
+from jointid.uncertainty.verdict import Subject
+from tests.estimation.conftest import CONTROLLER
+from tests.plants import Case, prismatic
+from tests.simulation.test_friction_in_pieces import FALLS, RISES, rigid, slow
+
+EMPS_RESIDUAL = {"symmetric": (4.48, 5.41), "stribeck": (3.79, 4.93), "asymmetric-stribeck": (2.72, 4.13)}
+
+
+def noisy(case: Case, loop: ClosedLoop, values: dict[str, float], share: float = 0.01) -> Record:
+    """The record of the drive with that friction, from torque and reference alone."""
+    torque = simulate(loop, prepare(loop, case.clean), values).torque
+    seen = torque + share * np.std(torque) * np.random.default_rng(3).standard_normal(torque.size)
+    assert case.clean.torque is not None
+    record = replace(case.clean, torque=replace(case.clean.torque, values=seen))
+    return record.without("motor_position", "load_position")
+
+
+@pytest.mark.parametrize("shares", [RISES, FALLS])
+def test_a_rigid_axis_tells_its_friction_towards_standstill(shares: dict[str, float]) -> None:
+    case = rigid(prismatic(1))
+    loop, values = slow(case, shares)
+    estimate = identify(noisy(case, loop, values), loop)
+    for name in ("inertia", "viscous", "coulomb", "stribeck_force", "stribeck_speed", "offset"):
+        row = estimate[name]
+        assert row.value is not None
+        assert row.stderr is not None
+        assert abs(row.value - values[name]) < 3.5 * row.stderr, name
+        assert row.stderr < 0.05 * abs(values[name]), name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shares", [RISES, FALLS])
+def test_a_flexible_joint_tells_that_of_both_sides(shares: dict[str, float]) -> None:
+    case = prismatic(1)
+    loop, values = slow(case, shares)
+    estimate = identify(noisy(case, loop, values), loop)
+    for row in estimate.params:
+        if row.name in values:
+            assert row.value is not None
+            assert row.stderr is not None
+            assert abs(row.value - values[row.name]) < 3.5 * row.stderr, row.name
+    assert estimate["stiffness"].stderr < 1e-3 * values["stiffness"]  # type: ignore[operator]
+
+
+def test_a_model_without_it_names_the_law_to_try_and_is_biased() -> None:
+    case = rigid(prismatic(1))
+    loop, values = slow(case, RISES)
+    plain = replace(loop, joint=loop.joint.linear)
+    estimate = ji.identify(noisy(case, loop, values), plain)
+    verdict = next(v for v in estimate.checks.verdicts if v.subject is Subject.LOOP)
+    assert any('joint.friction = "stribeck"' in str(reason) for reason in verdict.reasons)
+    assert not any('joint.friction = "stribeck"' in str(one) for one in _reasons(case, loop, values))
+
+
+def _reasons(case: Case, loop: ClosedLoop, values: dict[str, float]) -> list[str]:
+    estimate = ji.identify(noisy(case, loop, values), loop)
+    return [str(reason) for verdict in estimate.checks.verdicts for reason in verdict.reasons]
+
+
+@pytest.mark.parametrize("friction", list(EMPS_RESIDUAL))
+def test_the_real_axis_has_less_friction_towards_standstill(friction: str, emps: Record, emps_pulses: Record) -> None:
+    """The 7.7 N that the check of the loop finds near standstill are a law, which holds on the other record, too."""
+    loop = ClosedLoop(RigidJoint(friction=FRICTIONS[friction]()), CONTROLLER)
+    estimate = identify(emps.without("motor_position"), loop)
+    fitted, kept = EMPS_RESIDUAL[friction]
+    assert round(100 * estimate.fit.filtered_error, 2) == pytest.approx(fitted, abs=0.02)
+    assert round(100 * validate(estimate, emps_pulses).filtered_error, 2) == pytest.approx(kept, abs=0.02)
+    if friction != "symmetric":
+        change = estimate["stribeck_force"]
+        assert change.interval is not None
+        assert change.interval[0] < -7.7 < change.interval[1] < 0
+        assert estimate["stribeck_speed"].value == pytest.approx(0.015, abs=0.001)
+
+
+def test_what_takes_friction_for_a_line_refuses_it() -> None:
+    record = ji.twin(noise="white").record
+    joint = RigidJoint(friction=StribeckFriction())
+    with pytest.raises(MethodError, match=r'IDIM takes friction for one line .* received the law "stribeck"'):
+        identify(record, joint)
+    with pytest.raises(MethodError, match="A fixed point of a regressor takes friction for one line"):
+        identify(record, ClosedLoop(joint, ji.twin().loop.controller), ji.DIDIM(form="residual"))
+    with pytest.raises(MethodError, match="is not simulated beside gravity that follows the position"):
+        FlexibleJoint("revolute", AsymmetricStribeckFriction(), gravity=ji.Gravity("link"))
+
+
+def test_a_change_that_leaves_no_friction_at_rest_is_no_joint() -> None:
+    case = rigid(prismatic(1))
+    loop, values = slow(case, FALLS)
+    found = simulate(loop, prepare(loop, case.clean), values | {"stribeck_force": -1.1 * values["coulomb"]})
+    assert found.outcome.name == "INVALID"
+
+
+def test_the_lines_are_near_the_exponential() -> None:
+    values = {"viscous": 0.0, "coulomb": 1.0, "stribeck_force": 1.0, "stribeck_speed": 2.0}
+    speeds = np.linspace(1e-9, 8.0, 4001)
+    found = np.array([StribeckFriction().drag(values, v) for v in speeds])
+    assert np.abs(found - 1.0 - np.exp(-((speeds / 2.0) ** 2))).max() < 0.005
+    assert [StribeckFriction().drag(values, v) for v in (0.0, -1.0)] == [0.0, -StribeckFriction().drag(values, 1.0)]
