@@ -305,7 +305,7 @@ def choose(seed: int, fault: str, longest: float = 12.0) -> Chosen | None:
     truth, shown = made.stiffness, found.shown
     std = shown.std.get("stiffness")
     z = (shown.values["stiffness"] - truth) / std if std else None
-    return Chosen(seed, fault, made.size, "", shown.name, z, {one.name: one.kept for one in found.springs})
+    return Chosen(seed, fault, made.size, "", shown.name, z, {one.name: one.kept for one in found.laws})
 
 
 def summarise_choices(runs: Sequence[Chosen]) -> str:

@@ -7,6 +7,7 @@ from .controller_id.learn import learn_loop
 from .diagnostics.check_loop import check_loop
 from .diagnostics.compare_estimates import compare_estimates
 from .diagnostics.experiment_design import advise, design_stiffness_test
+from .diagnostics.friction_comparison import compare_frictions
 from .diagnostics.identify import identify
 from .diagnostics.intervals import intervals
 from .diagnostics.method_comparison import compare_methods
@@ -87,6 +88,7 @@ __all__ = [
     "advise",
     "check_loop",
     "compare_estimates",
+    "compare_frictions",
     "compare_methods",
     "compare_springs",
     "convert",

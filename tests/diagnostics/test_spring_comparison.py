@@ -12,7 +12,7 @@ import pytest
 import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.diagnostics import spring_comparison
-from jointid.diagnostics.spring_comparison import RIGID, FittedSpring, SpringComparison, SpringShown, compare_springs
+from jointid.diagnostics.spring_comparison import RIGID, FittedLaw, SpringComparison, SpringShown, compare_springs
 from jointid.models.springs import SPRINGS, LinearSpring, TwoPieceSpring
 from jointid.records.record import Record
 from studies.mechanics import spoiled
@@ -50,7 +50,7 @@ def test_a_gap_is_shown_and_not_the_laws_that_have_more_parameters(gapped: tuple
     assert found.shown.name == "backlash"
     for name in ("stiffness", "gap"):
         assert abs(found.shown.values[name] - case.truth[name]) < 3 * found.shown.std[name], name
-    by_name = {one.name: one for one in found.springs}
+    by_name = {one.name: one for one in found.laws}
     assert list(by_name) == [RIGID, *sorted(SPRINGS, key=lambda name: len(SPRINGS[name]().parameters))]
     assert by_name["linear"].kept > 1.5 * found.shown.kept
     assert not by_name["linear"].predicts_as_well
@@ -68,8 +68,8 @@ def test_a_linear_spring_is_told_as_that(plain: tuple[Case, SpringComparison]) -
 
 def test_what_is_kept_from_a_fit_is_predicted_worse_than_what_is_fitted(plain: tuple[Case, SpringComparison]) -> None:
     _, found = plain
-    assert all(one.kept > one.fitted for one in found.springs)
-    more = {one.name: one.kept - one.fitted for one in found.springs}
+    assert all(one.kept > one.fitted for one in found.laws)
+    more = {one.name: one.kept - one.fitted for one in found.laws}
     assert more["three-piece"] > more["linear"]
 
 
@@ -87,8 +87,8 @@ def test_a_rigid_axis_shows_no_spring() -> None:
     assert 'set joint.model = "rigid"' in found.sentence
 
 
-def one(name: str, parameters: int, worse: float, error: float) -> FittedSpring:
-    return FittedSpring(name, parameters, {}, {}, 0.01, 0.01, worse, error)
+def one(name: str, parameters: int, worse: float, error: float) -> FittedLaw:
+    return FittedLaw(name, parameters, {}, {}, 0.01, 0.01, worse, error)
 
 
 def test_the_simplest_of_those_that_predict_alike_is_shown() -> None:
@@ -108,7 +108,7 @@ def test_a_law_that_cannot_be_identified_is_listed_with_the_reason(
     case, _ = plain
     found = compare_springs(some_of(case.clean, 2000), case.loop, didim=ji.FlexibleDIDIM(frequency=case.mode))
     assert found.shown.name == "linear"
-    assert [law.refusal for law in found.springs] == ["", "", *["The loop runs away."] * 3]
+    assert [law.refusal for law in found.laws] == ["", "", *["The loop runs away."] * 3]
     assert "not identified" in str(found)
     assert "; backlash, two-piece and three-piece could not be identified" in found.sentence
     assert json.loads(json.dumps(ji.to_dict(found)))["springs"][2]["kept_error_percent"] is None
@@ -123,7 +123,7 @@ def test_what_is_declared_of_one_law_is_not_taken_for_another_s(plain: tuple[Cas
     }
     loop = with_spring(case.loop, TwoPieceSpring())
     found = compare_springs(record, loop, parameters=declared, didim=ji.FlexibleDIDIM(frequency=case.mode))
-    by_name = {one.name: one for one in found.springs}
+    by_name = {one.name: one for one in found.laws}
     assert "stiffness" not in by_name["two-piece"].std  # which is kept
     assert by_name["linear"].values["stiffness"] == pytest.approx(case.truth["stiffness"], rel=0.05)
 

@@ -689,6 +689,18 @@ def test_compare_sets_every_method_of_the_real_axis_side_by_side(
     assert {method["estimate"]["schema"] for method in answer["methods"]} == {"jointid.estimate/1"}
 
 
+def test_the_friction_of_the_real_axis(emps_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out.json"
+    assert run("diagnose", "friction", EMPS, "--record", emps_path, "--json", out, "-q") == 0
+    assert 'set joint.friction = "asymmetric-stribeck" to identify it' in " ".join(capsys.readouterr().out.split())
+    assert json.loads(out.read_text(encoding="utf-8"))["shown"] == "asymmetric-stribeck"
+    keys = ("--set", "joint.friction=asymmetric-stribeck", "--json", out, "-q")
+    assert run("identify", EMPS, "--record", emps_path, *keys) == 0
+    assert json.loads(out.read_text(encoding="utf-8"))["parameters"]["stribeck_force"]["value"] == pytest.approx(
+        -6.7, abs=0.1
+    )
+
+
 def test_an_estimate_with_ripple_is_validated_and_simulated(
     emps_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -53,6 +53,7 @@ COMMANDS = (
     "diagnose loop joint.toml --json joint.toml",
     "diagnose sensors joint.toml --json record.csv",
     "diagnose springs joint.toml --json record.csv",
+    "diagnose friction joint.toml --json record.csv",
 )
 
 
@@ -214,6 +215,7 @@ OUTPUTS: dict[str, tuple[str, dict[str, str]]] = {
     "diagnose methods": ("joint.toml", {"--json": "x.json"}),
     "diagnose sensors": ("joint.toml", {"--json": "x.json"}),
     "diagnose springs": ("joint.toml", {"--json": "x.json"}),
+    "diagnose friction": ("joint.toml", {"--json": "x.json"}),
     "export": ("joint.toml --estimate estimate.json", {"--out": "x.urdf"}),
     "identify": ("joint.toml", {"--json": "x.json", "--figure": "x.png"}),
     "report": ("joint.toml", {"--html": "x.html", "--json": "x.json", "--markdown": "x", "--figures": "."}),

@@ -24,7 +24,7 @@ from jointid import __version__
 from jointid.apps.cli import SIGNALLED, endings, streams
 from jointid.apps.cli.console import clear_bars, tell
 from jointid.apps.cli.data import convert, inspect
-from jointid.apps.cli.diagnose import intervals, loop, methods, sensors, springs
+from jointid.apps.cli.diagnose import friction, intervals, loop, methods, sensors, springs
 from jointid.apps.cli.identify import controller, identify, tune
 from jointid.apps.cli.results import compare, export, report, validate
 from jointid.apps.cli.serve import serve
@@ -47,7 +47,7 @@ data = App(name="data", help="Look into files of records, and convert them.", he
 diagnose = App(name="diagnose", help="Ask what an estimate is worth, one question a command.", help_format="plaintext")
 for parent, commands in (
     (app, (demo, identify, validate, report, compare)),
-    (diagnose, (methods, springs, intervals, loop, sensors)),
+    (diagnose, (methods, springs, friction, intervals, loop, sensors)),
     (app, (diagnose, controller, tune, simulate, export, data, serve, reproduce)),
     (data, (inspect, convert)),
 ):

@@ -70,6 +70,34 @@ def springs(joint: Path, /, *, options: Options = DEFAULTS, filtering: Filtering
     deliver(comparison, options.json)
 
 
+def friction(joint: Path, /, *, options: Options = DEFAULTS, filtering: FilteringName | None = None) -> None:
+    """Identify a joint with every law of friction, and say which one the record shows.
+
+    Each law is judged by how well it predicts parts of the record that were kept from its fit.
+
+    Args:
+        joint: the joint file (TOML); of its method the settings of didim are used.
+        options: those that most commands have.
+        filtering: of every fit, as for identify.
+    """
+    from jointid import DIDIM, FlexibleDIDIM, MethodError, compare_frictions
+
+    file = options.load(joint, options.outputs, filtering=filtering, method="didim")
+    if file.loop is None:
+        raise MethodError("Frictions are compared in the closed loop; declare the [controller].")
+    record = file.record(options.record)
+    ready(options.progress)
+    comparison = compare_frictions(
+        record,
+        file.loop,
+        filtering=file.filtering,
+        parameters=file.parameters,
+        didim=file.method if isinstance(file.method, DIDIM | FlexibleDIDIM) else None,
+        progress=options.progress,
+    )
+    deliver(comparison, options.json)
+
+
 def intervals(
     joint: Path,
     /,

@@ -337,7 +337,7 @@ JOINT = (
     Field("joint.model", "What is looked for", "Flexible needs a motion that excites the spring.", "choice",
           choices=(("rigid", "rigid: one mass and its friction"),
                    ("flexible", "flexible: two masses, a spring")), usual="rigid"),
-    Field("joint.friction", "Friction", "", "choice",
+    Field("joint.friction", "Friction", "jointid diagnose friction says which one a record shows.", "choice",
           choices=tuple((law.name, law.label) for law in FRICTIONS.values()),
           usual="symmetric"),
     Field("joint.spring", "Spring", "jointid diagnose springs says which one a record shows.", "choice",

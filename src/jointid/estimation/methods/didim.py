@@ -26,8 +26,16 @@ from jointid.common.settings import documented, setting
 from jointid.estimation.methods.least_error import known_of_least_error
 from jointid.estimation.methods.registry import SURROUNDINGS, Method, Task
 from jointid.estimation.methods.rigid_search import End, RigidSearch, known_of_fixed_point
-from jointid.estimation.methods.search import History, Start, given_start, inversion_start, regular_start
-from jointid.estimation.methods.search_in_pieces import with_linear_laws
+from jointid.estimation.methods.search import (
+    History,
+    Solved,
+    Start,
+    given_start,
+    inversion_start,
+    least_squares,
+    regular_start,
+)
+from jointid.estimation.methods.search_in_pieces import from_linear_laws, with_linear_laws
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.build_estimate import build_closed_loop_estimate
 from jointid.estimation.result.estimate import Estimate
@@ -113,6 +121,20 @@ class DIDIM(Method):
             settings={"variant": f"DIDIM {how} from {'an' if began == 'inversion' else 'a'} {began} start"},
             fit={"trace": tuple(search.history.trace), "simulations": search.history.tally.evaluations},
         )
+
+    def solve(self, task: Task, history: History) -> Solved:
+        """Return where the least torque error is, from any start.
+
+        Laws in pieces are looked for from where linear ones ended.
+        """
+        assert task.loop is not None
+        declared = torque_problem(task.record, task.loop, task.filtering, task.parameters)
+        problem = with_linear_laws(declared)
+        search = RigidSearch(self, problem.size, history)
+        _, starts = self._starts(problem, task.progress)
+        state = search.least_torque_error(problem, starts).state
+        found = history.solve(state.problem, least_squares(state.problem, self.tolerance), state.x)
+        return found if problem is declared else from_linear_laws(declared, found, self.tolerance, history)
 
     def _searched(self, search: RigidSearch, problem: ClosedLoopProblem, starts: list[Start]) -> tuple[End, str]:
         """Return where the search ended, and how it went.

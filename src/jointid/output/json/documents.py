@@ -150,9 +150,17 @@ SHAPES: Mapping[str, Shape] = {
         "schema": always("jointid.springs/1"),
         **same("record", "transmission", "declared"),
         "shown": "shown.name",
-        **same("answer", "springs"),
+        **same("answer"),
+        "springs": "laws",
     },
-    "FittedSpring": {
+    "FrictionComparison": {
+        "schema": always("jointid.frictions/1"),
+        **same("record", "transmission", "declared"),
+        "shown": "shown.name",
+        **same("answer"),
+        "frictions": "laws",
+    },
+    "FittedLaw": {
         **same("name", "parameters", "values", "std"),
         "fitted_error_percent": percent("fitted"),
         "kept_error_percent": percent("kept"),
@@ -328,8 +336,8 @@ def to_dict(result: object) -> Json:
     """Return a result as a dict of numbers, words, lists and dicts, with its `schema`: what `--json` writes.
 
     Args:
-        result: of `identify`, `validate`, `compare_methods`, `compare_springs`, `check_loop`, `advise`,
-            `design_stiffness_test`, `tune`, `learn_loop`, `inspect`, `compare_estimates`.
+        result: of `identify`, `validate`, `compare_methods`, `compare_springs`, `compare_frictions`, `check_loop`,
+            `advise`, `design_stiffness_test`, `tune`, `learn_loop`, `inspect`, `compare_estimates`.
 
     Raises:
         MethodError: it is no such result.

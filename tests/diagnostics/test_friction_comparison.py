@@ -1,0 +1,112 @@
+"""Which friction a record shows."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import jointid as ji
+from jointid.common.errors import MethodError
+from jointid.diagnostics.friction_comparison import FrictionComparison, FrictionShown, compare_frictions
+from jointid.models.friction import FRICTIONS
+from jointid.models.joints import ClosedLoop, RigidJoint
+from jointid.records.record import Record
+from jointid.simulation.closed_loop import simulate
+from jointid.simulation.loop_input import prepare
+from tests.estimation.conftest import CONTROLLER
+from tests.plants import prismatic
+from tests.simulation.test_friction_in_pieces import RISES, rigid, slow
+
+
+@pytest.fixture(scope="module")
+def rising() -> tuple[Record, ClosedLoop, dict[str, float]]:
+    """A rigid axis of symmetric friction that rises towards standstill, its record, and what it has."""
+    case = rigid(prismatic(1))
+    loop, values = slow(case, RISES)
+    torque = simulate(loop, prepare(loop, case.clean), values).torque
+    noise = 0.01 * np.std(torque) * np.random.default_rng(5).standard_normal(torque.size)
+    assert case.clean.torque is not None
+    record = replace(case.clean, torque=replace(case.clean.torque, values=torque + noise))
+    return record.without("motor_position", "load_position"), loop, values
+
+
+@pytest.fixture(scope="module")
+def found(rising: tuple[Record, ClosedLoop, dict[str, float]]) -> FrictionComparison:
+    record, loop, _ = rising
+    return compare_frictions(record, replace(loop, joint=loop.joint.linear))
+
+
+def test_a_rise_is_shown_and_not_the_law_that_has_more_parameters(
+    found: FrictionComparison, rising: tuple[Record, ClosedLoop, dict[str, float]]
+) -> None:
+    _, _, values = rising
+    assert found.shown.name == "stribeck"
+    for name, std in found.shown.std.items():
+        assert abs(found.shown.values[name] - values[name]) < 3.5 * std, name
+    by_name = {one.name: one for one in found.laws}
+    assert set(by_name) == set(FRICTIONS)
+    assert by_name["asymmetric-stribeck"].predicts_as_well
+    assert not by_name["symmetric"].predicts_as_well
+    assert not by_name["asymmetric"].predicts_as_well
+    assert found.answer.code == FrictionShown.ANOTHER
+    assert found.sentence.endswith('; set joint.friction = "stribeck" to identify it.')
+
+
+def test_the_offset_of_a_symmetric_law_is_in_the_coulomb_forces_of_another(found: FrictionComparison) -> None:
+    simple, both = (next(one for one in found.laws if one.name == name) for name in ("stribeck", "asymmetric-stribeck"))
+    forwards, backwards = both.values["coulomb_forwards"], both.values["coulomb_backwards"]
+    assert 0.5 * (forwards + backwards) == pytest.approx(simple.values["coulomb"], rel=2e-3)
+    assert 0.5 * (forwards - backwards) == pytest.approx(3.04, rel=2e-2)  # the offset
+
+
+def test_symmetric_friction_is_told_as_that() -> None:
+    case = rigid(prismatic(1))
+    torque = simulate(case.loop, prepare(case.loop, case.clean), case.truth).torque
+    noise = 0.01 * np.std(torque) * np.random.default_rng(6).standard_normal(torque.size)
+    assert case.clean.torque is not None
+    record = replace(case.clean, torque=replace(case.clean.torque, values=torque + noise))
+    found = compare_frictions(record.without("motor_position", "load_position"), case.loop)
+    assert found.shown.name == "symmetric"
+    assert found.answer.code == FrictionShown.AS_DECLARED
+    assert "set joint" not in found.sentence
+
+
+@pytest.mark.slow
+def test_both_records_of_the_real_axis_show_the_same_law(emps: Record, emps_pulses: Record) -> None:
+    changes = []
+    for record in (emps, emps_pulses):
+        found = compare_frictions(record.without("motor_position"), ClosedLoop(RigidJoint(), CONTROLLER))
+        assert found.shown.name == "asymmetric-stribeck"
+        changes.append((found.shown.values["stribeck_force"], found.shown.std["stribeck_force"]))
+    (first, std), (second, other) = changes
+    assert abs(first - second) < 2 * np.hypot(std, other)
+
+
+@pytest.mark.slow
+def test_a_flexible_joint_of_symmetric_friction() -> None:
+    axis = ji.twin(noise="white")
+    found = compare_frictions(axis.record, axis.loop, didim=ji.FlexibleDIDIM(frequency=30.0))
+    assert found.shown.name == "symmetric"
+    assert found.shown.parameters == 4
+
+
+def test_what_cannot_be_compared_is_said() -> None:
+    axis = ji.twin(noise="white")
+    hanging = ji.RigidJoint("revolute", gravity=ji.Gravity("link"))
+    with pytest.raises(MethodError, match="not compared beside gravity that follows the position"):
+        compare_frictions(axis.record, replace(axis.loop, joint=hanging))
+    with pytest.raises(MethodError, match="by least squares; received the minimiser nelder-mead"):
+        compare_frictions(axis.record, axis.loop, didim=ji.FlexibleDIDIM.paper())
+    with pytest.raises(MethodError, match="inertial"):
+        compare_frictions(axis.record, axis.loop, parameters={"inertial": axis.loop.joint.parameters[0]})
+
+
+def test_the_answer_as_json(found: FrictionComparison) -> None:
+    told = json.loads(json.dumps(ji.to_dict(found)))
+    assert told["schema"] == "jointid.frictions/1"
+    assert told["shown"] == "stribeck"
+    assert told["answer"]["code"] == "another_friction"
+    assert [one["name"] for one in told["frictions"]] == [one.name for one in found.laws]
