@@ -90,9 +90,9 @@ FAULTS = [
         'controller.law is [1]; expected "cascade", "pd", "pid" or "state_space": choose one of them.',
     ),
     (
-        SMALLEST.replace('"prismatic"', '"prismatic"\nfriction = "stribeck"'),
-        'joint.friction: Friction "stribeck" cannot be simulated exactly: only laws that are piecewise linear in '
-        "velocity can; use symmetric or asymmetric.",
+        SMALLEST.replace('"prismatic"', '"prismatic"\nfriction = "dahl"'),
+        'joint.friction: Friction "dahl" cannot be simulated exactly: only laws that are piecewise linear in '
+        "velocity can; use symmetric, asymmetric, stribeck, asymmetric-stribeck.",
     ),
     # values
     (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,7 @@ def values_of(law: Friction) -> dict[str, float]:
     """Return a number for each parameter of a rigid joint, no two alike."""
     sizes = {"viscous": 20.0, "coulomb": 10.0}
     friction = {c.name: sizes[c.part] * (1.0 + 0.1 * i) for i, c in enumerate(law.coefficients)}
+    friction |= {} if law.linear else {"stribeck_force": 4.0, "stribeck_speed": 0.02}
     offset = 1.5 if law.offset_identifiable else 0.0
     return {"inertia": 5.0, **friction, "offset": offset}
 
@@ -39,6 +41,7 @@ def values_of(law: Friction) -> dict[str, float]:
 def test_a_law_has_one_coefficient_for_each_part_and_direction(law: Friction) -> None:
     assert FRICTIONS[law.name] is type(law) and friction_named(law.name) == law
     assert friction_named(law.contrast) != law
+    assert law.linear == (law.lines == law) == (len(law.parameters()) == len(law.coefficients))
     acting = [(c.part, direction) for c in law.coefficients for direction in c.directions]
     assert len(set(acting)) == len(acting)
     one_way = {c.name: c.directions for c in law.coefficients if len(c.directions) == 1}
@@ -53,7 +56,7 @@ def test_columns_times_parameters_are_the_force_of_the_directions(law: Friction)
     viscous, viscous_back, coulomb, coulomb_back = law.directions(values)
     force = np.where(velocity > 0, viscous * velocity + coulomb, viscous_back * velocity - coulomb_back)
     force[velocity == 0] = 0.0
-    x = np.array([values[p.name] for p in law.parameters()])
+    x = np.array([values[p.name] for p in law.lines.parameters()])
     np.testing.assert_allclose(law.columns(velocity) @ x, force, rtol=0, atol=1e-13)
 
 
@@ -65,7 +68,20 @@ def test_an_offset_is_identifiable_unless_the_law_spans_it(law: Friction) -> Non
     assert law.offset_identifiable == (np.linalg.matrix_rank(both) > np.linalg.matrix_rank(X))
     if not law.offset_identifiable:
         weights = law.constant()
-        np.testing.assert_array_equal(X @ [2 * weights.get(p.name, 0.0) for p in law.parameters()], 1.0)
+        np.testing.assert_array_equal(X @ [2 * weights.get(p.name, 0.0) for p in law.lines.parameters()], 1.0)
+
+
+@EVERY_LAW
+def test_its_bands_follow_each_other_without_a_step(law: Friction) -> None:
+    bands = law.bands(values_of(law))
+    assert bands[0].low == 0.0
+    assert bands[-1].high == np.inf
+    assert bands[-1].directions == law.directions(values_of(law))
+    for one, other in pairwise(bands):
+        assert one.high == other.low
+        for viscous, coulomb in ((0, 2), (1, 3)):
+            here, there = (b.directions[viscous] * one.high + b.directions[coulomb] for b in (one, other))
+            assert here == pytest.approx(there, rel=1e-12)
 
 
 @EVERY_LAW

@@ -88,8 +88,8 @@ def test_the_offset_is_fixed_beside_asymmetric_friction() -> None:
 
 
 def test_friction_that_is_not_piecewise_linear_is_refused() -> None:
-    with pytest.raises(MethodError, match=r'Friction "stribeck".*piecewise linear.*symmetric or asymmetric'):
-        friction_named("stribeck")
+    with pytest.raises(MethodError, match=r'Friction "dahl".*piecewise linear.*symmetric, asymmetric'):
+        friction_named("dahl")
 
 
 def test_adjusting_a_parameter_that_is_not_there_lists_those_that_are() -> None:

@@ -287,6 +287,6 @@ def friction_named(name: str) -> Friction:
     if name not in FRICTIONS:
         raise MethodError(
             f'Friction "{name}" cannot be simulated exactly: only laws that are piecewise linear in velocity can; '
-            f"use {' or '.join(FRICTIONS)}."
+            f"use {', '.join(FRICTIONS)}."
         )
     return FRICTIONS[name]()

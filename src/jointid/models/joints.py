@@ -354,17 +354,22 @@ def _segments(
         motor: bands of the friction on its side.
         load: the same on the other one.
     """
-    steps = (len(motor) * len(load), len(load), 1)
-    inertias, offset1, offset2 = drive[:2], drive[12], drive[13]
-    return np.array([
-        (
-            *inertias, stiffness, damping, *one.directions, *two.directions, offset1 - held, offset2 + held,
-            low, high, one.low, one.high, two.low, two.high, *steps,
-        )
-        for low, high, stiffness, damping, held in spring
-        for one in motor
-        for two in load
+    steps = np.array([len(motor) * len(load), len(load), 1])
+    count = len(spring) * steps[0]
+    pieces = np.repeat(np.array(spring), steps[0], axis=0)
+    one = np.tile(np.repeat(_rows(motor), steps[1], axis=0), (len(spring), 1))
+    two = np.tile(_rows(load), (len(spring) * len(motor), 1))
+    held = pieces[:, 4:] * np.array([-1.0, 1.0])
+    inertias, offsets = np.tile(drive[:2], (count, 1)), drive[12:] + held
+    boxes = [pieces[:, :2], one[:, :2], two[:, :2]]
+    return np.hstack([
+        inertias, pieces[:, 2:4], one[:, 2:], two[:, 2:], offsets, *boxes, np.tile(steps, (count, 1))
     ])  # fmt: skip
+
+
+def _rows(bands: Sequence[Band]) -> FloatArray:
+    """Return bands as rows: where each begins and ends, and its line in each direction."""
+    return np.array([(band.low, band.high, *band.directions) for band in bands])
 
 
 Joint: TypeAlias = RigidJoint | FlexibleJoint
