@@ -26,13 +26,14 @@ from jointid.common.errors import JointidError
 from jointid.diagnostics.intervals import rebuild_problem
 from jointid.diagnostics.spring_comparison import compare_springs
 from jointid.diagnostics.unmodelled_motion import predict_residual
+from jointid.models.friction import FRICTIONS, SymmetricFriction, friction_named
 from jointid.models.springs import SPRINGS, LinearSpring, spring_named
 from jointid.simulation.loop_input import LoopInput, prepare
 from studies.healthy import Drive, drive
 
 FAULTS = (
     "none", "cubic spring", "backlash", "load-dependent friction", "changing friction", "presliding", "cogging",
-    "second mode", "spring in pieces",
+    "second mode", "spring in pieces", "stribeck",
 )  # fmt: skip
 _STEP = 1e-5  # s
 
@@ -48,6 +49,7 @@ _ORDER = (
     "cogging", "pitch",  # N m, rad
     "warming",  # the viscous friction falls by this share from beginning to end
     "bend", "more", "next_bend", "still_more",  # rad, N m/rad: from these wind-ups on the spring is stiffer by that
+    "rise", "slow",  # share of the Coulomb friction that is added to it below that speed, rad/s, on both sides
 )  # fmt: skip
 
 
@@ -81,6 +83,8 @@ def _run(  # type: ignore[no-untyped-def]
         more,
         next_bend,
         still_more,
+        rise,
+        slow,
     ) = d
     z = state.copy()
     q1, q2, q3, v1, v2, v3 = first, first, first, 0.0, 0.0, 0.0
@@ -110,7 +114,10 @@ def _run(  # type: ignore[no-untyped-def]
             if cogging != 0.0:
                 push1 -= cogging * math.sin(2 * math.pi * q1 / pitch)
             push2 = -spring - left * b2 * v2
-            held2 = f2 + loss * abs(spring)
+            held1, held2 = f1, f2 + loss * abs(spring)
+            if slow > 0.0:
+                held1 += rise * f1 * math.exp(-((v1 / slow) ** 2))
+                held2 += rise * f2 * math.exp(-((v2 / slow) ** 2))
             if m3 > 0.0:
                 third = k3 * (q3 - q2) + c3 * (v3 - v2)
                 push2 += third
@@ -124,7 +131,7 @@ def _run(  # type: ignore[no-untyped-def]
             else:
                 v1 += h * push1 / m1
                 v2 += h * push2 / m2
-                v1 = math.copysign(max(abs(v1) - h * f1 / m1, 0.0), v1)
+                v1 = math.copysign(max(abs(v1) - h * held1 / m1, 0.0), v1)
                 v2 = math.copysign(max(abs(v2) - h * held2 / m2, 0.0), v2)
             q1 += h * v1
             q2 += h * v2
@@ -177,7 +184,8 @@ def spoiled(seed: int, fault: str, longest: float = 12.0) -> Spoiled | None:
     Springs that are 11 to 94 % stiffer at the largest wind-up, gaps of 0.1 to 2 such wind-ups, modes at 1.5 to 4 times
     the first, friction of 2 to 15 % of the load's torque, friction that winds up over 1e-4 to 1e-2 of the travel,
     cogging of 1 to 5 % of the torque, a viscous friction that falls by 20 to 60 %, springs of three stiffnesses of
-    which the last is 20 to 100 % above the first, from a quarter and a half of the largest wind-up on.
+    which the last is 20 to 100 % above the first, from a quarter and a half of the largest wind-up on, a Coulomb
+    friction that is 60 % smaller to 80 % larger towards standstill, below 1 to 10 % of the largest speed.
     """
     axis = drive(seed, longest)
     rng = np.random.default_rng([seed, 19])
@@ -191,7 +199,7 @@ def spoiled(seed: int, fault: str, longest: float = 12.0) -> Spoiled | None:
         "none": 0.0, "cubic spring": rng.uniform(0.11, 0.94), "backlash": 0.1 * 20 ** rng.uniform(),
         "second mode": rng.uniform(1.5, 4.0), "load-dependent friction": rng.uniform(0.02, 0.15),
         "presliding": 10 ** rng.uniform(-4, -2), "cogging": rng.uniform(0.01, 0.05),
-        "changing friction": rng.uniform(0.2, 0.6), "spring in pieces": 0.0,
+        "changing friction": rng.uniform(0.2, 0.6), "spring in pieces": 0.0, "stribeck": rng.uniform(-0.6, 0.8),
     }[fault]  # fmt: skip
     if fault == "cubic spring":
         truth["cubic"] = size / wound**2
@@ -214,6 +222,9 @@ def spoiled(seed: int, fault: str, longest: float = 12.0) -> Spoiled | None:
         truth |= {"cogging": size * scale, "pitch": travel / rng.uniform(5, 40)}
     elif fault == "changing friction":
         truth["warming"] = size
+    elif fault == "stribeck":
+        fastest = float(np.max(np.abs(np.gradient(record.reference.values)))) / record.sample_time
+        truth |= {"rise": size, "slow": fastest * 10 ** rng.uniform(-2, -1)}
     noise = rng.standard_normal(samples)
     if about["noise"] == "coloured force":
         noise = lfilter([1.0], [1.0, -math.exp(-about["period"] * 2 * math.pi * rng.uniform(2, 30))], noise)
@@ -248,14 +259,21 @@ class Said:
         return self.z is not None and abs(self.z) > 3 and self.trust.startswith("reliable")
 
 
-def judge(seed: int, fault: str, longest: float = 12.0, spring: str = LinearSpring.name) -> Said | None:
-    """Identify a drive with a fault, by a model with that spring; None where there is none."""
+def judge(
+    seed: int,
+    fault: str,
+    longest: float = 12.0,
+    spring: str = LinearSpring.name,
+    friction: str = SymmetricFriction.name,
+) -> Said | None:
+    """Identify a drive with a fault, by a model with that spring and friction; None where there is none."""
     made = spoiled(seed, fault, longest)
     if made is None:
         return None
     about, loop = made.axis.about, made.axis.loop
     assert isinstance(loop.joint, ji.FlexibleJoint)
-    loop = replace(loop, joint=replace(loop.joint, spring=spring_named(spring)))
+    laws = {"spring": spring_named(spring), "friction": friction_named(friction)}
+    loop = replace(loop, joint=replace(loop.joint, **laws))
     try:
         found = ji.identify(made.record, loop)
     except JointidError as error:
@@ -349,6 +367,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--longest", type=float, default=12.0)
     parser.add_argument("--fault", action="append", choices=FAULTS)
     parser.add_argument("--spring", choices=SPRINGS, default=LinearSpring.name)
+    parser.add_argument("--friction", choices=FRICTIONS, default=SymmetricFriction.name)
     parser.add_argument("--choose", action="store_true", help="compare all springs instead, and say which is shown")
     given = parser.parse_args(arguments)
     said: list[Said] = []
@@ -358,7 +377,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             if given.choose:
                 one: Said | Chosen | None = choose(seed, fault, given.longest)
             else:
-                one = judge(seed, fault, given.longest, given.spring)
+                one = judge(seed, fault, given.longest, given.spring, given.friction)
             if one is None:
                 continue
             said += [one] if isinstance(one, Said) else []
