@@ -26,7 +26,7 @@ from jointid.common.errors import JointidError
 from jointid.diagnostics.intervals import rebuild_problem
 from jointid.diagnostics.spring_comparison import compare_springs
 from jointid.diagnostics.unmodelled_motion import predict_residual
-from jointid.models.friction import FRICTIONS, SymmetricFriction, friction_named
+from jointid.models.friction import FRICTIONS, friction_named
 from jointid.models.springs import SPRINGS, LinearSpring, spring_named
 from jointid.simulation.loop_input import LoopInput, prepare
 from studies.healthy import Drive, drive
@@ -223,7 +223,7 @@ def spoiled(seed: int, fault: str, longest: float = 12.0) -> Spoiled | None:
     elif fault == "changing friction":
         truth["warming"] = size
     elif fault == "stribeck":
-        fastest = float(np.max(np.abs(np.gradient(record.reference.values)))) / record.sample_time
+        fastest = float(np.max(np.abs(np.gradient(record.reference.values)))) / record.reference.sample_time
         truth |= {"rise": size, "slow": fastest * 10 ** rng.uniform(-2, -1)}
     noise = rng.standard_normal(samples)
     if about["noise"] == "coloured force":
@@ -264,7 +264,7 @@ def judge(
     fault: str,
     longest: float = 12.0,
     spring: str = LinearSpring.name,
-    friction: str = SymmetricFriction.name,
+    friction: str = "symmetric",
 ) -> Said | None:
     """Identify a drive with a fault, by a model with that spring and friction; None where there is none."""
     made = spoiled(seed, fault, longest)
@@ -272,8 +272,7 @@ def judge(
         return None
     about, loop = made.axis.about, made.axis.loop
     assert isinstance(loop.joint, ji.FlexibleJoint)
-    laws = {"spring": spring_named(spring), "friction": friction_named(friction)}
-    loop = replace(loop, joint=replace(loop.joint, **laws))
+    loop = replace(loop, joint=replace(loop.joint, spring=spring_named(spring), friction=friction_named(friction)))
     try:
         found = ji.identify(made.record, loop)
     except JointidError as error:
@@ -367,7 +366,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--longest", type=float, default=12.0)
     parser.add_argument("--fault", action="append", choices=FAULTS)
     parser.add_argument("--spring", choices=SPRINGS, default=LinearSpring.name)
-    parser.add_argument("--friction", choices=FRICTIONS, default=SymmetricFriction.name)
+    parser.add_argument("--friction", choices=FRICTIONS, default="symmetric")
     parser.add_argument("--choose", action="store_true", help="compare all springs instead, and say which is shown")
     given = parser.parse_args(arguments)
     said: list[Said] = []
