@@ -74,6 +74,19 @@ def test_symmetric_friction_is_told_as_that() -> None:
     assert "set joint" not in found.sentence
 
 
+def test_what_is_kept_of_one_law_is_kept_of_those_that_mean_the_same_by_it(
+    rising: tuple[Record, ClosedLoop, dict[str, float]],
+) -> None:
+    record, loop, values = rising
+    plain = replace(loop, joint=loop.joint.linear)
+    offset = next(p for p in plain.joint.parameters if p.name == "offset").fixed(values["offset"])
+    found = compare_frictions(record, plain, parameters={"offset": offset})
+    by_name = {one.name: one for one in found.laws}
+    assert found.shown.name == "stribeck"
+    both = by_name["asymmetric-stribeck"].values
+    assert 0.5 * (both["coulomb_forwards"] - both["coulomb_backwards"]) == pytest.approx(values["offset"], rel=2e-2)
+
+
 @pytest.mark.slow
 def test_both_records_of_the_real_axis_show_the_same_law(emps: Record, emps_pulses: Record) -> None:
     changes = []

@@ -101,6 +101,22 @@ def test_what_takes_friction_for_a_line_refuses_it() -> None:
         FlexibleJoint("revolute", AsymmetricStribeckFriction(), gravity=ji.Gravity("link"))
 
 
+def test_what_is_free_must_begin_without_the_change() -> None:
+    case = rigid(prismatic(1))
+    loop, values = slow(case, RISES)
+    held = {p.name: p.fixed(values[p.name]) for p in loop.joint.parameters if not p.name.startswith("stribeck")}
+    with pytest.raises(MethodError, match=r"Of the joint only stribeck_force, stribeck_speed is free"):
+        identify(noisy(case, loop, values), loop, parameters=held)
+
+
+def test_a_speed_without_a_change_is_not_told() -> None:
+    case = rigid(prismatic(1))
+    loop, values = slow(case, RISES)
+    change = next(p for p in loop.joint.parameters if p.name == "stribeck_force")
+    with pytest.raises(MethodError, match="stribeck_speed"):
+        identify(noisy(case, loop, values), loop, parameters={"stribeck_force": change.fixed(0.0)})
+
+
 def test_a_change_that_leaves_no_friction_at_rest_is_no_joint() -> None:
     case = rigid(prismatic(1))
     loop, values = slow(case, FALLS)
@@ -111,6 +127,7 @@ def test_a_change_that_leaves_no_friction_at_rest_is_no_joint() -> None:
 def test_the_lines_are_near_the_exponential() -> None:
     values = {"viscous": 0.0, "coulomb": 1.0, "stribeck_force": 1.0, "stribeck_speed": 2.0}
     speeds = np.linspace(1e-9, 8.0, 4001)
-    found = np.array([StribeckFriction().drag(values, v) for v in speeds])
+    found = StribeckFriction().force(values, speeds)
     assert np.abs(found - 1.0 - np.exp(-((speeds / 2.0) ** 2))).max() < 0.005
-    assert [StribeckFriction().drag(values, v) for v in (0.0, -1.0)] == [0.0, -StribeckFriction().drag(values, 1.0)]
+    still, back, forth = StribeckFriction().force(values, np.array([0.0, -1.0, 1.0]))
+    assert (still, back) == (0.0, -forth)

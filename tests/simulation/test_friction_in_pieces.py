@@ -10,13 +10,14 @@ import pytest
 
 from jointid.models.friction import StribeckFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint
-from jointid.simulation.closed_loop import simulate, simulate_torque
+from jointid.simulation.closed_loop import Initial, Outcome, simulate, simulate_torque
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.sensitivities import simulate_sensitivities
 from tests.plants import Case, prismatic, rotary
 from tests.simulation.kernel_case import run
 from tests.simulation.oracle import Plant, random_case
 from tests.simulation.oracle import simulate as reference
+from tests.simulation.test_springs import pieces_of
 
 # Rigid; and with two masses: without a delay, with one of 0.9, of 1.5 and of 2.5 periods.
 SEEDS = (0, 1, 2, 9, 12)
@@ -46,6 +47,20 @@ def test_agrees_with_a_reference_that_locates_every_event(seed: int, sign: float
     assert counts[0] > 4
     np.testing.assert_allclose(u, expected.u, rtol=0, atol=1e-10 * np.abs(expected.u).max())
     np.testing.assert_allclose(x[:, : expected.x.shape[1]], expected.x, rtol=0, atol=1e-10 * np.abs(expected.x).max())
+
+
+def test_beside_a_spring_in_pieces_it_agrees_with_the_reference() -> None:
+    plant, law, w, post, T, delay, before, x0 = random_case(2)
+    w, post = w[:200], post[:200]
+    _, _, own, _ = run(plant, law, w, post, T, delay, before, x0)
+    plant = slowly_other(plant, tuple(np.max(np.abs(own[:, [1, 3]]), axis=0)), 1.0)
+    plant = pieces_of(plant, "backlash", float(np.max(np.abs(own[:, 2] - own[:, 0]))))
+    status, u, x, counts = run(plant, law, w, post, T, delay, before, x0)
+    expected = reference(plant, law, w, post, T, delay, before, x0)
+    assert status == 0
+    assert counts[0] > 40
+    np.testing.assert_allclose(u, expected.u, rtol=0, atol=1e-10 * np.abs(expected.u).max())
+    np.testing.assert_allclose(x, expected.x, rtol=0, atol=1e-10 * np.abs(expected.x).max())
 
 
 RISES = {"stribeck_force": 0.4, "stribeck_speed": 0.05}  # of the Coulomb friction, and of the largest speed
@@ -87,3 +102,21 @@ def test_derivatives_agree_with_central_differences(make: Callable, model: Calla
         low, high = (simulate_torque(loop, experiment, {**values, name: values[name] + by}) for by in (-step, step))
         expected = (high.torque - low.torque) / (2 * step)
         assert np.linalg.norm(found.torque[:, i] - expected) < 3e-4 * np.linalg.norm(expected), name
+
+
+def test_the_derivatives_by_the_first_velocity_follow_the_drag_at_it() -> None:
+    case = prismatic(1)
+    loop, values = slow(case, RISES)
+    experiment, speed = prepare(loop, case.clean), 1.2 * values["motor_stribeck_speed"]
+    found = simulate_sensitivities(loop, experiment, values, ["initial_velocity"], Initial(velocity=speed)).torque[:, 0]
+    step = 1e-4 * speed
+    low, high = (simulate_torque(loop, experiment, values, Initial(velocity=speed + by)).torque for by in (-step, step))
+    expected = (high - low) / (2 * step)
+    assert np.linalg.norm(found - expected) < 2e-3 * np.linalg.norm(expected)
+
+
+def test_a_speed_of_nothing_is_no_joint() -> None:
+    case = rigid(prismatic(1))
+    loop, values = slow(case, RISES)
+    found = simulate(loop, prepare(loop, case.clean), values | {"stribeck_speed": 0.0})
+    assert found.outcome is Outcome.INVALID

@@ -247,7 +247,9 @@ def _no_parameter(name: str, joint: JointTable, gravity: GravityTable | None, kn
     """Return the rest of the sentence on a parameter that this model does not have."""
     remedy = messages.suggest(name, known, "leave it out")
     for key, choices in (("model", MODELS), ("friction", FRICTIONS), ("spring", SPRINGS)):
-        for choice in reversed(list(choices)):  # the first of them, which has the fewest parameters, is told
+        # Last of all, and so told, the one that is most like what is declared, else that of the fewest parameters.
+        like = [choice for choice in choices if key == "friction" and choice.startswith(joint.friction)]
+        for choice in (*reversed(list(choices)), *like):
             other: Joint = joint.model_copy(update={key: choice}).joint(None, gravity=None)
             if name in [parameter.name for parameter in other.parameters]:
                 remedy = f'leave it out, or set joint.{key} = "{choice}".'

@@ -55,7 +55,8 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.controllers.drive_numbers import DriveNumber
-from jointid.models.joints import FlexibleJoint
+from jointid.models.friction import FRICTIONS
+from jointid.models.joints import FlexibleJoint, Joint
 from jointid.records.record import Record
 from jointid.uncertainty.covariance import robust
 from jointid.uncertainty.position_dependent_error import Cells, cells, widened
@@ -299,10 +300,18 @@ def find_faults(
     force = units[OFFSET]
     units |= {"torque": force, "velocity": unit_of(Quantity.VELOCITY, joint.kind, force)}
     symbols = {p.name: p.symbol for p in joint.parameters}
-    side = None if joint.transmission is None else joint.transmission.side
-    tests = () if first is None else first.tests
-    law = numbers_of(problem.loop.controller)
-    return LoopCheck(tuple(findings), tests, settings.level, symbols, units, side, undecided, law)
+    side, tests = None if joint.transmission is None else joint.transmission.side, () if first is None else first.tests
+    law, frictions = numbers_of(problem.loop.controller), _frictions_to_try(joint)
+    return LoopCheck(tuple(findings), tests, settings.level, symbols, units, side, undecided, law, frictions=frictions)
+
+
+def _frictions_to_try(joint: Joint) -> tuple[str, ...]:
+    """Return the names of the laws of friction in pieces that a joint may have, with all that it has now."""
+    if joint.gravity is not None and joint.gravity.varies:
+        return ()
+    even = joint.friction.offset_identifiable
+    laws = [name for name, law in FRICTIONS.items() if not law().linear]
+    return tuple(name for name in laws if even or not FRICTIONS[name]().offset_identifiable)
 
 
 def _run_tests(state: _State, settings: LoopTests) -> _TestResults:

@@ -20,7 +20,7 @@ from jointid.common.messages import Message, Progress, silent
 from jointid.common.parameters import Parameter, adjusted
 from jointid.diagnostics.law_comparison import FittedLaw, LawComparison, compare, judge, parts_of, percent
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.flexible import FlexibleDIDIM
+from jointid.estimation.methods.flexible import FlexibleDIDIM, stopping_tolerance
 from jointid.estimation.methods.registry import Task
 from jointid.estimation.methods.search import History, Solved, free_more, least_squares
 from jointid.estimation.methods.search_in_pieces import from_linear_laws
@@ -30,8 +30,6 @@ from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
 from jointid.records.checks import check_record
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-
-_TOLERANCE = 1e-7  # of the least squares
 
 
 class FrictionShown(StrEnum):
@@ -101,6 +99,7 @@ def compare_frictions(
     settings = didim or (FlexibleDIDIM() if isinstance(joint, FlexibleJoint) else DIDIM())
     if isinstance(settings, FlexibleDIDIM) and settings.minimiser != "least-squares":
         raise MethodError(f"Frictions are compared by least squares; received the minimiser {settings.minimiser}.")
+    tolerance = stopping_tolerance(settings) if isinstance(settings, FlexibleDIDIM) else settings.tolerance
     history, given, chosen = History(progress), dict(parameters or {}), filtering or Filtering()
     adjusted(joint.parameters, given)  # which refuses names that it does not have
     simple = replace(joint, friction=SymmetricFriction())
@@ -108,7 +107,7 @@ def compare_frictions(
     parts_of(torque_problem(record, plain, chosen, own), "frictions")  # before the search, which takes its time
     solved = _solved(settings, Task(record, simple, plain, own, chosen, progress), history)
     if settings.free:
-        solved = free_more(solved.problem, solved.solution.x, settings.free, _TOLERANCE, history)
+        solved = free_more(solved.problem, solved.solution.x, settings.free, tolerance, history)
     parts = parts_of(solved.problem, "frictions")
     found: list[tuple[FittedLaw, FloatArray | None]] = []
     for law in sorted((law() for law in FRICTIONS.values()), key=lambda law: len(law.parameters())):
@@ -119,7 +118,7 @@ def compare_frictions(
             if law != simple.friction:
                 other = replace(joint, friction=law)
                 wanted = adjusted(other.parameters, _of_law(given, joint, other))
-                end = _with(solved, record, replace(loop, joint=other), wanted, history)
+                end = _with(solved, record, replace(loop, joint=other), wanted, tolerance, history)
             fitted, squares = judge(end, law.name, of_law, parts)
             words = ", ".join(f"{p.symbol} {fitted.intervals[p.name]}" for p in of_law)
             found.append((replace(fitted, words=words), squares))
@@ -143,28 +142,35 @@ def _parameters(joint: Joint, law: Friction) -> tuple[Parameter, ...]:
 
 
 def _of_law(given: Mapping[str, Parameter], declared: Joint, joint: Joint) -> dict[str, Parameter]:
-    """Return the changes that mean the same with another friction than the declared one: not those of the friction."""
-    if joint == declared:
-        return dict(given)
-    changed = {p.name for law in (declared.friction, joint.friction) for p in _parameters(joint, law)} | {"offset"}
-    return {name: change for name, change in given.items() if name not in changed}
+    """Return the changes that mean the same with another friction than the declared one.
+
+    An offset does not where it is in the Coulomb forces of one of them.
+    """
+    meant = {p.name for p in joint.parameters}
+    if declared.friction.offset_identifiable != joint.friction.offset_identifiable:
+        meant -= {"offset"}
+    return {name: change for name, change in given.items() if name in meant}
 
 
-def _with(solved: Solved, record: Record, loop: ClosedLoop, own: tuple[Parameter, ...], history: History) -> Solved:
+def _with(
+    solved: Solved, record: Record, loop: ClosedLoop, own: tuple[Parameter, ...], tolerance: float, history: History
+) -> Solved:
     """Return where the search with another law ends, from where that with symmetric friction did."""
     law, lines = loop.joint.friction, loop.joint.friction.lines
     if law.linear:
-        return _with_lines(solved, record, loop, own, history)
+        return _with_lines(solved, record, loop, own, tolerance, history)
     if lines != SymmetricFriction():
         linear = replace(loop, joint=replace(loop.joint, friction=lines))
         by_name = {p.name: p for p in own}
-        solved = _with_lines(solved, record, linear, tuple(by_name[p.name] for p in linear.joint.parameters), history)
+        solved = _with_lines(
+            solved, record, linear, tuple(by_name[p.name] for p in linear.joint.parameters), tolerance, history
+        )
     problem = torque_problem(record, loop, solved.problem.filtering, own)
-    return from_linear_laws(problem, solved, _TOLERANCE, history)
+    return from_linear_laws(problem, solved, tolerance, history)
 
 
 def _with_lines(
-    solved: Solved, record: Record, loop: ClosedLoop, own: tuple[Parameter, ...], history: History
+    solved: Solved, record: Record, loop: ClosedLoop, own: tuple[Parameter, ...], tolerance: float, history: History
 ) -> Solved:
     """Return where the search with one line for each direction ends, both like the symmetric one at its start.
 
@@ -182,4 +188,4 @@ def _with_lines(
         for name, weight in joint.friction.constant(side).items():
             start[name] += 2 * weight * values["offset"]
         start["offset"] = 0.0
-    return history.solve(problem, least_squares(problem, _TOLERANCE), problem.vector(start))
+    return history.solve(problem, least_squares(problem, tolerance), problem.vector(start))

@@ -17,7 +17,6 @@ from jointid.diagnostics.mechanics_faults import (
     CUBIC_SPRING,
     LOAD_DEPENDENT_FRICTION,
     MECHANICS,
-    SECOND_MODE,
 )
 from jointid.diagnostics.number_words import call, show_times_beside, tell_difference, tell_difference_in_drive
 from jointid.diagnostics.other_laws import PERIOD, OtherLaw
@@ -32,7 +31,6 @@ _NAMES = {
     BACKLASH: "a backlash",
     LOAD_DEPENDENT_FRICTION: "a friction that grows with the load's torque",
     CHANGING_FRICTION: "a friction that changes over the record",
-    SECOND_MODE: "a load that swings in itself",
 }
 _SMALLEST_SHIFT = 0.5  # of a deviation: a smaller change of a parameter is not listed
 _MICROSECOND = 1e-6  # s: a shorter time is not said in ms
@@ -87,6 +85,7 @@ class LoopCheck(Documented):
             a parameter would move out of its interval.
         law: the controller's numbers as they are declared.
         shown: how the drive shows those that the joint file declares, by the law's names.
+        frictions: names of the laws in pieces that the joint's friction may be instead.
     """
 
     findings: tuple[Finding, ...]
@@ -98,6 +97,7 @@ class LoopCheck(Documented):
     undecided: Finding | None = None
     law: Mapping[str, float] = field(default_factory=dict)
     shown: Mapping[str, DriveNumber] = field(default_factory=dict)
+    frictions: tuple[str, ...] = ()
 
     @property
     def as_declared(self) -> bool:
@@ -179,8 +179,9 @@ class LoopCheck(Documented):
             named = [name for name in (s.name, *s.alike, *finding.rivals) if name in _SPRINGS]
             tried = " or ".join(f'"{_SPRINGS[name]}"' for name in dict.fromkeys(named))
             said += f"; to identify it, set joint.spring = {tried}, as jointid diagnose springs tells"
-        if s.name in (STRIBECK, PRESLIDING):
-            said += '; to identify it, set joint.friction = "stribeck", or "asymmetric-stribeck"'
+        if s.name in (STRIBECK, PRESLIDING) and self.frictions:
+            tried = " or ".join(f'"{name}"' for name in self.frictions)
+            said += f"; to identify it, set joint.friction = {tried}, as jointid diagnose friction tells"
         values = {"suspect": s.name, "alike": list(s.alike), "more_than_declared": s.size, "std": s.std}
         values |= {"p_value": s.p_value, "changes": {name: change.by for name, change in finding.changes.items()}}
         clause = self._describe_fault(finding, spread=False)
@@ -267,10 +268,6 @@ def _describe_mechanics(s: FaultTest, unit: str, *, spread: bool) -> str:
         return f"the transmission has a backlash of some {number(2 * s.size * (s.shape or 0.0), 2)} {unit} or more"
     if s.name == LOAD_DEPENDENT_FRICTION:
         return f"the load's friction grows with its torque{f', by {percent}of it'.rstrip() if percent else ''}"
-    if s.name == SECOND_MODE:
-        part = f"{percent}of its inertia swings" if percent else "it swings in itself"
-        hertz = number(s.shape, 2)
-        return f"the load is not one mass: {part} near {hertz} Hz, and the stiffness is that of both springs"
     kind, sense = "Coulomb" if s.shape == COULOMB else "viscous", "falls" if s.size > 0 else "rises"
     return f"the {kind} friction {sense} over the record{f', by {percent}'.rstrip() if percent else ''}"
 

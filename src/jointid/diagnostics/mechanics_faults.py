@@ -8,11 +8,7 @@ Each is a pair of forces that the simulated motion would draw out, on the motor 
   size says how many such gaps;
 - ``load_dependent_friction``: the load's friction grows by this share of the torque that drives it;
 - ``changing_friction``: this share of the viscous, or of the Coulomb, friction is lost between the first sample and the
-  last;
-- ``second_mode``: this share of the load's inertia hangs on a spring of its own, and would swing there at a frequency
-  ``w`` that is tried: a load ``M2`` with the acceleration ``a`` then drags ``M2 (1 - H) a`` less, with
-  ``H = (2 z w s + w^2) / (s^2 + 2 z w s + w^2)``. A joint with one mode makes up for most of that in its stiffness,
-  which is then that of both springs, one behind the other: ``1/K12 + share^2/K23``.
+  last.
 
 The load is a filter of the force on it: where it slides, a force pair ``(f1, f2)`` moves the motor as the force
 ``f1 + G f2`` on the motor alone, with ``G = (F12 s + K12) / (M2 s^2 + (F12 + Fv2) s + K12)``. It is that force that the
@@ -23,7 +19,6 @@ loop, but of a gap a fourth to all was told in seven drives, of a spring 38 % st
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
@@ -40,17 +35,13 @@ from jointid.simulation.loop_input import as_logged
 
 CUBIC_SPRING, BACKLASH = "cubic_spring", "backlash"
 LOAD_DEPENDENT_FRICTION, CHANGING_FRICTION = "load_dependent_friction", "changing_friction"
-SECOND_MODE = "second_mode"
-MECHANICS = (CUBIC_SPRING, BACKLASH, LOAD_DEPENDENT_FRICTION, CHANGING_FRICTION, SECOND_MODE)
-ONE_SIDED = (BACKLASH, LOAD_DEPENDENT_FRICTION, SECOND_MODE)  # their size can only be positive
+MECHANICS = (CUBIC_SPRING, BACKLASH, LOAD_DEPENDENT_FRICTION, CHANGING_FRICTION)
+ONE_SIDED = (BACKLASH, LOAD_DEPENDENT_FRICTION)  # their size can only be positive
 
 VISCOUS, COULOMB = 1.0, 0.0  # shapes of a friction that changes
 
 _SIDES = ("motor", "load")
 _GAPS = (0.1, 0.3)  # of the largest wind-up, to each side
-_MODES = (1.3, 1.7, 2.2, 3.0, 4.0)  # times the joint's own: frequencies of the load on its second spring
-_MODE_DAMPING = 0.02  # of the critical one, there
-_FASTEST_MODE = 0.4  # of the sampling rate: a faster one is not seen
 _FORCE = 1e-3  # of the largest torque: small enough for the friction to answer it linearly
 
 
@@ -94,33 +85,12 @@ def _forces(
             late * _friction(joint, values, f"{side}_", part, speed) for side, speed in zip(_SIDES, speeds, strict=True)
         )
         yield CHANGING_FRICTION, shape, motor, load
-    yield from _vary_second_mode(run, values, joint)
-
-
-def _vary_second_mode(
-    run: Simulation, values: Mapping[str, float], joint: FlexibleJoint
-) -> Iterator[tuple[str, float | None, FloatArray, FloatArray]]:
-    """Yield the forces of a second mode as `_forces` does; the shape is its frequency in Hz."""
-    from scipy.signal import bilinear, lfilter
-
-    assert run.load_position is not None and run.load_velocity is not None
-    load = run.load_velocity
-    windup, unwinding = run.motor_position - run.load_position, run.motor_velocity - load
-    friction = sum(_friction(joint, values, "load_", part, load) for part in PARTS)
-    dragged = np.where(load != 0.0, joint.spring.torque(values, windup, unwinding) - friction, 0.0)
-    rate = (run.time.size - 1) / (run.time[-1] - run.time[0])
-    for times in _MODES:
-        hertz = times * joint.frequencies(values)["free_free"]
-        if hertz < _FASTEST_MODE * rate:
-            w = 2 * rate * math.tan(math.pi * hertz / rate)  # so that the sampled filter swings at that frequency
-            held_back = lfilter(*bilinear([1.0, 0.0, 0.0], [1.0, 2 * _MODE_DAMPING * w, w * w], rate), dragged)
-            yield SECOND_MODE, hertz, np.zeros_like(load), np.asarray(held_back)
 
 
 def _friction(
     joint: FlexibleJoint, values: Mapping[str, float], prefix: str, part: Part, velocity: FloatArray
 ) -> FloatArray:
-    """Return the viscous or the Coulomb friction of one side, (samples,)."""
+    """Return the viscous or the Coulomb friction of one side, (samples,), without what it has at low speed alone."""
     coefficients, columns = joint.friction.coefficients, joint.friction.columns(velocity)
     own = [values[prefix + c.name] if c.part == part else 0.0 for c in coefficients]
     return np.asarray(columns @ np.array(own))

@@ -196,6 +196,8 @@ def choose_pulse(problem: ClosedLoopProblem, values: Mapping[str, float]) -> tup
     for name, value in values.items():
         if "coulomb" in name:
             by_direction[name.endswith("backwards")] += abs(value)
+        elif name.endswith("stribeck_force"):  # what holds it at rest is so much more
+            by_direction = {back: size + max(value, 0.0) for back, size in by_direction.items()}
     size = max(by_direction.values()) or float(np.sqrt(np.mean(problem.measured**2)))
     return _COULOMB * size, _WIDTH / problem.filtering.cutoff
 

@@ -23,7 +23,7 @@ from jointid.estimation.methods.registry import Task
 from jointid.estimation.methods.search import History, Solved, free_more, least_squares
 from jointid.estimation.methods.search_in_pieces import from_linear_laws
 from jointid.estimation.problems.closed_loop import torque_problem
-from jointid.models.joints import ClosedLoop, FlexibleJoint
+from jointid.models.joints import ClosedLoop, FlexibleJoint, of_whole
 from jointid.models.springs import SPRINGS, LinearSpring
 from jointid.records.checks import check_record
 from jointid.records.record import Record
@@ -114,9 +114,8 @@ def compare_springs(
     linear = replace(loop, joint=plain)
     adjusted(joint.parameters, given)  # which refuses names that it does not have
     own = adjusted(plain.parameters, _of_law(given, joint, plain))
-    parts_of(
-        torque_problem(record, linear, filtering or Filtering(), own), "springs"
-    )  # before the search, which takes its time
+    before = torque_problem(record, linear, filtering or Filtering(), own)
+    parts_of(before, "springs")  # before the search, which takes its time
     solved, _ = settings.solve(Task(record, plain, linear, own, filtering or Filtering(), progress), history)
     if settings.free:
         solved = free_more(solved.problem, solved.solution.x, settings.free, tolerance, history)
@@ -167,7 +166,7 @@ def _rigid(solved: Solved, record: Record, loop: ClosedLoop, tolerance: float, h
             own.append(known[p.name])
             continue
         sides = [f"{side}_{p.name}" for side in ("motor", "load")]
-        sums[p.name] = sum(values[name] for name in sides)
+        sums[p.name] = of_whole(p, values)
         own.append(p if any(known[name].free for name in sides) else p.fixed(sums[p.name]))
     beside = problem.parameters[len(flexible.parameters) :]
     rigid = torque_problem(record, replace(loop, joint=flexible.rigid), problem.filtering, tuple(own), beside)

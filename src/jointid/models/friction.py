@@ -138,13 +138,14 @@ class Friction:
         """Return the law by the speed, the slowest band first, without a gap; the last has no end."""
         return (Band(0.0, math.inf, self.directions(values, prefix)),)
 
-    def drag(self, values: Mapping[str, float], velocity: float, prefix: str = "") -> float:
-        """Return the friction of steady motion; 0 at rest."""
-        band = next(one for one in self.bands(values, prefix) if abs(velocity) <= one.high)
-        viscous, viscous_back, coulomb, coulomb_back = band.directions
-        if velocity == 0.0:
-            return 0.0
-        return viscous * velocity + coulomb if velocity > 0 else viscous_back * velocity - coulomb_back
+    def force(self, values: Mapping[str, float], velocity: FloatArray, prefix: str = "") -> FloatArray:
+        """Return the friction of steady motion at velocities, of any shape; 0 at rest."""
+        bands = self.bands(values, prefix)
+        at = np.searchsorted([band.high for band in bands[:-1]], np.abs(velocity))
+        viscous, viscous_back, coulomb, coulomb_back = np.array([band.directions for band in bands]).T[:, at]
+        forwards = velocity > 0
+        held = np.sign(velocity) * np.where(forwards, coulomb, coulomb_back)
+        return np.asarray(np.where(forwards, viscous, viscous_back) * velocity + held)
 
     def starts(self, speed: float, torque: float, prefix: str = "") -> Iterator[dict[str, float]]:
         """Yield values, from which a search may begin, of what a law in pieces has beside its lines.

@@ -35,6 +35,7 @@ from jointid.models.springs import LinearSpring, Spring
 MODE_DAMPING = 0.02
 """Damping ratio that is assumed of a mode whose stiffness is not identified."""
 
+_BY_DIDIM = 'simulate and identify the closed loop by the method "didim"'
 _TINY = 1e-300  # keeps a bound on inertias open: a mass of zero has no motion
 
 
@@ -83,12 +84,17 @@ class _JointBase:
         """Name of the spring's law; None where it has none."""
         return None
 
-    def require_linear(self, taker: str) -> None:
-        """Raise a `MethodError` if a law is not linear; `taker` says who takes it for that, as "Tuning takes"."""
+    def require_linear(self, taker: str, instead: str = _BY_DIDIM) -> None:
+        """Raise a `MethodError` if a law is not linear.
+
+        Args:
+            taker: who takes it for that, as "Tuning takes".
+            instead: what to do where the law is to stay.
+        """
         if not self.friction.linear:
             raise MethodError(
                 f'{taker} friction for one line in each direction; received the law "{self.friction.name}": use '
-                f'friction = "{self.friction.lines.name}", or simulate and identify the closed loop by "didim".'
+                f'friction = "{self.friction.lines.name}", or {instead}.'
             )
 
     @property
@@ -235,17 +241,17 @@ class FlexibleJoint(_JointBase):
         """The joint with a linear spring in the place of one in pieces, and the lines of its friction alone."""
         return replace(self, spring=self.spring if self.spring.linear else LinearSpring(), friction=self.friction.lines)
 
-    def require_linear(self, taker: str) -> None:
-        """Raise a `MethodError` if a law is not linear; `taker` says who takes it for that, as "A regression takes"."""
-        _JointBase.require_linear(self, taker)
-        self.require_linear_spring(taker)
+    def require_linear(self, taker: str, instead: str = _BY_DIDIM) -> None:
+        """Raise a `MethodError` if the friction or the spring is not linear; see `RigidJoint`."""
+        _JointBase.require_linear(self, taker, instead)
+        self.require_linear_spring(taker, instead)
 
-    def require_linear_spring(self, taker: str) -> None:
-        """Raise a `MethodError` if the spring is not linear; `taker` says who takes it for that, as "Tuning takes"."""
+    def require_linear_spring(self, taker: str, instead: str = _BY_DIDIM) -> None:
+        """Raise a `MethodError` if the spring is not linear; see `require_linear`."""
         if not self.spring.linear:
             raise MethodError(
                 f'{taker} the spring for linear; received one that is "{self.spring.name}": use spring = "linear", or '
-                'simulate and identify the closed loop by the method "didim".'
+                f"{instead}."
             )
 
     def regressor(self, motor: Motion, load: Motion | None = None) -> FloatArray:
@@ -293,15 +299,15 @@ class FlexibleJoint(_JointBase):
             held = piece.torque - piece.stiffness * piece.deflection
             spring.append((piece.deflection, end, *piece[2:], held))
             spring.insert(0, (-end, -piece.deflection, *piece[2:], -held))
-        bands = (self.friction.bands(values, side) for side in ("motor_", "load_"))
-        return _segments(self.coefficients(values), spring, *bands)
+        motor, load = (self.friction.bands(values, side) for side in ("motor_", "load_"))
+        return _segments(self.coefficients(values), spring, motor, load)
 
     def start(self, values: Mapping[str, float], position: float, velocity: float) -> FloatArray:
         """Return the state at rest or in steady motion: the load moves with the motor, carried by the spring.
 
         At rest the load's Coulomb force may carry any part of it up to its own size; it is taken to carry nothing.
         """
-        drag = self.friction.drag(values, velocity, "load_")
+        drag = float(self.friction.force(values, np.array(velocity), "load_"))
         deflection, stiffness = 0.0, values["stiffness"]
         if stiffness > 0.0 and self.gravity is not None:
             deflection = self.gravity.static_deflection(values, stiffness, position, drag)
@@ -357,13 +363,13 @@ def _segments(
     steps = np.array([len(motor) * len(load), len(load), 1])
     count = len(spring) * steps[0]
     pieces = np.repeat(np.array(spring), steps[0], axis=0)
-    one = np.tile(np.repeat(_rows(motor), steps[1], axis=0), (len(spring), 1))
-    two = np.tile(_rows(load), (len(spring) * len(motor), 1))
+    of_motor = np.tile(np.repeat(_rows(motor), steps[1], axis=0), (len(spring), 1))
+    of_load = np.tile(_rows(load), (len(spring) * len(motor), 1))
     held = pieces[:, 4:] * np.array([-1.0, 1.0])
     inertias, offsets = np.tile(drive[:2], (count, 1)), drive[12:] + held
-    boxes = [pieces[:, :2], one[:, :2], two[:, :2]]
+    boxes = [pieces[:, :2], of_motor[:, :2], of_load[:, :2]]
     return np.hstack([
-        inertias, pieces[:, 2:4], one[:, 2:], two[:, 2:], offsets, *boxes, np.tile(steps, (count, 1))
+        inertias, pieces[:, 2:4], of_motor[:, 2:], of_load[:, 2:], offsets, *boxes, np.tile(steps, (count, 1))
     ])  # fmt: skip
 
 
@@ -386,6 +392,14 @@ class ClosedLoop:
     def channels(self) -> tuple[str, ...]:
         """Names of the channels a record must have to be compared with this loop."""
         return ("torque", *self.controller.channels)
+
+
+def of_whole(p: Parameter, values: Mapping[str, float]) -> float:
+    """Return a rigid joint's parameter from a flexible joint's: the sum of both sides, of a speed the mean."""
+    if p.name in values:
+        return values[p.name]
+    sides = values[f"motor_{p.name}"], values[f"load_{p.name}"]
+    return sum(sides) / (len(sides) if p.quantity is Quantity.VELOCITY else 1)
 
 
 def acts_on_whole(name: str) -> bool:

@@ -33,8 +33,8 @@ class Outcome(StrEnum):
     TOO_STIFF = "the joint's own motion is too fast for the controller's period to be worth simulating"
     CHATTERING = "the joint started and stopped more often within one period than a real one can"
     INVALID = (
-        "an inertia or the Coulomb friction is not positive, the torques of a spring's pieces do not rise, or a value "
-        "is not a number"
+        "an inertia or the Coulomb friction is not positive, friction at rest is less than nothing, a Stribeck speed "
+        "is 0, the torques of a spring's pieces do not rise, or a value is not a number"
     )
 
 
@@ -287,6 +287,8 @@ def _ordered(segments: FloatArray | None) -> bool:
     """
     if segments is None:
         return True
+    if not np.all(np.isfinite(segments[:, :14])):
+        return False
     rising = all(np.all(np.isfinite(ends)) and np.all(np.diff(ends) >= 0) for ends in _ends(segments))
     at_rest = segments[(segments[:, 16] == 0.0) & (segments[:, 18] == 0.0)]
     cones = min(np.min(at_rest[:, 6] + at_rest[:, 7]), np.min(at_rest[:, 10] + at_rest[:, 11]))

@@ -64,8 +64,7 @@ class DriveSide:
     joint: Joint
 
     def __post_init__(self) -> None:
-        if isinstance(self.joint, FlexibleJoint):
-            self.joint.require_linear("The drive side takes")
+        self.joint.require_linear("The drive side takes")
 
     @property
     def channels(self) -> tuple[str, ...]:

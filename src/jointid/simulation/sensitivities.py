@@ -294,11 +294,11 @@ def start_slope(
 def _moved_start(out: ClosedLoopRun, position: float, velocity: float) -> FloatArray:
     """Return how the first state depends on the motor's position (1, 0) or velocity (0, 1).
 
-    It is affine in both, on one side of 0, but for what gravity bends.
+    It is affine in both, on one side of 0, but for what gravity, or a law in pieces, bends.
     """
     if velocity and out.velocity == 0.0:  # the drag of steady motion jumps there
         return np.array([0.0, 1.0, 0.0, 1.0])
-    step = 1.0 if out.gravity is None else _SMALL
+    step = 1.0 if out.gravity is None and out.segments is None else _SMALL
     by = (step * position, step * velocity * 0.5 * out.velocity)
     start = out.loop.joint.start
     moved = start(out.values, out.position + by[0], out.velocity + by[1])

@@ -235,6 +235,11 @@ def _notes(case: _Case, present: LoopMargins, proposed: LoopMargins | None) -> l
             found.append(_with_a_mode(case, "the proposed loop keeps the asked margins", proposed, asked=True))
     if joint.gravity is not None and joint.gravity.varies:
         found.append("gravity that follows the position is left out of the loop and of the constant feed-forward")
+    if not joint.friction.linear:
+        found.append(
+            "margins and feed-forward are those of a joint that moves faster than its Stribeck speeds: where friction "
+            "rises towards standstill the loop is less damped below them"
+        )
     if present.controller.law(estimate.data.sample_time).phases > 1:
         found.append(
             "the law runs at two rates: its margins are of the response at the frequency itself, without images"

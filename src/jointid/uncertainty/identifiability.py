@@ -100,7 +100,7 @@ def physical(parameters: Sequence[Parameter], units: Mapping[str, str]) -> tuple
     for name, motor in known.items():
         side, _, quantity = name.partition("_")
         load = known.get(f"load_{quantity}")
-        if side != "motor" or load is None:
+        if side != "motor" or load is None or motor.quantity is Quantity.VELOCITY:
             continue
         words = quantity.replace("_", " ")
         pairs = [(f"total {words}", "+", 1.0, Kind.SUM)]

@@ -42,6 +42,7 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import ClosedLoop
 
 _LEAST = "by least squares"
+_LEAST_ERROR = 'set method.form = "least-squares"'
 
 
 @documented
@@ -100,7 +101,7 @@ class DIDIM(Method):
         declared = torque_problem(task.record, task.loop, task.filtering, task.parameters)
         problem = with_linear_laws(declared)
         if problem is not declared and self.form != "least-squares":
-            declared.joint.require_linear("A fixed point of a regressor takes")
+            declared.joint.require_linear("A fixed point of a regressor takes", _LEAST_ERROR)
         search = RigidSearch(self, problem.size, History(task.progress))
         began, starts = self._starts(problem, task.progress)
         end, how = self._searched(search, problem, starts)

@@ -26,6 +26,7 @@ from jointid.common.settings import documented, setting
 from jointid.estimation.methods.flexible_search import (
     by_least_squares,
     following_joint,
+    from_wide_grid,
     or_moving,
     rigid_estimate,
     simplex_start,
@@ -172,7 +173,7 @@ class FlexibleDIDIM(Method):
         if joint == joint.linear:
             return _searched(problem, task, self, history)
         if self.minimiser != "least-squares":
-            joint.require_linear("Nelder-Mead takes")
+            joint.require_linear("Nelder-Mead takes", 'set method.minimiser = "least-squares"')
         linear = with_linear_laws(problem)
         own = replace(task, loop=linear.loop, joint=linear.joint)
         solved, simulations = _searched(linear, own, self, history)
@@ -217,7 +218,13 @@ def _searched(problem: ClosedLoopProblem, task: Task, settings: FlexibleDIDIM, h
         moves = rigid["initial_velocity"].free
         return or_moving(found, rigid, not paper, solver, history) if moves else found
 
-    solved = solved_from(rigid)
+    try:
+        solved = solved_from(rigid)
+    except MethodError as error:
+        if paper or settings.frequency is not None:
+            raise
+        history.progress(f"with other inertias than that joint's: {error}")
+        solved = from_wide_grid(problem, task.filtering, rigid.values, tolerance, history)
     assert rigid.settings.filtering.cutoff is not None
     edge, simulations = rigid.settings.filtering.cutoff, rigid.fit.simulations
     for lower in () if paper or settings.rigid_cutoff else _LOWER:
@@ -251,7 +258,10 @@ def _searched_without_rigid(
     except MethodError as error:
         history.progress(f"with the joint that would follow its reference to begin with: {error}")
     follows = following_joint(task.record, task.loop)
-    solved = by_least_squares(problem, task.filtering, follows, settings.frequency, tolerance, history)
+    try:
+        solved = by_least_squares(problem, task.filtering, follows, settings.frequency, tolerance, history)
+    except MethodError:
+        solved = from_wide_grid(problem, task.filtering, follows, tolerance, history)
     if np.linalg.norm(solved.solution.residual) > _NOTHING * solved.problem.size:
         raise MethodError(
             "No joint, rigid or flexible, explains half of this torque; check the sign and the unit of torque and "

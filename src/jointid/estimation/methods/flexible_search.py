@@ -51,6 +51,9 @@ _LOWEST, _HIGHEST = 0.5, 12.0  # times the crossover: the modes that are looked 
 _LOWER = (4.0, 4.0)  # times lower cut-offs are tried where a rigid joint cannot be identified
 _RATIO = 1.25  # of neighbouring frequencies of the grid
 _HALF, _SHARES = 0.5, (0.25, 0.75)  # of the load in the inertia: first the halves of (13), then at the best frequencies
+_FAR_BELOW, _FAR_ABOVE = 0.2, 4.0  # times the crossover: the modes of the wide grid
+_INERTIAS = (0.4, 0.7, 1.0, 1.5, 2.5)  # of that grid, times the rigid joint's
+_WIDE_SHARES = (0.15, 0.5, 0.85)  # of the load in them
 _NARROWED = 3  # frequencies at which other shares are tried
 _ROUGH = DIDIM("residual", tolerance=1e-3, step_tolerance=1e-2, iterations=6)  # a start needs no more
 _DAMPING = 0.02  # of a flexible mode, to begin with (ours: the paper gives none)
@@ -265,16 +268,56 @@ def by_least_squares(
         tolerance: of the parameters and the criterion.
         history: of the search.
     """
+    wide = _on_band_of(problem, filtering, math.inf)
+    return _from_starts(problem, filtering, _explored(wide, rigid, frequency, history), tolerance, history)
 
-    def band(mode: float) -> ClosedLoopProblem:
-        return problem if filtering.cutoff else on_band(problem, filtering, mode)
 
-    wide = band(math.inf)
-    starts = _explored(wide, rigid, frequency, history)
+def from_wide_grid(
+    problem: ClosedLoopProblem, filtering: Filtering, rigid: Mapping[str, float], tolerance: float, history: History
+) -> Solved:
+    """Return where the search ends from a grid that trusts neither the rigid joint's inertia nor the loop's bandwidth.
+
+    A mode inside the bandwidth makes the rigid joint another than the sum of both sides: so the inertia is tried, too,
+    with loads from small to nearly all of it, and modes from far below the crossover.
+
+    Raises:
+        MethodError: no start can be simulated.
+    """
+    wide = _on_band_of(problem, filtering, math.inf)
+    middle = crossover(wide.experiment.law, rigid["inertia"])
+    frequencies = np.geomspace(_FAR_BELOW * middle, min(_FAR_ABOVE * middle, FASTEST / wide.experiment.sample_time), 10)
+    grid = list(itertools.product(_INERTIAS, _WIDE_SHARES, map(float, frequencies)))
+    starts = [
+        started(wide, {**rigid, "inertia": times * rigid["inertia"]}, frequency, share)
+        for times, share, frequency in grid
+    ]
+    history.progress(f"trying {len(grid)} flexible joints of other inertias")
+    costs = _costs(wide, starts, Work(history.progress, "trying flexible joints", len(grid), "joints"))
+    history.tally.evaluations += len(grid)
+    best = [i for i in np.argsort(costs, kind="stable") if costs[i] < math.inf][:_REFINED]
+    if not best:
+        raise MethodError("No start could be simulated: every flexible joint tried makes this loop unstable.")
+    return _from_starts(problem, filtering, [(grid[i][2], starts[i]) for i in best], tolerance, history)
+
+
+def _on_band_of(problem: ClosedLoopProblem, filtering: Filtering, mode: float) -> ClosedLoopProblem:
+    """Return the problem on the cut-off that is asked for, or on one for a mode at that frequency."""
+    return problem if filtering.cutoff else on_band(problem, filtering, mode)
+
+
+def _from_starts(
+    problem: ClosedLoopProblem,
+    filtering: Filtering,
+    starts: Sequence[tuple[float, dict[str, float]]],
+    tolerance: float,
+    history: History,
+) -> Solved:
+    """Refine starts, (free-free frequency, values), until two end together, and go down from there."""
+    wide = _on_band_of(problem, filtering, math.inf)
     rough = replace(least_squares(problem, _ROUGHLY), evaluations=_FEW)
     ends: list[tuple[float, float, FloatArray]] = []
     for start, values in starts[:_REFINED]:
-        on = band(start)
+        on = _on_band_of(problem, filtering, start)
         x = history.solve(on, rough, on.vector(values)).solution.x
         history.tally.evaluations += 1
         ends.append((float(np.linalg.norm(wide.residual(x))), frequency_of(problem.values(x)), x))
@@ -284,7 +327,7 @@ def by_least_squares(
         if together > 1:
             break
     _, mode, x = min(ends, key=lambda end: end[0])
-    on, tried = band(mode), len(ends)
+    on, tried = _on_band_of(problem, filtering, mode), len(ends)
     divided = divided_otherwise(on, x, history) if together > 1 else None
     if divided is not None:
         x, together = divided, 1

@@ -209,16 +209,18 @@ class RigidSearch:
             resting = self._solve(resting.state, self._regressor_step, left)
         return moving if moving and _explains(moving, resting.state.norm) else resting
 
-    def go_on(self, problem: ClosedLoopProblem, end: End, names: tuple[str, ...]) -> End:
+    def go_on(self, problem: ClosedLoopProblem, end: End, free: tuple[str, ...]) -> End:
         """Go on with laws in pieces from where linear ones ended, and with more of what surrounds the joint free."""
         tolerance, history, there = self.settings.tolerance, self.history, end.state
         solution = history.solve(there.problem, least_squares(there.problem, tolerance), there.x)
         solved = from_linear_laws(problem, solution, tolerance, history)
-        if names:
-            solved = free_more(solved.problem, solved.solution.x, names, tolerance, history)
+        if free:
+            solved = free_more(solved.problem, solved.solution.x, free, tolerance, history)
         problem, x = solved.problem, solved.solution.x
         error, slopes = history.counted(problem).linearised(x)
-        after = State(problem, x, problem.simulate(x), error, slopes, slopes, np.ones(len(problem.free_joint)))
+        names = tuple(p.name for p in problem.free_joint)
+        refuse_idle(slopes[:, : len(names)], names)
+        after = State(problem, x, problem.simulate(x), error, slopes, slopes, np.ones(len(names)))
         history.tally.evaluations += 1
         return End(after, solved.solution.message, solved.solution.converged)
 

@@ -13,6 +13,7 @@ from itertools import product
 
 import numpy as np
 
+from jointid.common.errors import MethodError
 from jointid.estimation.methods.search import History, Solved, least_squares
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
@@ -31,8 +32,21 @@ def with_linear_spring(problem: ClosedLoopProblem) -> ClosedLoopProblem:
 
 
 def with_linear_laws(problem: ClosedLoopProblem) -> ClosedLoopProblem:
-    """Return the problem of the same joint with linear laws; itself where it has no others."""
-    return problem if problem.joint.linear == problem.joint else _with_joint(problem, problem.joint.linear)
+    """Return the problem of the same joint with linear laws; itself where it has no others.
+
+    Raises:
+        MethodError: none of its parameters is free.
+    """
+    if problem.joint.linear == problem.joint:
+        return problem
+    found = _with_joint(problem, problem.joint.linear)
+    if not found.free_joint:
+        names = ", ".join(p.name for p in problem.free_joint)
+        raise MethodError(
+            f"Of the joint only {names} is free, which a law in pieces adds; expected a parameter that it has without "
+            "them, too: leave its Coulomb friction or its inertia free."
+        )
+    return found
 
 
 def _with_joint(problem: ClosedLoopProblem, joint: Joint) -> ClosedLoopProblem:
@@ -70,15 +84,22 @@ def from_linear_laws(problem: ClosedLoopProblem, found: Solved, tolerance: float
     return Solved(problem, replace(end, starts=found.solution.starts))
 
 
-def _starts(joint: Joint, linear: Joint, values: Mapping[str, float], run: Simulation) -> Iterator[dict[str, float]]:
-    """Yield what the laws in pieces may begin with: each start of the spring with each of the friction."""
+def _starts(joint: Joint, found: Joint, values: Mapping[str, float], run: Simulation) -> Iterator[dict[str, float]]:
+    """Yield what the laws in pieces may begin with: each start of the spring with each of the friction.
+
+    Args:
+        joint: that is looked for.
+        found: one with lines in the place of some laws, or all; what it has of the others is kept.
+        values: its parameters.
+        run: of the loop with it.
+    """
     springs: list[dict[str, float]] = [{}]
-    if isinstance(joint, FlexibleJoint) and not joint.spring.linear:
+    if isinstance(joint, FlexibleJoint) and isinstance(found, FlexibleJoint) and joint.spring != found.spring:
         assert run.load_position is not None
         windup = float(np.max(np.abs(run.motor_position - run.load_position)))
         springs = list(joint.spring.starts(values["stiffness"], windup))
     frictions: list[dict[str, float]] = [{}]
-    if not joint.friction.linear and linear.friction.linear:
+    if joint.friction != found.friction:
         sides = {"motor_": run.motor_velocity, "load_": run.load_velocity}
         moving = sides if isinstance(joint, FlexibleJoint) else {"": run.motor_velocity}
         by_side = []
@@ -87,8 +108,8 @@ def _starts(joint: Joint, linear: Joint, values: Mapping[str, float], run: Simul
             coulomb = joint.friction.mean("coulomb", prefix)
             change = _CHANGE * sum(weight * values[name] for name, weight in coulomb.items())
             by_side.append(list(joint.friction.starts(float(np.max(np.abs(velocity))), change, prefix)))
-        frictions = [
-            {name: value for one in both for name, value in one.items()} for both in zip(*by_side, strict=True)
-        ]
+        frictions = by_side[0]
+        if len(by_side) > 1:
+            frictions = [motor | load for motor, load in zip(*by_side, strict=True)]
     for spring, friction in product(springs, frictions):
         yield spring | friction

@@ -27,7 +27,6 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.messages import Message, Progress, silent
-from jointid.common.parameters import Quantity
 from jointid.estimation.methods.flexible_search import FASTEST, frequency_of
 from jointid.estimation.methods.search import History, least_squares
 from jointid.estimation.methods.search_in_pieces import with_linear_spring
@@ -42,7 +41,7 @@ from jointid.estimation.result.stiffness_bounds import (
     profile_modes,
     spring,
 )
-from jointid.models.joints import ClosedLoop, FlexibleJoint, split_by_mode
+from jointid.models.joints import ClosedLoop, FlexibleJoint, of_whole, split_by_mode
 from jointid.simulation.closed_loop import in_threads
 from jointid.solvers.solve import Solution
 from jointid.uncertainty.model_tests import BoundaryTest, flexible_against_rigid
@@ -234,9 +233,7 @@ def _fit_rigid(problem: ClosedLoopProblem, values: Mapping[str, float]) -> tuple
     loop = ClosedLoop(joint, problem.loop.controller)
     rigid = replace(problem, loop=loop, parameters=(*joint.parameters, *surroundings))
     start = {p.name: values[p.name] for p in surroundings}
-    for p in joint.parameters:  # the sum of both sides; of a speed the mean
-        sides = [values[p.name]] if p.name in values else [values[f"{side}_{p.name}"] for side in ("motor", "load")]
-        start[p.name] = sum(sides) / (len(sides) if p.quantity is Quantity.VELOCITY else 1)
+    start |= {p.name: of_whole(p, values) for p in joint.parameters}
     return rigid, History(silent).solve(rigid, least_squares(rigid, 1e-8), rigid.vector(start)).solution
 
 

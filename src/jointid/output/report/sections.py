@@ -249,7 +249,6 @@ def _scale(test: FaultTest, check: LoopCheck) -> tuple[float, str]:
         "cubic_spring",
         "load_dependent_friction",
         "changing_friction",
-        "second_mode",
     ):
         return 100.0, "%"
     return (100.0 / abs(test.declared), "%") if test.declared else (1.0, "")

@@ -58,9 +58,8 @@ _WORK = 20  # Taylor steps a simulation may take, per period: bounds the time an
 # mode of both masses, as `modes` has it, with the segment that began there; last the segment of the piece.
 TAPE = 11
 _EDGE = 2  # of a segment, where the index of a mass may stand
-SEGMENT = (
-    23  # numbers of a segment: the drive's 14, then where it begins and ends in the three, then the steps to others
-)
+# Of a segment: the drive's numbers, where it begins and ends in each of the three, and the steps to others.
+SEGMENT = 23
 _BOX, _STEPS = 14, 20
 
 # Rows of the event solver's scratch: the series of the states and the spring's force, the function whose root is
@@ -201,7 +200,7 @@ def _motion(p: _Drive, m1: int, m2: int) -> _Motion:
 
 @inlined
 def _drive_of(segments: FloatArray, i: int) -> tuple[_Drive, _Segment]:
-    """Return the drive in one segment of its spring, and that segment."""
+    """Return the drive in one segment, and that segment."""
     d = segments[i]
     drive = _Drive(d[0], d[1], d[2], d[3], d[4], d[5], d[6], d[7], d[8], d[9], d[10], d[11], d[12], d[13])
     return drive, _Segment(d[14], d[15], d[16], d[17], d[18], d[19])
