@@ -12,11 +12,10 @@ import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.diagnostics.friction_comparison import FrictionComparison, FrictionShown, compare_frictions
 from jointid.models.friction import FRICTIONS
-from jointid.models.joints import ClosedLoop, RigidJoint
+from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.simulation.closed_loop import simulate
 from jointid.simulation.loop_input import prepare
-from tests.estimation.conftest import CONTROLLER
 from tests.plants import prismatic
 from tests.simulation.test_friction_in_pieces import RISES, rigid, slow
 
@@ -85,17 +84,6 @@ def test_what_is_kept_of_one_law_is_kept_of_those_that_mean_the_same_by_it(
     assert found.shown.name == "stribeck"
     both = by_name["asymmetric-stribeck"].values
     assert 0.5 * (both["coulomb_forwards"] - both["coulomb_backwards"]) == pytest.approx(values["offset"], rel=2e-2)
-
-
-@pytest.mark.slow
-def test_both_records_of_the_real_axis_show_the_same_law(emps: Record, emps_pulses: Record) -> None:
-    changes = []
-    for record in (emps, emps_pulses):
-        found = compare_frictions(record.without("motor_position"), ClosedLoop(RigidJoint(), CONTROLLER))
-        assert found.shown.name == "asymmetric-stribeck"
-        changes.append((found.shown.values["stribeck_force"], found.shown.std["stribeck_force"]))
-    (first, std), (second, other) = changes
-    assert abs(first - second) < 2 * np.hypot(std, other)
 
 
 @pytest.mark.slow

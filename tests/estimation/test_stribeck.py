@@ -9,6 +9,7 @@ import pytest
 
 import jointid as ji
 from jointid.common.errors import MethodError
+from jointid.diagnostics.friction_comparison import compare_frictions
 from jointid.diagnostics.validation import validate
 from jointid.estimation.identify import identify
 from jointid.models.friction import FRICTIONS, AsymmetricStribeckFriction, StribeckFriction
@@ -88,6 +89,17 @@ def test_the_real_axis_has_less_friction_towards_standstill(friction: str, emps:
         assert change.interval is not None
         assert change.interval[0] < -7.7 < change.interval[1] < 0
         assert estimate["stribeck_speed"].value == pytest.approx(0.015, abs=0.001)
+
+
+@pytest.mark.slow
+def test_both_records_of_the_real_axis_show_the_same_law(emps: Record, emps_pulses: Record) -> None:
+    changes = []
+    for record in (emps, emps_pulses):
+        found = compare_frictions(record.without("motor_position"), ClosedLoop(RigidJoint(), CONTROLLER))
+        assert found.shown.name == "asymmetric-stribeck"
+        changes.append((found.shown.values["stribeck_force"], found.shown.std["stribeck_force"]))
+    (first, std), (second, other) = changes
+    assert abs(first - second) < 2 * np.hypot(std, other)
 
 
 def test_what_takes_friction_for_a_line_refuses_it() -> None:

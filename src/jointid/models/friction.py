@@ -221,7 +221,7 @@ class StribeckFriction(Friction):
     """
 
     name = "stribeck"
-    label = "the same in both directions, another towards standstill"
+    label = "the same, another at low speed"
     contrast = "symmetric"
     coefficients: ClassVar[tuple[Coefficient, ...]] = SymmetricFriction.coefficients
 
@@ -263,7 +263,7 @@ class AsymmetricStribeckFriction(StribeckFriction):
     """Viscous and Coulomb friction that differ between the directions, and alike are others towards standstill."""
 
     name = "asymmetric-stribeck"
-    label = "different in the two directions, another towards standstill"
+    label = "different, another at low speed"
     contrast = "asymmetric"
     coefficients = AsymmetricFriction.coefficients
 
