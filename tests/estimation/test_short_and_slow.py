@@ -9,6 +9,7 @@ import pytest
 
 import jointid as ji
 from jointid.paper.twin import TABLE_2, twin
+from studies.healthy import drive
 
 
 def cut(record: ji.Record, first: int, count: int) -> ji.Record:
@@ -67,3 +68,15 @@ def test_a_loop_of_a_third_of_a_hertz_is_identified() -> None:
     record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
     found = ji.identify(record.without("motor_position", "load_position"), loop, loop_check=False)
     assert found["stiffness"].value == pytest.approx(truth["stiffness"], rel=1e-6)
+
+
+@pytest.mark.slow
+def test_a_mode_inside_the_bandwidth_is_found_though_the_rigid_joint_is_none() -> None:
+    """The load is 84 % of the inertia: no flexible joint of the inertia that a rigid one shows can be simulated."""
+    axis = drive(9247, 12.0)
+    said: list[str] = []
+    estimate = ji.identify(axis.record, axis.loop, loop_check=False, progress=said.append)
+    assert any("with other inertias than that joint's" in line for line in said)
+    stiffness = estimate["stiffness"]
+    assert stiffness.interval is not None
+    assert stiffness.interval[0] < axis.truth["stiffness"] < stiffness.interval[1]
