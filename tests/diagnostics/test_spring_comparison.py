@@ -12,7 +12,7 @@ import pytest
 import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.diagnostics import spring_comparison
-from jointid.diagnostics.spring_comparison import RIGID, FittedLaw, SpringComparison, SpringShown, compare_springs
+from jointid.diagnostics.spring_comparison import RIGID, JudgedLaw, SpringComparison, SpringShown, compare_springs
 from jointid.models.springs import SPRINGS, LinearSpring, TwoPieceSpring
 from jointid.records.record import Record
 from studies.mechanics import spoiled
@@ -87,8 +87,8 @@ def test_a_rigid_axis_shows_no_spring() -> None:
     assert 'set joint.model = "rigid"' in found.sentence
 
 
-def one(name: str, parameters: int, worse: float, error: float) -> FittedLaw:
-    return FittedLaw(name, parameters, {}, {}, 0.01, 0.01, worse, error)
+def one(name: str, parameters: int, worse: float, error: float) -> JudgedLaw:
+    return JudgedLaw(name, parameters, {}, {}, 0.01, 0.01, worse, error)
 
 
 def test_the_simplest_of_those_that_predict_alike_is_shown() -> None:

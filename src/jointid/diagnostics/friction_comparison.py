@@ -18,7 +18,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Message, Progress, silent
 from jointid.common.parameters import Parameter, adjusted
-from jointid.diagnostics.law_comparison import FittedLaw, LawComparison, compare, judge, parts_of, percent
+from jointid.diagnostics.law_comparison import JudgedLaw, LawComparison, compare, judge, parts_of, percent
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.flexible import FlexibleDIDIM, stopping_tolerance
 from jointid.estimation.methods.registry import Task
@@ -109,7 +109,7 @@ def compare_frictions(
     if settings.free:
         solved = free_more(solved.problem, solved.solution.x, settings.free, tolerance, history)
     parts = parts_of(solved.problem, "frictions")
-    found: list[tuple[FittedLaw, FloatArray | None]] = []
+    found: list[tuple[JudgedLaw, FloatArray | None]] = []
     for law in sorted((law() for law in FRICTIONS.values()), key=lambda law: len(law.parameters())):
         progress(f"fitting {law.name} friction")
         of_law = _parameters(joint, law)
@@ -126,7 +126,7 @@ def compare_frictions(
             why = str(error) if isinstance(error, JointidError) else "the search met a law without a solution"
             if law == simple.friction:
                 raise MethodError(f"The joint cannot be judged with symmetric friction: {why}") from error
-            found.append((FittedLaw(law.name, len(of_law), {}, {}, None, None, refusal=why), None))
+            found.append((JudgedLaw(law.name, len(of_law), {}, {}, None, None, refusal=why), None))
     return FrictionComparison(record.name, compare(found), joint.friction.name, joint.transmission)
 
 

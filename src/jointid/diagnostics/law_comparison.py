@@ -42,7 +42,7 @@ _ROUGHLY, _EVALUATIONS = 1e-5, 20  # of those without a part, which begin where 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FittedLaw:
+class JudgedLaw:
     """A law, identified, and what it predicts.
 
     Attributes:
@@ -92,12 +92,12 @@ class LawComparison(Documented):
     """Of the laws: "spring", say."""
 
     record: str
-    laws: tuple[FittedLaw, ...]
+    laws: tuple[JudgedLaw, ...]
     declared: str
     transmission: Transmission | None = None
 
     @property
-    def shown(self) -> FittedLaw:
+    def shown(self) -> JudgedLaw:
         """The law that the record shows: the simplest of those that predict it as well as any."""
         return next(one for one in self.laws if one.predicts_as_well)
 
@@ -130,7 +130,7 @@ class LawComparison(Documented):
         facts = Facts((("record", self.record), *common_facts(None, self.transmission)))
         return Document(self.sentence, (facts, Table(header, rows, note, words=(0, 4, 5))))
 
-    def _judged(self, one: FittedLaw) -> str:
+    def _judged(self, one: JudgedLaw) -> str:
         if one.refusal:
             return "not identified"
         if one is self.shown:
@@ -187,7 +187,7 @@ def parts_of(problem: ClosedLoopProblem, laws: str) -> NDArray[np.intp]:
 
 def judge(
     solved: Solved, name: str, of_law: Sequence[Parameter], parts: NDArray[np.intp]
-) -> tuple[FittedLaw, FloatArray]:
+) -> tuple[JudgedLaw, FloatArray]:
     """Return a law as it was identified, and its squared error in each part, (parts,), where that was kept apart.
 
     Args:
@@ -215,7 +215,7 @@ def judge(
 
     apart = np.sum(in_threads(predicted, range(TIMES)), axis=0)
     size = problem.size
-    found = FittedLaw(
+    found = JudgedLaw(
         name,
         len(of_law),
         {p.name: values[p.name] for p in of_law},
@@ -238,7 +238,7 @@ def _interval(p: Parameter, value: float, std: float | None, unit: str, untold: 
     return f"{number(0.0 if near_none else value, 4)} +- {number(2 * std, 2)} {unit}"
 
 
-def compare(found: Sequence[tuple[FittedLaw, FloatArray | None]]) -> tuple[FittedLaw, ...]:
+def compare(found: Sequence[tuple[JudgedLaw, FloatArray | None]]) -> tuple[JudgedLaw, ...]:
     """Return laws with how much worse each predicts than the best one.
 
     Args:

@@ -17,7 +17,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Message, Progress, silent
 from jointid.common.parameters import Parameter, adjusted
-from jointid.diagnostics.law_comparison import FittedLaw, LawComparison, compare, judge, parts_of, percent
+from jointid.diagnostics.law_comparison import JudgedLaw, LawComparison, compare, judge, parts_of, percent
 from jointid.estimation.methods.flexible import FlexibleDIDIM, stopping_tolerance
 from jointid.estimation.methods.registry import Task
 from jointid.estimation.methods.search import History, Solved, free_more, least_squares
@@ -121,7 +121,7 @@ def compare_springs(
         solved = free_more(solved.problem, solved.solution.x, settings.free, tolerance, history)
     parts = parts_of(solved.problem, "springs")
     laws = sorted((law() for law in SPRINGS.values()), key=lambda law: len(law.parameters))
-    found: list[tuple[FittedLaw, FloatArray | None]] = []
+    found: list[tuple[JudgedLaw, FloatArray | None]] = []
     for law in (None, *laws):
         name, of_spring = (RIGID, ()) if law is None else (law.name, law.parameters)
         progress(f"fitting {'a rigid joint' if law is None else f'a {name} spring'}")
@@ -140,7 +140,7 @@ def compare_springs(
             why = str(error) if isinstance(error, JointidError) else "the search met a law without a solution"
             if law is not None and law.linear:
                 raise MethodError(f"The joint cannot be judged with a linear spring: {why}") from error
-            found.append((FittedLaw(name, len(of_spring), {}, {}, None, None, refusal=why), None))
+            found.append((JudgedLaw(name, len(of_spring), {}, {}, None, None, refusal=why), None))
     return SpringComparison(record.name, compare(found), joint.spring.name, joint.transmission)
 
 

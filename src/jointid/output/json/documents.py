@@ -160,7 +160,7 @@ SHAPES: Mapping[str, Shape] = {
         **same("answer"),
         "frictions": "laws",
     },
-    "FittedLaw": {
+    "JudgedLaw": {
         **same("name", "parameters", "values", "std"),
         "fitted_error_percent": percent("fitted"),
         "kept_error_percent": percent("kept"),
