@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import random
@@ -10,10 +11,14 @@ import shutil
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from types import FrameType
+from typing import Any
 
 import pytest
 
+from jointid.common import files
 from tests.losses.runs import COUNT, SEED, contents, require_calm, run_program
 
 pytestmark = [pytest.mark.hostile, pytest.mark.skipif(sys.platform != "linux", reason="copies of a process")]
@@ -81,6 +86,41 @@ def test_nothing_is_lost_or_cut_at_any_moment(command: str, place: Path) -> None
             shutil.rmtree(fresh) if fresh.is_dir() else fresh.unlink(missing_ok=True)
         for name in named:
             (place / name).write_bytes(OLD)
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+def test_nothing_is_left_at_any_line_of_writing(tmp_path: Path) -> None:
+    """Ctrl-C before each line of what writes a file and each call of what removes one, and the end of the program."""
+    at, lines, is_written = tmp_path / "o.json", {files.__file__, contextlib.__file__}, False
+    for line in itertools.count():
+        at.write_bytes(OLD)
+        left = line
+
+        def interrupt(frame: FrameType, event: str, _: object) -> Callable[..., Any] | None:
+            nonlocal left
+            if frame.f_code.co_filename not in {*lines, shutil.__file__}:
+                return None
+            if event == ("line" if frame.f_code.co_filename in lines else "call"):
+                left -= 1
+                if left == -1:
+                    raise KeyboardInterrupt
+            return interrupt
+
+        before = sys.gettrace()
+        sys.settrace(interrupt)
+        try:
+            files.write_whole(at, b"{}\n")
+        except KeyboardInterrupt:
+            pass
+        finally:
+            sys.settrace(before)
+        files.remove_rooms()
+        assert list(tmp_path.iterdir()) == [at], line
+        assert at.read_bytes() in (OLD, b"{}\n"), line
+        is_written |= at.read_bytes() != OLD
+        if left >= 0:  # it ended before that line
+            break
+    assert line > 30 and is_written
 
 
 def test_ctrl_c_while_the_program_is_loaded_leaves_no_traceback() -> None:

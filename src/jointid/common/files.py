@@ -11,8 +11,9 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import secrets
+import shutil
 import stat
-import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from jointid.common.errors import RecordError
 _FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
 _NO_STORING = (errno.EINVAL, errno.ENOSYS, getattr(errno, "ENOTSUP", errno.EINVAL))
 _SYSTEM = ("/dev/", "/proc/")  # what is opened there may be a file, and is still no place to put another
+_rooms: set[Path] = set()
 
 
 @contextlib.contextmanager
@@ -121,6 +123,16 @@ def write_folder(folder: str | os.PathLike[str], files: Mapping[str, bytes]) -> 
     return tuple(folder / name for name in files)
 
 
+def remove_rooms() -> None:
+    """Remove what a signal left behind that came while a folder was being made or removed.
+
+    For the end of a program, when no signal is answered any more.
+    """
+    for room in _rooms:
+        shutil.rmtree(room, ignore_errors=True)
+    _rooms.clear()
+
+
 def is_full(error: BaseException) -> bool:
     """Return whether an error, or the one it came of, is a disk that is full."""
     cause = error if isinstance(error, OSError) else error.__cause__
@@ -155,8 +167,14 @@ def _is_written_as_it_is(path: Path) -> bool:
 @contextlib.contextmanager
 def _room_in(folder: Path) -> Iterator[Path]:
     """Yield an empty folder on the same disk, which is removed with what is left in it."""
-    with tempfile.TemporaryDirectory(prefix=".jointid-", dir=folder, ignore_cleanup_errors=True) as room:
-        yield Path(room)
+    room = folder / f".jointid-{secrets.token_hex(8)}"
+    _rooms.add(room)  # first: a signal may come before the next line
+    try:
+        room.mkdir(mode=0o700)
+        yield room
+    finally:
+        shutil.rmtree(room, ignore_errors=True)
+        _rooms.discard(room)
 
 
 def _settle(fresh: Path, place: Path) -> None:

@@ -30,6 +30,7 @@ from jointid.apps.cli.results import compare, export, report, validate
 from jointid.apps.cli.serve import serve
 from jointid.apps.cli.simulate import demo, reproduce, simulate
 from jointid.common.errors import JointidError, RecordError
+from jointid.common.files import remove_rooms
 
 USERS_MISTAKE, OUR_FAILURE = 2, 1
 
@@ -80,6 +81,7 @@ def run(arguments: list[str] | None = None, *, signals: bool = False) -> NoRetur
         code = _end(debug)
     if signals:
         endings.ignore_signals()
+    remove_rooms()
     sys.exit(_finish(code))
 
 
