@@ -6,6 +6,7 @@ from .config import JointFile, load
 from .controller_id.learn import learn_loop
 from .diagnostics.check_loop import check_loop
 from .diagnostics.compare_estimates import compare_estimates
+from .diagnostics.examine_record import examine
 from .diagnostics.experiment_design import advise, design_stiffness_test
 from .diagnostics.friction_comparison import compare_frictions
 from .diagnostics.identify import identify
@@ -93,6 +94,7 @@ __all__ = [
     "compare_springs",
     "convert",
     "design_stiffness_test",
+    "examine",
     "excitation",
     "export",
     "figures",

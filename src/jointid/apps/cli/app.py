@@ -1,8 +1,8 @@
 """The program: its commands, and how errors leave it.
 
 Exit code 0 when it worked, 2 for a mistake of the user's (one sentence each) or a result that cannot be written, 1 for
-a failure of ours, 130 when interrupted, 143 when ended by SIGTERM; `--debug` shows the traceback and the warnings of
-libraries too, and changes no exit code.
+a failure of ours, 3 where `doctor` finds something wrong with a record, 130 when interrupted, 143 when ended by
+SIGTERM; `--debug` shows the traceback and the warnings of libraries too, and changes no exit code.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from jointid.apps.cli import SIGNALLED, endings, streams
 from jointid.apps.cli.console import clear_bars, tell
 from jointid.apps.cli.data import convert, inspect
 from jointid.apps.cli.diagnose import friction, intervals, loop, methods, sensors, springs
-from jointid.apps.cli.identify import controller, identify, tune
+from jointid.apps.cli.identify import controller, doctor, identify, tune
 from jointid.apps.cli.results import compare, export, report, validate
 from jointid.apps.cli.serve import serve
 from jointid.apps.cli.simulate import demo, reproduce, simulate
@@ -38,8 +38,8 @@ app = App(
     name="jointid",
     help="Identify a servo-driven joint from motor torque and the commanded reference alone.",
     help_epilogue="Exit code: 0 it worked, 2 a mistake in the command, the joint file or the record (one sentence "
-    "each) or a result that cannot be written, 1 a fault of jointid's, 130 interrupted, 143 ended by SIGTERM. --debug, "
-    "with any command, also prints the traceback and the libraries' warnings; the exit code stays.",
+    "each) or a result that cannot be written, 1 a fault of jointid's, 3 doctor finds something wrong with a record, "
+    "130 interrupted, 143 ended by SIGTERM. --debug, with any command, also prints the traceback and the libraries' warnings; the exit code stays.",
     version=__version__,
     help_format="plaintext",
     suppress_keyboard_interrupt=False,
@@ -47,7 +47,7 @@ app = App(
 data = App(name="data", help="Look into files of records, and convert them.", help_format="plaintext")
 diagnose = App(name="diagnose", help="Ask what an estimate is worth, one question a command.", help_format="plaintext")
 for parent, commands in (
-    (app, (demo, identify, validate, report, compare)),
+    (app, (demo, doctor, identify, validate, report, compare)),
     (diagnose, (methods, springs, friction, intervals, loop, sensors)),
     (app, (diagnose, controller, tune, simulate, export, data, serve, reproduce)),
     (data, (inspect, convert)),
@@ -87,7 +87,7 @@ def run(arguments: list[str] | None = None, *, signals: bool = False) -> NoRetur
 
 def _run(words: list[str], debug: bool) -> int:
     try:
-        app(words, exit_on_error=False, print_error=False, result_action="return_value")
+        code: int | None = app(words, exit_on_error=False, print_error=False, result_action="return_value")
     except (KeyboardInterrupt, endings.EndedError):
         return _end(debug)
     except Exception as error:
@@ -98,7 +98,7 @@ def _run(words: list[str], debug: bool) -> int:
         return _explain(error)
     finally:
         clear_bars()
-    return 0
+    return code or 0
 
 
 def _explain(error: Exception) -> int:

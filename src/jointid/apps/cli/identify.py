@@ -30,6 +30,46 @@ if TYPE_CHECKING:
     from jointid.config import JointFile
 
 
+FAULTY = 3
+"""Exit code of `doctor` where something is wrong with the record."""
+
+
+def doctor(joint: Path, /, *, options: Options = DEFAULTS) -> int:
+    """Look a record over before its numbers are used: what is wrong with it, what it can tell, what to change.
+
+    The clock, the torque and its limit, the motion, the controller (where the motor's position was logged), then what
+    is left once the joint is identified. Exit code 0 where nothing is wrong, 3 where something is.
+
+    Args:
+        joint: the joint file (TOML).
+        options: those that most commands have.
+    """
+    from jointid import RecordError, examine
+    from jointid.diagnostics.examine_record import unreadable
+
+    file = options.load(joint, options.outputs)
+    path = Path(file.record_path(options.record))
+    try:
+        record = file.record(options.record)
+    except RecordError as error:
+        if not path.exists():
+            raise
+        found = unreadable(error, path.stem)
+    else:
+        ready(options.progress)
+        found = examine(
+            record,
+            file.loop or file.joint,
+            file.method,
+            filtering=file.filtering,
+            parameters=file.parameters,
+            shown=file.declared_numbers,
+            progress=options.progress,
+        )
+    deliver(found, options.json)
+    return 0 if found.healthy else FAULTY
+
+
 def identify(
     joint: Path,
     /,

@@ -168,6 +168,14 @@ SHAPES: Mapping[str, Shape] = {
         "worse_std": "error",
         **same("predicts_as_well", "refusal"),
     },
+    "Examination": {
+        "schema": always("jointid.examination/1"),
+        **same("record", "healthy", "sentence", "logged", "transmission"),
+        "questions": "looked",
+        **same("parameters", "changes"),
+    },
+    "Looked": same("question", "good", "said", "fault"),
+    "Determined": {**same("name", "symbol", "unit"), "two_sigma_percent": "percent", "known": "remark"},
     "LoopCheck": {
         "schema": always("jointid.loop/1"),
         **same("as_declared", "level", "sentences", "reasons", "findings", "undecided"),

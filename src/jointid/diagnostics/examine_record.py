@@ -1,0 +1,364 @@
+"""Look a record over before its numbers are used: what is wrong with it, what it can tell, what to change.
+
+Everything here is asked elsewhere, too; this is where it is asked together, of a record that was just taken, in the
+order in which one thing spoils the next: the clock, the torque, the motion, the controller, and only then the joint.
+That is identified once for it, since what noise and motion leave of each parameter is not seen in the samples.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from jointid.common.document import Block, Document, Documented, Facts, Listing, Paragraph, Table, Verdicts
+from jointid.common.errors import FaultsError, JointidError
+from jointid.common.messages import Message, Progress, silent
+from jointid.common.parameters import Parameter
+from jointid.common.text import counted, number
+from jointid.common.transmission import Transmission
+from jointid.diagnostics.check_loop import add_loop_verdict
+from jointid.diagnostics.experiment_design import advise, design_stiffness_test
+from jointid.diagnostics.find_causes import explain_failure
+from jointid.diagnostics.law_on_position import LawOnPosition, compare_law
+from jointid.diagnostics.plain_causes import find_plain_cause
+from jointid.diagnostics.standstill import find_standstill
+from jointid.estimation import identify as estimation
+from jointid.estimation.methods.registry import Method
+from jointid.estimation.result.answer import loop_verdict
+from jointid.estimation.result.estimate import Estimate
+from jointid.models.controllers.drive_numbers import DriveNumber
+from jointid.models.joints import ClosedLoop, Joint
+from jointid.records.checks import find_record_warnings, limit_faults
+from jointid.records.record import Record
+from jointid.records.signals.filtering import Filtering, lowpass
+from jointid.simulation.prescribed import DriveSide, OpenLoop
+from jointid.uncertainty.verdict import POOR_FIT, Status
+
+_FAST = 0.3  # of the sampling frequency: above it there is noise, and no joint
+_RESTS = 1e-3  # of the greatest speed
+_WELL, _ROUGHLY = 0.1, 0.5  # 2 sigma of a parameter over its value
+_LAW_LEAVES = 0.1  # of the torque: more is not what rounding leaves
+_LAW_GAIN = 0.02  # so near to 1 is its gain
+_LATE = 0.25  # samples: a law that is later is not as declared
+_SHIFTED = 2 * _LAW_LEAVES  # what a delay may leave
+
+
+class Question(StrEnum):
+    """The questions, in their order."""
+
+    RECORD = "record"
+    CLOCK = "clock"
+    TORQUE = "torque"
+    LIMIT = "torque limit"
+    MOTION = "motion"
+    LAW = "controller"
+    LOOP = "loop and log"
+    FIT = "joint"
+    PARAMETERS = "parameters"
+
+
+class Fault(StrEnum):
+    """What is wrong with a record, as codes; a cause that `find_causes` names keeps its own."""
+
+    UNREADABLE = "unreadable"
+    CLOCK_UNEVEN = "clock_uneven"
+    TORQUE_COARSE = "torque_coarse"
+    AT_LIMIT = "at_limit"
+    MOTION_POOR = "motion_poor"
+    LAW_DIFFERS = "law_differs"
+    LAW_LATE = "law_late"
+    LOOP_DIFFERS = "loop_differs"
+    JOINT_DIFFERS = "joint_differs"
+    NOT_IDENTIFIED = "not_identified"
+
+
+@dataclass(frozen=True, slots=True)
+class Looked:
+    """The answer to one question.
+
+    Attributes:
+        question: that was asked.
+        good: True or False; None where it cannot be said.
+        said: what was seen, with its numbers; of a fault, too, what to change.
+        fault: None where there is none.
+    """
+
+    question: Question
+    good: bool | None
+    said: tuple[str, ...]
+    fault: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Determined:
+    """How well a record determines a parameter: 2 sigma over its value, in percent; None where it does not."""
+
+    name: str
+    symbol: str
+    unit: str
+    percent: float | None
+    remark: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Examination(Documented):
+    """What a record is worth.
+
+    Attributes:
+        record: its name.
+        logged: what there is.
+        looked: the questions that could be asked, with their answers.
+        parameters: how well each is determined; none where no joint could be identified.
+        changes: what another test, or another sensor, would change.
+        transmission: on whose `side` all numbers are.
+    """
+
+    record: str
+    logged: str
+    looked: tuple[Looked, ...]
+    parameters: tuple[Determined, ...] = ()
+    changes: tuple[str, ...] = ()
+    transmission: Transmission | None = None
+
+    @property
+    def healthy(self) -> bool:
+        """True where nothing is wrong; what a record does not determine is no fault of it."""
+        return not self.faults
+
+    @property
+    def faults(self) -> tuple[Looked, ...]:
+        """What is wrong."""
+        return tuple(one for one in self.looked if one.good is False)
+
+    @property
+    def sentence(self) -> str:
+        """What is wrong, or that nothing is."""
+        if self.healthy:
+            return f"Nothing is wrong with {self.record}."
+        return f"{self.record}: {self.faults[0].said[0]}."
+
+    def document(self, *, details: bool = False) -> Document:
+        """Return the answers, the parameters and what to change; there are no further details."""
+        del details
+        blocks: list[Block] = []
+        if self.logged:
+            blocks.append(Paragraph(self.logged))
+        blocks.append(Verdicts(tuple((str(one.question), one.good, one.said) for one in self.looked)))
+        if self.transmission is not None:
+            blocks.append(Facts((("transmission", str(self.transmission)),)))
+        if self.parameters:
+            rows = tuple(
+                (one.symbol, one.name.replace("_", " "), number(one.percent, 2), one.remark) for one in self.parameters
+            )
+            blocks.append(Table(("symbol", "parameter", "2 sigma %", "known"), rows, words=(0, 1, 3)))
+        blocks += [Listing(self.changes)] if self.changes else []
+        return Document(self.sentence, tuple(blocks))
+
+
+def unreadable(error: FaultsError, record: str) -> Examination:
+    """Return the examination of a file from which no record could be made."""
+    looked = tuple(Looked(Question.RECORD, False, (_clause(one),), Fault.UNREADABLE) for one in error.faults)
+    return Examination(record, "", looked)
+
+
+def examine(
+    record: Record,
+    model: ClosedLoop | DriveSide | OpenLoop | Joint,
+    method: Method | None = None,
+    *,
+    filtering: Filtering | None = None,
+    parameters: Mapping[str, Parameter] | None = None,
+    shown: Sequence[DriveNumber] = (),
+    progress: Progress = silent,
+) -> Examination:
+    """Say what a record is worth: clock, torque, motion, controller, and what of the joint it determines.
+
+    Args:
+        record: that was taken.
+        model: the loop (joint and controller), or the joint alone; see `jointid.identify`.
+        method: by which the joint is identified once; see `jointid.identify`.
+        filtering: likewise.
+        parameters: likewise.
+        shown: how the drive shows the numbers of its controller, as `jointid.config.JointFile.declared_numbers` has it;
+            without it they are told in SI.
+        progress: is told each step in a sentence.
+
+    Example:
+        >>> import jointid as ji
+        >>> axis = ji.twin("L19", noise="white")
+        >>> found = ji.examine(axis.record, axis.loop)
+        >>> print(found.sentence)
+        Nothing is wrong with twin L19.
+    """
+    loop = model if isinstance(model, ClosedLoop) else None
+    looked = [*_look_at_samples(record, loop)]
+    law = None if loop is None else compare_law(record, loop)
+    if law is not None:
+        looked.append(_look_at_law(law, record))
+    gear = _joint_of(model).transmission
+    logged = record.sentence
+    if any(one.fault == Fault.MOTION_POOR for one in looked):
+        return Examination(record.name, logged, tuple(looked), transmission=gear)
+    try:
+        estimate = estimation.identify(
+            record, model, method, filtering=filtering, parameters=parameters, progress=progress
+        )
+    except JointidError as error:
+        told = explain_failure(error, record, loop, progress, shown)
+        words = [_clause(one) for one in (told.faults if isinstance(told, FaultsError) else (str(told),))]
+        looked.append(Looked(Question.FIT, False, tuple(words), Fault.NOT_IDENTIFIED))
+        return Examination(record.name, logged, tuple(looked), transmission=gear)
+    if loop is not None and estimate.settings.loop is not None:
+        estimate = add_loop_verdict(estimate, record, progress, shown=shown)
+    looked += _look_at_estimate(estimate)
+    healthy = all(one.good is not False for one in looked)
+    changes = _advise(estimate, record, progress) if healthy else ()
+    determined = tuple(_determine(estimate)) if healthy else ()
+    return Examination(record.name, logged, tuple(looked), determined, changes, gear)
+
+
+def _joint_of(model: ClosedLoop | DriveSide | OpenLoop | Joint) -> Joint:
+    return model.joint if isinstance(model, ClosedLoop | DriveSide | OpenLoop) else model
+
+
+def _look_at_samples(record: Record, loop: ClosedLoop | None) -> Iterator[Looked]:
+    """Yield what is seen in the samples: the clock, the torque and its limit, the motion."""
+    yield _look_at_clock(record)
+    torque = record.torque
+    if torque is not None:
+        coarse = find_record_warnings(record, ("torque",))
+        noise = torque.values - lowpass(torque.values, _FAST / torque.sample_time, torque.sample_time)
+        size = float(np.std(torque.values)) or 1.0
+        said = (
+            f"{number(float(torque.values.min()), 3)} to {number(float(torque.values.max()), 3)} {torque.unit}; "
+            f"{number(100 * float(np.std(noise)) / size, 2)} % of it lies above "
+            f"{number(_FAST / torque.sample_time, 3)} Hz, where no joint moves"
+        )
+        yield Looked(Question.TORQUE, not coarse, (*coarse, said), Fault.TORQUE_COARSE if coarse else None)
+        limit = math.inf if loop is None else loop.controller.law(torque.sample_time).limit
+        if math.isfinite(limit):
+            wrong = limit_faults(record, limit)
+            reached = float(np.max(np.abs(torque.values))) / limit
+            said = f"the torque reaches {number(100 * reached, 3)} % of {number(limit, 4)} {torque.unit}"
+            yield Looked(
+                Question.LIMIT, not wrong, tuple(map(_clause, wrong)) or (said,), Fault.AT_LIMIT if wrong else None
+            )
+    if record.reference is not None and torque is not None:
+        yield _look_at_motion(record, loop)
+
+
+def _look_at_clock(record: Record) -> Looked:
+    times = sorted({channel.sample_time for _, channel in record.items()})
+    rates = " and ".join(f"{1e3 * one:.6g} ms" for one in times)
+    said = f"{number(record.duration, 4)} s, a sample every {rates}"
+    if record.resampled is None:
+        return Looked(Question.CLOCK, True, (said,))
+    worst = max((one.rms / one.sample_time for one in record.resampled.clocks.values()), default=0.0)
+    gaps = sum(one.gaps for one in record.resampled.clocks.values())
+    uneven = worst > 0.1 or gaps > 0
+    return Looked(
+        Question.CLOCK, not uneven, (f"{said}, resampled {record.resampled}",), Fault.CLOCK_UNEVEN if uneven else None
+    )
+
+
+def _look_at_motion(record: Record, loop: ClosedLoop | None) -> Looked:
+    """Return whether the axis moves enough, and how."""
+    plain: Message | None = find_plain_cause(record)
+    if plain is None and loop is not None:
+        plain = find_standstill(record, loop)
+    if plain is not None:
+        return Looked(Question.MOTION, False, (plain.words,), Fault.MOTION_POOR)
+    reference = record.reference
+    assert reference is not None
+    velocity = np.gradient(reference.values, reference.sample_time)
+    fastest = float(np.max(np.abs(velocity)))
+    moving = np.abs(velocity) > _RESTS * fastest
+    directions = np.sign(velocity[moving])
+    turns = int(np.sum(directions[1:] != directions[:-1]))
+    unit = reference.unit
+    said = (
+        f"{number(float(np.ptp(reference.values)), 3)} {unit} of travel, up to {number(fastest, 3)} {unit}/s, "
+        f"{counted(turns, 'reversal')}, {number(100 * (1 - float(np.mean(moving))), 2)} % of the time at rest"
+    )
+    hunting = [one for one in find_record_warnings(record, ("torque", "reference")) if one.startswith("the axis hunts")]
+    return Looked(Question.MOTION, not hunting, (*hunting, said), Fault.MOTION_POOR if hunting else None)
+
+
+def _look_at_law(law: LawOnPosition, record: Record) -> Looked:
+    """Return whether the declared law makes the logged torque of the logged motor position."""
+    assert record.torque is not None
+    left = f"{number(100 * law.left, 2)} %"
+    late = law.late / record.torque.sample_time
+    if abs(late) > _LATE and law.left_in_time < _SHIFTED:
+        way = "later" if late > 0 else "earlier"
+        said = (
+            f"the torque is {number(1e3 * abs(law.late), 2)} ms {way} than the declared law makes it of the motor's "
+            f"position ({left} of the torque is left as declared, {number(100 * law.left_in_time, 2)} % with that): "
+            "check the delay, and which instant a logged value stands for (timing)"
+        )
+        return Looked(Question.LAW, False, (said,), Fault.LAW_LATE)
+    if law.left > _LAW_LEAVES:
+        said = (
+            f"the declared law and the motor's position leave {left} of the torque: its gains, the torque's unit, or a "
+            "channel's sign or clock are not as declared; jointid controller learns the law from this record"
+        )
+        return Looked(Question.LAW, False, (said,), Fault.LAW_DIFFERS)
+    if abs(law.gain - 1) > _LAW_GAIN and law.left < abs(law.gain - 1):
+        said = (
+            f"the torque is {number(law.gain, 4)} times what the declared law makes of the motor's position: the "
+            "torque's unit or gain, or the law's last gain, is not as declared"
+        )
+        return Looked(Question.LAW, False, (said,), Fault.LAW_DIFFERS)
+    return Looked(Question.LAW, True, (f"the declared law makes all but {left} of the torque of the motor's position",))
+
+
+def _look_at_estimate(estimate: Estimate) -> Iterator[Looked]:
+    """Yield what is seen once a joint has been identified: the loop, and whether a joint explains the torque."""
+    loop, fit = loop_verdict(estimate), estimate.fit
+    if loop is not None:
+        failed = loop.status is Status.FAILED
+        fault = str(loop.reasons[0].values.get("suspect", loop.reasons[0].code)) if failed else None
+        causes = loop.reasons[0].values.get("causes") if failed else None
+        fault = str(causes[0]["cause"]) if causes else fault
+        yield Looked(Question.LOOP, loop.good, tuple(one.words for one in loop.reasons[:2]), fault)
+    left = f"{number(100 * fit.filtered_error, 2)} % of the {fit.compared} is not explained by the joint"
+    poor = not fit.filtered_error <= POOR_FIT
+    yield Looked(Question.FIT, not poor, (left,), Fault.JOINT_DIFFERS if poor else None)
+
+
+def _determine(estimate: Estimate) -> Iterator[Determined]:
+    """Yield how well each parameter, and what is known only together, is determined."""
+    for row in estimate.params:
+        if not row.free and row.value is not None:
+            continue
+        if row.value is None or row.stderr is None:
+            yield Determined(row.name, row.symbol, row.unit, None, "not from this record")
+            continue
+        share = 2 * row.stderr / abs(row.value) if row.value else math.inf
+        remark = "well" if share <= _WELL else "roughly" if share <= _ROUGHLY else "hardly"
+        percent = 100 * share if math.isfinite(share) else None
+        yield Determined(row.name, row.symbol, row.unit, percent, remark if row.identifiable else "only with others")
+    known = estimate.checks.known
+    for one in () if known is None else known.physical:
+        if one.value and one.std:
+            share = 2 * one.std / abs(one.value)
+            remark = "well" if share <= _WELL else "roughly" if share <= _ROUGHLY else "hardly"
+            yield Determined(one.combination.name, one.combination.formula, one.combination.unit, 100 * share, remark)
+
+
+def _advise(estimate: Estimate, record: Record, progress: Progress) -> tuple[str, ...]:
+    """Return what another sensor or another motion would change; nothing where that cannot be predicted."""
+    try:
+        if estimate.checks.bounds:
+            return tuple(str(design_stiffness_test(estimate, record, progress=progress)).splitlines())
+        return advise(estimate, record, progress=progress).sentences
+    except JointidError:
+        return ()
+
+
+def _clause(sentence: str) -> str:
+    return sentence.removesuffix(".")

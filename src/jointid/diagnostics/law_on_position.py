@@ -1,0 +1,110 @@
+"""What the declared controller makes of the reference and the motor's logged position, beside the logged torque.
+
+No joint is needed for that: with the position known the law is all there is between them. So the law, the delay and the
+log's gain are seen before anything is identified, and apart from what the joint is.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import JointidError
+from jointid.models.controllers import POSITION, respond, run
+from jointid.models.joints import ClosedLoop
+from jointid.records.record import Record
+from jointid.records.resampling import at_period
+from jointid.simulation.loop_input import LoopInput, as_logged, prepare
+
+_LATEST = 8.0  # samples, to both sides, that the torque may be later than the law makes it
+_PARTS = 4  # of a sample: the steps in which that is looked for
+_BORDER = 20  # samples at each end that are not compared
+_BETTER = 0.8  # times: what a delay must leave of the rest to be one
+
+
+@dataclass(frozen=True, slots=True)
+class LawOnPosition:
+    """How the torque follows from the declared law, the reference and the motor's position.
+
+    Attributes:
+        left: share of the torque that is left, about its mean.
+        gain: by which the law's torque is to be multiplied.
+        late: seconds that the logged torque is later than the law, with its declared delay, makes it; 0 where no
+            shift explains clearly more.
+        left_in_time: share that is left with the torque so much earlier.
+    """
+
+    left: float
+    gain: float
+    late: float
+    left_in_time: float
+
+
+def compare_law(record: Record, loop: ClosedLoop) -> LawOnPosition | None:
+    """Compare the logged torque with what the law makes of the motor's position; None without one.
+
+    The integral's value at the first sample, and a constant in the torque, are free. A law that runs faster than the
+    log sees a position between two samples, which is taken as a straight line.
+    """
+    torque = record.torque
+    if record.motor_position is None or record.reference is None or torque is None:
+        return None
+    try:
+        made = _torques(record, prepare(loop, record))
+    except JointidError:
+        return None
+    if made is None:
+        return None
+    count = min(torque.values.size, len(made))
+    logged, made = torque.values[:count], made[:count]
+    if count < 4 * _BORDER or not np.all(np.isfinite(made)) or np.ptp(logged) == 0 or np.ptp(made[:, 0]) == 0:
+        return None
+    shifts = np.arange(-_LATEST * _PARTS, _LATEST * _PARTS + 1) / _PARTS
+    fits = [_fit(logged, made, shift) for shift in shifts]
+    left, gain = fits[int(np.argmin(np.abs(shifts)))]
+    best = int(np.argmin([one[0] for one in fits]))
+    late = _between(shifts, np.array([one[0] ** 2 for one in fits]), best) * torque.sample_time
+    if fits[best][0] > _BETTER * left:
+        return LawOnPosition(left, gain, 0.0, left)
+    return LawOnPosition(left, fits[best][1], late, fits[best][0])
+
+
+def _torques(record: Record, experiment: LoopInput) -> FloatArray | None:
+    """Return the law's torque as it would be logged, (samples, columns), and behind it what 1 of its integral adds."""
+    law, channel = experiment.law, record.motor_position
+    assert channel is not None
+    inputs = experiment.inputs.copy()
+    inputs[:, POSITION] = at_period(channel, law.period, experiment.periods, "motor_position")
+    start = law.known_memory(inputs) + law.memory(POSITION, float(inputs[0, POSITION]), 0.0)
+    output = run(law, inputs, start).tapped + experiment.shown
+    integral, columns = law.integral(), [output]
+    if integral is not None:
+        columns.append(respond(law, np.zeros_like(inputs), integral)[:, law.output])
+    return as_logged(experiment, np.column_stack(columns))
+
+
+def _fit(logged: FloatArray, made: FloatArray, shift: float) -> tuple[float, float]:
+    """Return what is left of a torque if what the law makes acts so many samples later, and by which gain it does."""
+    at = np.arange(logged.size)
+    inside = slice(_BORDER, logged.size - _BORDER)
+    later = np.column_stack([np.interp(at - shift, at, one) for one in made.T])[inside]
+    columns = np.column_stack([later, np.ones(len(later))])
+    size = np.linalg.norm(columns, axis=0)
+    columns = columns / np.where(size > 0, size, 1.0)
+    seen = logged[inside]
+    found = np.linalg.lstsq(columns, seen, rcond=None)[0]
+    rest, whole = float(np.linalg.norm(seen - columns @ found)), float(np.linalg.norm(seen - seen.mean()))
+    return rest / whole if whole else math.inf, float(found[0] / size[0]) if size[0] else math.nan
+
+
+def _between(at: FloatArray, values: FloatArray, best: int) -> float:
+    """Return where the parabola through the least of values and its neighbours is least."""
+    if not 0 < best < at.size - 1:
+        return float(at[best])
+    before, here, after = values[best - 1 : best + 2]
+    bend = before - 2 * here + after
+    moved = 0.5 * (before - after) / bend if bend > 0 else 0.0
+    return float(at[best] + moved * (at[1] - at[0]))
