@@ -12,6 +12,7 @@ from jointid.diagnostics.cause_words import Explanation
 from jointid.diagnostics.hypotheses import Cause
 from jointid.uncertainty.verdict import Reason
 
+_NOTHING_OF_IT = 0.8  # of the torque: a joint that is moved leaves less, whatever else moves it
 _NO_RESPONSE = 0.1  # of the torque: so much that is no response to the reference may be another signal's
 
 
@@ -68,8 +69,12 @@ class Causes(Documented):
             words = f"{left}, and none of the usual causes explains it ("
             words += f"{', '.join(name.replace('_', ' ') for name in self._names)})"
             if self.unexplained > _NO_RESPONSE:
-                other = f"; {number(100 * self.unexplained, 2)} % of the torque is no response to the reference: if a "
-                other += "signal is injected, declare it (channel injected)"
+                other = f"; {number(100 * self.unexplained, 2)} % of the torque is no response to the reference: "
+                other += (
+                    "check which column is the torque, and of which axis"
+                    if self.unexplained > _NOTHING_OF_IT
+                    else ("if a signal is injected, declare it (channel injected)")
+                )
                 clause, words = clause + other, words + other
             return Message(Reason.NO_CAUSE_FOUND, words, {"tried": self._names}, clause)
         best = self.explanations[0]

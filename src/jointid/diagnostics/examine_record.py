@@ -22,7 +22,7 @@ from jointid.common.text import counted, number
 from jointid.common.transmission import Transmission
 from jointid.diagnostics.check_loop import add_loop_verdict
 from jointid.diagnostics.experiment_design import advise, design_stiffness_test
-from jointid.diagnostics.find_causes import explain_failure
+from jointid.diagnostics.find_causes import find_causes
 from jointid.diagnostics.law_on_position import LawOnPosition, compare_law
 from jointid.diagnostics.plain_causes import find_plain_cause
 from jointid.diagnostics.standstill import find_standstill
@@ -36,13 +36,16 @@ from jointid.records.checks import find_record_warnings, limit_faults
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, lowpass
 from jointid.simulation.prescribed import DriveSide, OpenLoop
-from jointid.uncertainty.verdict import POOR_FIT, Status
+from jointid.uncertainty.identifiability import Kind
+from jointid.uncertainty.verdict import POOR_FIT, Reason, Status
 
 _FAST = 0.3  # of the sampling frequency: above it there is noise, and no joint
 _RESTS = 1e-3  # of the greatest speed
 _WELL, _ROUGHLY = 0.1, 0.5  # 2 sigma of a parameter over its value
 _LAW_LEAVES = 0.1  # of the torque: more is not what rounding leaves
+_MORE_THAN_NOISE = 1.25  # times what any law leaves of it
 _LAW_GAIN = 0.02  # so near to 1 is its gain
+_NO_RESPONSE = 0.3  # of the torque: so much that is no response to the reference says more than how a search ended
 _LATE = 0.25  # samples: a law that is later is not as declared
 _SHIFTED = 2 * _LAW_LEAVES  # what a delay may leave
 
@@ -70,10 +73,17 @@ class Fault(StrEnum):
     AT_LIMIT = "at_limit"
     MOTION_POOR = "motion_poor"
     LAW_DIFFERS = "law_differs"
+    LAW_SCALED = "law_scaled"
     LAW_LATE = "law_late"
     LOOP_DIFFERS = "loop_differs"
     JOINT_DIFFERS = "joint_differs"
     NOT_IDENTIFIED = "not_identified"
+
+
+_ENOUGH = (Fault.MOTION_POOR, Fault.LAW_SCALED, Fault.LAW_LATE)
+"""What says enough: no joint is looked for then."""
+_VAGUE = (Fault.LAW_DIFFERS, Fault.JOINT_DIFFERS, str(Reason.NO_CAUSE_FOUND))
+"""What says that something is wrong, and not what."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,9 +147,12 @@ class Examination(Documented):
     @property
     def sentence(self) -> str:
         """What is wrong, or that nothing is."""
-        if self.healthy:
-            return f"Nothing is wrong with {self.record}."
-        return f"{self.record}: {self.faults[0].said[0]}."
+        if not self.healthy:
+            named = [one for one in self.faults if one.fault not in _VAGUE] or [*self.faults]
+            return f"{self.record}: {named[0].said[0]}."
+        if any(one.good is None for one in self.looked):
+            return f"Nothing that is wrong with {self.record} spoils its answer; see what is marked."
+        return f"Nothing is wrong with {self.record}."
 
     def document(self, *, details: bool = False) -> Document:
         """Return the answers, the parameters and what to change; there are no further details."""
@@ -201,16 +214,14 @@ def examine(
         looked.append(_look_at_law(law, record))
     gear = _joint_of(model).transmission
     logged = record.sentence
-    if any(one.fault == Fault.MOTION_POOR for one in looked):
+    if any(one.fault in _ENOUGH for one in looked):  # no joint would be right
         return Examination(record.name, logged, tuple(looked), transmission=gear)
     try:
         estimate = estimation.identify(
             record, model, method, filtering=filtering, parameters=parameters, progress=progress
         )
     except JointidError as error:
-        told = explain_failure(error, record, loop, progress, shown)
-        words = [_clause(one) for one in (told.faults if isinstance(told, FaultsError) else (str(told),))]
-        looked.append(Looked(Question.FIT, False, tuple(words), Fault.NOT_IDENTIFIED))
+        looked.append(_explain(error, record, loop, shown, progress))
         return Examination(record.name, logged, tuple(looked), transmission=gear)
     if loop is not None and estimate.settings.loop is not None:
         estimate = add_loop_verdict(estimate, record, progress, shown=shown)
@@ -301,30 +312,49 @@ def _look_at_law(law: LawOnPosition, record: Record) -> Looked:
             "check the delay, and which instant a logged value stands for (timing)"
         )
         return Looked(Question.LAW, False, (said,), Fault.LAW_LATE)
-    if law.left > _LAW_LEAVES:
+    if law.left > max(_LAW_LEAVES, _MORE_THAN_NOISE * law.noise):
         said = (
             f"the declared law and the motor's position leave {left} of the torque: its gains, the torque's unit, or a "
             "channel's sign or clock are not as declared; jointid controller learns the law from this record"
         )
         return Looked(Question.LAW, False, (said,), Fault.LAW_DIFFERS)
-    if abs(law.gain - 1) > _LAW_GAIN and law.left < abs(law.gain - 1):
+    if abs(law.gain - 1) > max(_LAW_GAIN, law.left):
         said = (
             f"the torque is {number(law.gain, 4)} times what the declared law makes of the motor's position: the "
-            "torque's unit or gain, or the law's last gain, is not as declared"
+            f"torque's {'sign' if law.gain < 0 else 'unit or gain'}, or the law's last gain, is not as declared"
         )
-        return Looked(Question.LAW, False, (said,), Fault.LAW_DIFFERS)
+        return Looked(Question.LAW, False, (said,), Fault.LAW_SCALED)
     return Looked(Question.LAW, True, (f"the declared law makes all but {left} of the torque of the motor's position",))
+
+
+def _explain(
+    error: JointidError, record: Record, loop: ClosedLoop | None, shown: Sequence[DriveNumber], progress: Progress
+) -> Looked:
+    """Return why no joint can be identified: the cause where one is found, else how that ended."""
+    said = tuple(_clause(one) for one in (error.faults if isinstance(error, FaultsError) else (str(error),)))
+    try:
+        causes = None if loop is None else find_causes(record, loop, shown=shown, progress=progress)
+    except (JointidError, np.linalg.LinAlgError):
+        causes = None
+    if causes is None or not (causes.found or causes.unexplained > _NO_RESPONSE):
+        return Looked(Question.FIT, False, said, Fault.NOT_IDENTIFIED)
+    named = causes.explanations
+    fault = str(named[0].cause) if named else str(causes.message.code)
+    return Looked(Question.FIT, False, (causes.message.words,), fault)
 
 
 def _look_at_estimate(estimate: Estimate) -> Iterator[Looked]:
     """Yield what is seen once a joint has been identified: the loop, and whether a joint explains the torque."""
     loop, fit = loop_verdict(estimate), estimate.fit
-    if loop is not None:
-        failed = loop.status is Status.FAILED
-        fault = str(loop.reasons[0].values.get("suspect", loop.reasons[0].code)) if failed else None
-        causes = loop.reasons[0].values.get("causes") if failed else None
-        fault = str(causes[0]["cause"]) if causes else fault
-        yield Looked(Question.LOOP, loop.good, tuple(one.words for one in loop.reasons[:2]), fault)
+    if loop is not None and loop.status is Status.PASSED:
+        yield Looked(Question.LOOP, True, ("as declared, as far as this record shows",))
+    elif loop is not None:
+        values = loop.reasons[0].values
+        causes = values.get("causes")
+        fault = str(causes[0]["cause"] if causes else values.get("suspect", loop.reasons[0].code))
+        spoils = loop.status is Status.FAILED and not estimate.answer.reliable
+        said = tuple(one.words for one in loop.reasons[:2])
+        yield Looked(Question.LOOP, False if spoils else None, said, fault if spoils else None)
     left = f"{number(100 * fit.filtered_error, 2)} % of the {fit.compared} is not explained by the joint"
     poor = not fit.filtered_error <= POOR_FIT
     yield Looked(Question.FIT, not poor, (left,), Fault.JOINT_DIFFERS if poor else None)
@@ -333,7 +363,7 @@ def _look_at_estimate(estimate: Estimate) -> Iterator[Looked]:
 def _determine(estimate: Estimate) -> Iterator[Determined]:
     """Yield how well each parameter, and what is known only together, is determined."""
     for row in estimate.params:
-        if not row.free and row.value is not None:
+        if not row.of_joint or (not row.free and row.value is not None):
             continue
         if row.value is None or row.stderr is None:
             yield Determined(row.name, row.symbol, row.unit, None, "not from this record")
@@ -344,7 +374,7 @@ def _determine(estimate: Estimate) -> Iterator[Determined]:
         yield Determined(row.name, row.symbol, row.unit, percent, remark if row.identifiable else "only with others")
     known = estimate.checks.known
     for one in () if known is None else known.physical:
-        if one.value and one.std:
+        if one.combination.kind is Kind.SUM and one.value and one.std:
             share = 2 * one.std / abs(one.value)
             remark = "well" if share <= _WELL else "roughly" if share <= _ROUGHLY else "hardly"
             yield Determined(one.combination.name, one.combination.formula, one.combination.unit, 100 * share, remark)

@@ -138,8 +138,10 @@ def find_causes(
     if explaining and explaining[0].error > (min(by_response, _FITS) if left > 0 else _FITS):
         others = (one for one in tried_out if one.cause is not explaining[0].cause)
         return Causes(declared, (), tried_out, (explaining[0], *_near(others, declared)), left)
-    lost = None if explaining else find_lost_motion(record, loop, left)
-    return Causes(declared, explaining, tried_out, unexplained=left, plain=lost)
+    if explaining:
+        return Causes(declared, explaining, tried_out, unexplained=left)
+    left = left or _left_as_declared(tried[0])
+    return Causes(declared, (), tried_out, unexplained=left, plain=find_lost_motion(record, loop, left))
 
 
 def _near(others: Iterable[Explanation], declared: float) -> tuple[Explanation, ...]:
@@ -153,6 +155,12 @@ def _unexplained(fit: Fit) -> float:
     # With samples that are wrongly taken to be far apart the loop seems to remember few of them.
     memory = MEMORY * max(fit.hypothesis.factor or 1.0, 1.0)
     return find_unexplained_share(fit.problem, fit.hypothesis.record.reference.values, memory)
+
+
+def _left_as_declared(declared: Hypothesis) -> float:
+    """Return what free linear responses to the reference leave of the torque as it is declared."""
+    problem, reference = pose(declared, declared.loops[0]), declared.record.reference
+    return 0.0 if problem is None or reference is None else find_unexplained_share(problem, reference.values)
 
 
 def explain_misfit(

@@ -148,6 +148,8 @@ def _rigid_starts(problem: ClosedLoopProblem) -> Iterator[dict[str, float]]:
 
 def start_at(hypothesis: Hypothesis, problem: ClosedLoopProblem, x: FloatArray) -> Fit:
     """Return a start, with the share of the torque that it leaves."""
+    if problem.size == 0.0:  # a torque of which the filter leaves nothing
+        return Fit(hypothesis, problem, x, math.inf)
     with np.errstate(all="ignore"):  # a loop that runs away
         left = float(np.linalg.norm(problem.residual(x))) / problem.size
     return Fit(hypothesis, problem, x, left if math.isfinite(left) else math.inf)

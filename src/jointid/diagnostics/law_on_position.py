@@ -23,6 +23,7 @@ _LATEST = 8.0  # samples, to both sides, that the torque may be later than the l
 _PARTS = 4  # of a sample: the steps in which that is looked for
 _BORDER = 20  # samples at each end that are not compared
 _BETTER = 0.8  # times: what a delay must leave of the rest to be one
+_LAGS = 8  # samples of reference and position that a free law sees
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,12 +36,15 @@ class LawOnPosition:
         late: seconds that the logged torque is later than the law, with its declared delay, makes it; 0 where no
             shift explains clearly more.
         left_in_time: share that is left with the torque so much earlier.
+        noise: share that is left by any law that sums up the last samples of reference and position, and their
+            difference: what of the torque is noise of its log.
     """
 
     left: float
     gain: float
     late: float
     left_in_time: float
+    noise: float
 
 
 def compare_law(record: Record, loop: ClosedLoop) -> LawOnPosition | None:
@@ -66,10 +70,11 @@ def compare_law(record: Record, loop: ClosedLoop) -> LawOnPosition | None:
     fits = [_fit(logged, made, shift) for shift in shifts]
     left, gain = fits[int(np.argmin(np.abs(shifts)))]
     best = int(np.argmin([one[0] for one in fits]))
+    noise = _regress(record, logged)
     late = _between(shifts, np.array([one[0] ** 2 for one in fits]), best) * torque.sample_time
     if fits[best][0] > _BETTER * left:
-        return LawOnPosition(left, gain, 0.0, left)
-    return LawOnPosition(left, fits[best][1], late, fits[best][0])
+        return LawOnPosition(left, gain, 0.0, left, noise)
+    return LawOnPosition(left, fits[best][1], late, fits[best][0], noise)
 
 
 def _torques(record: Record, experiment: LoopInput) -> FloatArray | None:
@@ -86,18 +91,33 @@ def _torques(record: Record, experiment: LoopInput) -> FloatArray | None:
     return as_logged(experiment, np.column_stack(columns))
 
 
+def _regress(record: Record, logged: FloatArray) -> float:
+    """Return what is left of a torque by free weights of the last samples of what a law sees, of any law."""
+    time = np.arange(logged.size) * record.torque.sample_time if record.torque is not None else np.arange(0.0)
+    seen = {name: np.interp(time, one.time, one.values) for name, one in record.items()}
+    r, q = seen["reference"], seen["motor_position"]
+    columns = [np.cumsum(r - q), np.ones(r.size)]
+    for signal in (r - q, np.gradient(q), *(seen[n] for n in ("reference_velocity", "injected") if n in seen)):
+        columns += [np.concatenate([np.full(lag, signal[0]), signal[: signal.size - lag]]) for lag in range(_LAGS)]
+    return _left(logged, np.column_stack(columns))[0]
+
+
 def _fit(logged: FloatArray, made: FloatArray, shift: float) -> tuple[float, float]:
     """Return what is left of a torque if what the law makes acts so many samples later, and by which gain it does."""
     at = np.arange(logged.size)
     inside = slice(_BORDER, logged.size - _BORDER)
     later = np.column_stack([np.interp(at - shift, at, one) for one in made.T])[inside]
-    columns = np.column_stack([later, np.ones(len(later))])
+    rest, weights = _left(logged[inside], np.column_stack([later, np.ones(len(later))]))
+    return rest, float(weights[0])
+
+
+def _left(seen: FloatArray, columns: FloatArray) -> tuple[float, FloatArray]:
+    """Return the share of a signal, about its mean, that columns leave, and their weights."""
     size = np.linalg.norm(columns, axis=0)
-    columns = columns / np.where(size > 0, size, 1.0)
-    seen = logged[inside]
-    found = np.linalg.lstsq(columns, seen, rcond=None)[0]
-    rest, whole = float(np.linalg.norm(seen - columns @ found)), float(np.linalg.norm(seen - seen.mean()))
-    return rest / whole if whole else math.inf, float(found[0] / size[0]) if size[0] else math.nan
+    size[size == 0.0] = 1.0
+    weights = np.linalg.lstsq(columns / size, seen, rcond=None)[0]
+    rest, whole = float(np.linalg.norm(seen - (columns / size) @ weights)), float(np.linalg.norm(seen - seen.mean()))
+    return rest / whole if whole else math.inf, weights / size
 
 
 def _between(at: FloatArray, values: FloatArray, best: int) -> float:

@@ -2,8 +2,8 @@
 
 A linear loop answers its reference linearly, and Coulomb friction is one more input of it, the sign of the velocity.
 So the torque is fitted by free responses, as long as a loop remembers, to the reference's acceleration, its velocity
-and its direction. No controller and no joint are assumed, and what is left is about what the right ones would leave: a
-cause that leaves clearly more is not all that is wrong.
+and its direction, and to what is known to be injected. No controller and no joint are assumed, and what is left is
+about what the right ones would leave: a cause that leaves clearly more is not all that is wrong.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.models.controllers import INJECTED
+from jointid.simulation.loop_input import as_logged
 
 MEMORY = 0.3
 """Seconds that a loop remembers."""
@@ -24,7 +26,7 @@ _RIDGE = 1e-10  # of a column's square: responses between samples of a filtered 
 
 
 def find_unexplained_share(problem: ClosedLoopProblem, reference: FloatArray, memory: float = MEMORY) -> float:
-    """Return what free linear responses to a reference leave of the torque, a share of it.
+    """Return what free linear responses to a reference, and to what is injected, leave of the torque, a share of it.
 
     Args:
         problem: whose torque and filter are used.
@@ -34,15 +36,18 @@ def find_unexplained_share(problem: ClosedLoopProblem, reference: FloatArray, me
     torque = problem.filtered(problem.measured)
     velocity = np.gradient(reference)
     moving = np.abs(velocity) > _STANDS * np.max(np.abs(velocity))
-    inputs = np.column_stack([np.gradient(velocity), velocity, np.sign(np.where(moving, velocity, 0.0))])
-    seen = problem.filtered(inputs)
+    inputs = [np.gradient(velocity), velocity, np.sign(np.where(moving, velocity, 0.0))]
+    if problem.experiment.injected:
+        experiment = problem.experiment
+        inputs.append(as_logged(experiment, experiment.inputs[:, INJECTED] + experiment.after_limit))
+    count, seen = len(inputs), problem.filtered(np.column_stack(inputs))
     lags = min(math.ceil(memory / (problem.sample_time * reference.size / torque.size)), torque.size)
-    rows, width = torque.size, 3 * lags + 1
+    rows, width = torque.size, count * lags + 1
     if rows < 2 * width:
         return 0.0
     products = np.empty((width, width))
     projected = np.empty(width)
-    blocks = [slice(k * lags, (k + 1) * lags) for k in range(3)]
+    blocks = [slice(k * lags, (k + 1) * lags) for k in range(count)]
     for one, here in zip(seen.T, blocks, strict=True):
         for other, there in zip(seen.T, blocks, strict=True):
             products[here, there] = _multiply_later(one, other, lags)

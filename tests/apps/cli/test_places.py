@@ -6,8 +6,8 @@ import errno
 import os
 import stat
 import sys
-import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -54,6 +54,7 @@ COMMANDS = (
     "diagnose sensors joint.toml --json record.csv",
     "diagnose springs joint.toml --json record.csv",
     "diagnose friction joint.toml --json record.csv",
+    "doctor joint.toml --json record.csv",
 )
 
 
@@ -216,6 +217,7 @@ OUTPUTS: dict[str, tuple[str, dict[str, str]]] = {
     "diagnose sensors": ("joint.toml", {"--json": "x.json"}),
     "diagnose springs": ("joint.toml", {"--json": "x.json"}),
     "diagnose friction": ("joint.toml", {"--json": "x.json"}),
+    "doctor": ("joint.toml", {"--json": "x.json"}),
     "export": ("joint.toml --estimate estimate.json", {"--out": "x.urdf"}),
     "identify": ("joint.toml", {"--json": "x.json", "--figure": "x.png"}),
     "report": ("joint.toml", {"--html": "x.html", "--json": "x.json", "--markdown": "x", "--figures": "."}),
@@ -245,10 +247,14 @@ def test_an_output_that_cannot_be_written_is_refused_before_anything_runs(
     """A full disk takes folders and no byte, a folder that is closed or read-only takes nothing."""
     there, (given, outputs) = contents(place), OUTPUTS[command]
 
-    def refuse(*_: object, **__: object) -> None:
-        raise OSError(reason, os.strerror(reason))
+    make = Path.mkdir
 
-    monkeypatch.setattr(*((Path, "write_bytes") if reason == errno.ENOSPC else (tempfile, "mkdtemp")), refuse)
+    def refuse(path: Path, *given: Any, **named: Any) -> None:
+        if reason == errno.ENOSPC or path.name.startswith(".jointid-"):
+            raise OSError(reason, os.strerror(reason))
+        make(path, *given, **named)
+
+    monkeypatch.setattr(Path, "write_bytes" if reason == errno.ENOSPC else "mkdir", refuse)
     for option, path in outputs.items():
         assert run(*f"{command} {given} {option if option.startswith('-') else ''} {path}".split()) == 2
         printed = capsys.readouterr()

@@ -39,7 +39,8 @@ app = App(
     help="Identify a servo-driven joint from motor torque and the commanded reference alone.",
     help_epilogue="Exit code: 0 it worked, 2 a mistake in the command, the joint file or the record (one sentence "
     "each) or a result that cannot be written, 1 a fault of jointid's, 3 doctor finds something wrong with a record, "
-    "130 interrupted, 143 ended by SIGTERM. --debug, with any command, also prints the traceback and the libraries' warnings; the exit code stays.",
+    "130 interrupted, 143 ended by SIGTERM. --debug, with any command, also prints the traceback and the libraries' "
+    "warnings; the exit code stays.",
     version=__version__,
     help_format="plaintext",
     suppress_keyboard_interrupt=False,

@@ -1,0 +1,208 @@
+"""A record is looked over: ten spoiled ones, each named for what it is; clean ones, of which nothing is said."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jointid.apps.cli import main
+from jointid.diagnostics.examine_record import Examination, Question, examine
+from jointid.diagnostics.law_on_position import compare_law
+from jointid.models.joints import ClosedLoop
+from jointid.output.json.documents import to_dict
+from jointid.paper.twin import twin
+from jointid.records.record import Record
+from jointid.records.writing import write
+from tests.mistakes import MISTAKES, Told, axis, run, varied, without_mistake
+
+AXES = ("rigid", "flexible")
+
+
+def _mistake(name: str) -> Callable[[str], Told]:
+    (one,) = [mistake for mistake in MISTAKES if mistake.name == name]
+    return lambda on: one.make(axis(on), 1)  # type: ignore[arg-type]
+
+
+def _saturated(on: str) -> Told:
+    """The drive's limit is at 0.7 of the torque it would take, and the log shows that."""
+    made = axis(on)  # type: ignore[arg-type]
+    free, _ = without_mistake(made)
+    assert free.torque is not None
+    size = float(np.quantile(np.abs(free.torque.values), 0.9))
+    law = replace(made.controller, limit=0.8 * size * made.controller.limit / made.controller.law(made.rate).limit)
+    return run(made, law), ClosedLoop(made.joint, law)
+
+
+def _wrong_gain(on: str) -> Told:
+    record, loop = without_mistake(axis(on))  # type: ignore[arg-type]
+    assert record.torque is not None
+    return record.with_channels({"torque": replace(record.torque, values=1.5 * record.torque.values)}), loop
+
+
+def _motionless(on: str) -> Told:
+    made = axis(on)  # type: ignore[arg-type]
+    still = replace(made, reference=1e-7 * made.reference)
+    return without_mistake(still)
+
+
+def _noise(on: str) -> Told:
+    record, loop = without_mistake(axis(on))  # type: ignore[arg-type]
+    assert record.torque is not None
+    noise = np.random.default_rng(1).standard_normal(record.torque.values.size)
+    return record.with_channels({"torque": replace(record.torque, values=float(noise.std()) * 30 * noise)}), loop
+
+
+# What makes each, and the codes that name it: with the motor's position first, then without.
+SPOILED: dict[str, tuple[Callable[[str], Told], set[str], set[str]]] = {
+    "saturation": (_saturated, {"at_limit", "unreadable"}, {"at_limit", "unreadable"}),
+    "wrong sign": (_mistake("torque turned round"), {"law_scaled"}, {"torque_sign", "reference_sign"}),
+    "wrong unit": (
+        _mistake("reference in mm"),
+        {"law_differs", "reference_scale", "torque_scale", "law_gain", "unreadable"},
+        {"reference_scale", "torque_scale", "law_gain", "unreadable"},
+    ),
+    "wrong gain": (_wrong_gain, {"law_scaled"}, {"torque_scale", "law_gain", "torque_constant"}),
+    "swapped channels": (
+        _mistake("torque and reference swapped"),
+        {"swapped_channels"},
+        {"swapped_channels"},
+    ),
+    "half the rate": (_mistake("sample time twice as long"), {"sample_time"}, {"sample_time"}),
+    "no motion": (_motionless, {"motion_poor", "hardly_moves"}, {"motion_poor", "hardly_moves"}),
+    "pure noise": (_noise, {"no_cause_found", "hardly_moves"}, {"no_cause_found", "hardly_moves"}),
+    "delay": (_mistake("delay forgotten"), {"delay"}, {"delay"}),
+}
+
+
+def told(record: Record, loop: ClosedLoop) -> Examination:
+    found = examine(record, loop)
+    assert not found.healthy
+    assert found.sentence.endswith(".")
+    assert len(str(found).splitlines()) < 60
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("on", AXES)
+@pytest.mark.parametrize("spoiled", SPOILED)
+def test_a_spoiled_record_is_named_for_what_it_is(spoiled: str, on: str) -> None:
+    make, with_position, without = SPOILED[spoiled]
+    record, loop = make(on)
+    found = told(record, loop)
+    assert {one.fault for one in found.faults} & with_position, str(found)
+    found = told(record.without("motor_position", "load_position"), loop)
+    assert {one.fault for one in found.faults} & without, str(found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("loop", ["L19", "L30"])
+@pytest.mark.parametrize("noise", ["white", "disturbance"])
+def test_nothing_is_wrong_with_a_clean_twin(loop: str, noise: str, seed: int) -> None:
+    made = twin(loop, noise=noise, seed=100 + seed)  # type: ignore[arg-type]
+    found = examine(made.record, made.loop)
+    assert found.healthy, str(found)
+    assert len(str(found).splitlines()) <= 48
+    known = {one.name: one for one in found.parameters}
+    assert known["stiffness"].remark == "well"
+    assert known["stiffness"].percent == pytest.approx(0.9, abs=0.6)
+    assert any(one.startswith("load encoder") for one in found.changes)
+
+
+def test_the_law_is_seen_in_the_motor_s_position_alone() -> None:
+    made = axis("rigid")
+    record, loop = without_mistake(varied(made, 3))
+    found = compare_law(record, loop)
+    assert found is not None
+    assert found.left < 0.05
+    assert found.late == 0.0
+    assert found.gain == pytest.approx(1.0, abs=0.01)
+    assert compare_law(record.without("motor_position"), loop) is None
+    assert record.torque is not None
+    late = replace(record.torque, values=np.roll(record.torque.values, 3))
+    shifted = compare_law(record.with_channels({"torque": late}), loop)
+    assert shifted is not None
+    assert shifted.late == pytest.approx(3 * record.torque.sample_time, abs=0.05 * record.torque.sample_time)
+    half = replace(record.torque, values=0.5 * record.torque.values)
+    scaled = compare_law(record.with_channels({"torque": half}), loop)
+    assert scaled is not None
+    assert scaled.gain == pytest.approx(0.5 * found.gain, rel=1e-6)
+
+
+def test_a_law_with_an_integral_may_begin_anywhere() -> None:
+    """The integral's value at the first sample is not logged; a wrong one would leave a ramp of the torque."""
+    made = axis("lift")
+    record, loop = without_mistake(made)
+    cut = Record(**{
+        name: replace(channel, values=channel.values[2000:])
+        for name, channel in record.items()
+        if name in ("torque", "reference", "motor_position")
+    }, name="cut")  # fmt: skip
+    found = compare_law(cut, loop)
+    assert found is not None
+    assert found.left < 0.05
+
+
+def test_the_answer_holds_what_a_program_needs(tmp_path: Path) -> None:
+    made = axis("rigid")
+    record, loop = without_mistake(made)
+    found = examine(record, loop)
+    assert found.healthy, str(found)
+    answer = to_dict(found)
+    assert answer["schema"] == "jointid.examination/1"
+    assert [one["question"] for one in answer["questions"]][:4] == ["clock", "torque", "torque limit", "motion"]
+    assert {one["name"] for one in answer["parameters"]} == {"inertia", "viscous", "coulomb", "offset"}
+    assert all(
+        one["two_sigma_percent"] is None or math.isfinite(one["two_sigma_percent"]) for one in answer["parameters"]
+    )
+    assert Question.LAW in [one.question for one in found.looked]
+
+
+def test_the_command_says_by_its_code_whether_something_is_wrong(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = twin("L19", noise="white")
+    write(made.record, tmp_path / "good.csv")
+    (tmp_path / "joint.toml").write_text(
+        """
+        [joint]
+        kind = "prismatic"
+        model = "flexible"
+        torque_constant = "35.15065188 N/V"
+        [record]
+        file = "good.csv"
+        time = "t"
+        [record.channels]
+        torque = { column = "torque", unit = "N", timing = "held", tap = "command" }
+        reference = { column = "reference", unit = "m" }
+        motor_position = { column = "motor_position", unit = "m", optional = true }
+        injected = { column = "injected", unit = "N", at = "after_limit", in_torque = true, optional = true }
+        [controller]
+        law = "cascade"
+        position_gain = "160.18 1/s"
+        velocity_gain = "243.45 V s/m"
+        velocity_filter = [0.5, 0.5]
+        limit = "1000 V"
+        [filtering]
+        cutoff = 60.0
+        """
+    )
+    file = str(tmp_path / "joint.toml")
+    with pytest.raises(SystemExit) as ended:
+        main(["doctor", file, "-q", "--json", str(tmp_path / "answer.json")])
+    assert ended.value.code == 0
+    assert "Nothing is wrong with good." in capsys.readouterr().out
+    rows = (tmp_path / "good.csv").read_text().splitlines()
+    (tmp_path / "missing.csv").write_text("\n".join([*rows[:5000], *rows[5050:]]) + "\n")
+    with pytest.raises(SystemExit) as ended:
+        main(["doctor", file, "-q", "--record", str(tmp_path / "missing.csv")])
+    assert ended.value.code == 3
+    assert "jumps 1 time" in capsys.readouterr().out
+    with pytest.raises(SystemExit) as ended:
+        main(["doctor", file, "-q", "--record", str(tmp_path / "nowhere.csv")])
+    assert ended.value.code == 2
