@@ -47,7 +47,7 @@ from jointid.diagnostics.other_laws import (
     runs_at_the_logs_rate,
 )
 from jointid.diagnostics.plain_causes import find_too_short
-from jointid.diagnostics.unmodelled_motion import predict_residual
+from jointid.diagnostics.unmodelled_motion import PredictedResidual, predict_residual
 from jointid.estimation.methods.force_in_loop import find_force, simulate_with_force
 from jointid.estimation.methods.search import History, least_squares
 from jointid.estimation.problems.base import surrounding
@@ -149,8 +149,8 @@ def add_loop_verdict(
     An estimate that simulated no loop is returned as it is; one with a parameter that is not identifiable, with the
     verdict that the loop was not checked. Where the record does not fit, and a cause explains it (`find_causes`), that
     is the verdict: what the sensitivities then find is not it. It is told in the drive's units where `shown` has them.
-    Where loop and log are as declared, but the residual of a flexible joint follows its motion all the same, the
-    verdict on what repeats says so (`unmodelled_motion`).
+    Where the residual of a flexible joint follows its motion all the same, with the faults found corrected, the verdict
+    on what repeats says so (`unmodelled_motion`).
     """
     return add_loop_check(estimate, record, progress, shown)[0]
 
@@ -183,23 +183,13 @@ def add_loop_check(
     elif short is not None:
         verdict = Verdict(Subject.LOOP, Status.FAILED, (short,))
     verdicts = (*estimate.checks.verdicts, verdict)
-    if check is not None and verdict.status is Status.PASSED and (follows := _find_unmodelled(estimate, record)):
+    if causes is None and check is not None and check.rest is not None and check.rest.follows:
+        follows = check.rest.verdict
         before = next((one for one in verdicts if one.subject is follows.subject), None)
         kept = before.reasons if before is not None and before.status is Status.FAILED else ()
         others = tuple(one for one in verdicts if one is not before)
         verdicts = (*others[:-1], replace(follows, reasons=(*follows.reasons, *kept)), others[-1])
     return estimate.amended(checks={"verdicts": verdicts}), check
-
-
-def _find_unmodelled(estimate: Estimate, record: Record) -> Verdict | None:
-    """Return that the residual of a flexible joint follows its motion; None where it does not."""
-    if not isinstance(estimate.settings.joint, FlexibleJoint):
-        return None
-    try:
-        found = predict_residual(*rebuild_problem(estimate, record, ""))
-    except (JointidError, np.linalg.LinAlgError):  # no check ends an identification
-        return None
-    return found.verdict if found is not None and found.follows else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -302,7 +292,17 @@ def find_faults(
     symbols = {p.name: p.symbol for p in joint.parameters}
     side, tests = None if joint.transmission is None else joint.transmission.side, () if first is None else first.tests
     law, frictions = numbers_of(problem.loop.controller), _frictions_to_try(joint)
-    return LoopCheck(tuple(findings), tests, settings.level, symbols, units, side, undecided, law, frictions=frictions)
+    rest = _predict_rest(state) if isinstance(joint, FlexibleJoint) else None
+    return LoopCheck(
+        tuple(findings), tests, settings.level, symbols, units, side, undecided, law, frictions=frictions, rest=rest
+    )
+
+
+def _predict_rest(state: _State) -> PredictedResidual | None:
+    try:
+        return predict_residual(state.problem, state.x)
+    except np.linalg.LinAlgError:  # what the tests found stands
+        return None
 
 
 def _frictions_to_try(joint: Joint) -> tuple[str, ...]:

@@ -1,0 +1,286 @@
+"""Foretell the intervals of a test that has not been made, from exact sensitivities at rough parameters.
+
+The loop is simulated along the planned reference, with what is to be injected, and the derivatives J of the torque by
+every parameter go through the filter that the identification will use. With S the covariance of ``J' e``, e the
+filtered error of the torque that the noise makes, least squares will scatter by::
+
+    cov = (J' J)^-1  S  (J' J)^-1
+
+S comes from what is known of the noise (`Noise`):
+
+- white noise on the log of the torque, or a white force on the motor inside the loop: runs of the loop with it. A force
+  does not show while friction holds the axis, and is coloured by the loop where it slides, so that no spectrum is
+  assumed: S is the mean of ``(J' e)(J' e)'`` over the runs.
+- what an identification of a first record left: its residual keeps its spectrum, and every interval is wider, or
+  narrower, by as much as that record's was reported wider than the spectrum alone makes it. In that way what repeats
+  with the motion, and is no noise, is in it as well.
+
+The identification is the least squares of `DIDIM`, and what it frees beside the joint is free here: the motor's
+position at the first sample, and with an integral its torque there. A parameter at a bound, a loop at its limit most of
+the time, or a value that a search does not reach are not foretold.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.parameters import POSITION_UNIT, Parameter
+from jointid.diagnostics.experiment_design import rebuild_declared_problem
+from jointid.diagnostics.other_experiments import add_information, compute_encoder_information
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
+from jointid.estimation.result.estimate import Estimate
+from jointid.models.joints import ClosedLoop
+from jointid.records.record import Channel, Injection, Record, Tap, Timing
+from jointid.records.signals.filtering import Filtering
+from jointid.simulation.closed_loop import Outcome, Simulation, in_threads, require_finished, simulate
+from jointid.simulation.loop_input import as_logged, prepare
+from jointid.uncertainty.covariance import Covariance, covariance_of, stationary
+
+RUNS = 200
+"""Runs of the loop with noise, from which its effect is known to 5 %."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Noise:
+    """What will disturb a test; all that is given acts together.
+
+    Attributes:
+        log: standard deviation of white noise on each logged torque, in its unit.
+        force: the same of a white force on the motor, held over each period of the controller.
+        left: (rows,) filtered residual that the identification of a first record left.
+        wider: of each parameter, by how much its interval was reported wider than that residual's spectrum makes it.
+    """
+
+    log: float = 0.0
+    force: float = 0.0
+    left: FloatArray | None = None
+    wider: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not (self.log >= 0 and self.force >= 0 and math.isfinite(self.log + self.force)):
+            raise MethodError(
+                f"Noise has a standard deviation of 0 or more; received {self.log:g} on the log and {self.force:g} in "
+                "the loop."
+            )
+        if self.log == self.force == 0.0 and self.left is None:
+            raise MethodError(
+                "Without noise every interval is 0; give the noise of the log, a force, or a first record."
+            )
+
+    @classmethod
+    def of(cls, estimate: Estimate, record: Record) -> Noise:
+        """Return what the identification of a first record left, by DIDIM and with every parameter identified.
+
+        Raises:
+            MethodError: the estimate is not of a simulated loop as declared, or not of this record, or refuses a value.
+        """
+        problem, x = rebuild_declared_problem(estimate, record)
+        if any(p.value is None or p.stderr is None for p in estimate.params if p.free):
+            raise MethodError(
+                "The noise of a first record is taken from an estimate that gives every parameter; this one refuses "
+                "some: state the noise instead."
+            )
+        error, slopes = problem.linearised(x)
+        alone = stationary(-slopes, -slopes, error).std
+        reported = {p.name: p.stderr for p in estimate.params}
+        wider = {
+            p.name: (reported.get(p.name) or std) / std for p, std in zip(problem.free, map(float, alone), strict=True)
+        }
+        return cls(left=error, wider=wider)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Foretold:
+    """The intervals that a test will give.
+
+    Attributes:
+        name: of the test.
+        joint: names of the joint's free parameters, in their order.
+        symbols, units, values: of these, by name.
+        covariance: of their errors.
+        motion: of the loop along the test, without noise.
+        reference, injected: (samples,) what it is driven with.
+        sample_time: of the torque, s.
+    """
+
+    name: str
+    joint: tuple[str, ...]
+    symbols: Mapping[str, str]
+    units: Mapping[str, str]
+    values: Mapping[str, float]
+    covariance: Covariance
+    motion: Simulation
+    reference: FloatArray
+    injected: FloatArray | None
+    sample_time: float
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviations by name."""
+        return dict(zip(self.joint, map(float, self.covariance.std), strict=True))
+
+    def std_of(self, weights: Mapping[str, float]) -> float:
+        """Return the standard deviation of a weighted sum of parameters."""
+        return self.covariance.std_of(np.array([weights.get(name, 0.0) for name in self.joint]))
+
+
+def planned_record(
+    loop: ClosedLoop,
+    reference: FloatArray,
+    sample_time: float,
+    injected: FloatArray | None = None,
+    *,
+    tap: Tap | str = Tap.COMMAND,
+    name: str = "test",
+) -> Record:
+    """Return a test as a record without a torque yet: what the drive is to play.
+
+    Args:
+        loop: whose joint says the units.
+        reference: (samples,) commanded position, m or rad.
+        sample_time: of reference and log, s.
+        injected: (samples,) a signal added after the controller's limit, in the torque's unit.
+        tap: where the torque will be logged.
+        name: of the test.
+    """
+    unit = loop.joint.force_unit
+    added = None if injected is None else Injection(Channel(injected, unit, sample_time, Timing.HELD))
+    at = Channel(reference, POSITION_UNIT[loop.joint.kind], sample_time)
+    return Record(reference=at, injected=added, tap=Tap(tap), name=name)
+
+
+def foretell(
+    loop: ClosedLoop,
+    values: Mapping[str, float],
+    test: Record,
+    noise: Noise,
+    *,
+    filtering: Filtering | None = None,
+    parameters: Mapping[str, Parameter] | None = None,
+    load_encoder: float | None = None,
+    runs: int = RUNS,
+    seed: int = 0,
+) -> Foretold:
+    """Return the intervals that a test will give.
+
+    Args:
+        loop: joint and controller.
+        values: every parameter of the joint by name, roughly known.
+        test: what the drive is to play, see `planned_record`; a past record does as well, its torque is not read.
+        noise: what will disturb it.
+        filtering: of the identification; see `Filtering`.
+        parameters: changes to the joint's parameters by name, as for `identify`: those that are fixed.
+        load_encoder: steps of an encoder on the load, m or rad, read beside the torque.
+        runs: of the loop with noise.
+        seed: of them.
+
+    Raises:
+        MethodError: the loop cannot be simulated along the test.
+        RecordError: the test lacks what the controller reads.
+    """
+    problem, x = _pose(loop, values, test, filtering or Filtering(), parameters or {})
+    run = require_finished(problem.simulate(x))
+    response, columns = problem.sensitivities(x)
+    if response.outcome is not Outcome.FINISHED:
+        raise MethodError(f"The loop cannot be simulated along this test ({response.outcome.value}).")
+    J = problem.filtered(columns)
+    matrix = _scatter(problem, x, J, noise, runs, seed)
+    if load_encoder is not None:
+        disturbed = _with_error(problem, x, noise, seed)
+        source = "log" if noise.log > noise.force else "loop"
+        _, load = compute_encoder_information(disturbed, x, source, load_encoder, load_encoder)
+        matrix = matrix if load is None else add_information(matrix, load)
+    own = len(problem.free_joint)
+    names = tuple(p.name for p in problem.free_joint)
+    assert test.reference is not None
+    return Foretold(
+        test.name,
+        names,
+        {p.name: p.symbol for p in problem.free_joint},
+        {name: problem.units[name] for name in names},
+        {name: values[name] for name in names},
+        covariance_of(matrix[:own, :own], 0),
+        run,
+        test.reference.values,
+        None if test.injected is None else test.injected.channel.values,
+        problem.sample_time,
+    )
+
+
+def _pose(
+    loop: ClosedLoop,
+    values: Mapping[str, float],
+    test: Record,
+    filtering: Filtering,
+    parameters: Mapping[str, Parameter],
+) -> tuple[ClosedLoopProblem, FloatArray]:
+    """Return the problem that the identification of a test will solve, and the values where it is."""
+    reference = test.reference
+    if reference is None:
+        raise MethodError("A test needs a reference; give the position that the axis is to follow.")
+    torque = test.torque
+    if torque is None:
+        zeros = np.zeros(math.floor(test.duration / reference.sample_time + 1e-9))
+        torque = Channel(zeros, loop.joint.force_unit, reference.sample_time, Timing.HELD)
+    played = replace(test, torque=replace(torque, values=np.zeros(len(torque))))
+    clean = require_finished(simulate(loop, prepare(loop, played), values)).torque
+    driven = replace(played, torque=replace(torque, values=clean))
+    own = tuple(parameters.get(p.name, p) for p in loop.joint.parameters)
+    problem = torque_problem(driven, loop, filtering, own).keeping({"initial_velocity": 0.0})
+    known = dict(values) | {"initial_position": float(reference.values[0])}
+    if any(p.name == "initial_torque" for p in problem.free):
+        known["initial_torque"] = float(clean[0])
+    return problem, problem.vector(known)
+
+
+def _scatter(
+    problem: ClosedLoopProblem, x: FloatArray, J: FloatArray, noise: Noise, runs: int, seed: int
+) -> FloatArray:
+    """Return the covariance of all free parameters, (free, free)."""
+    matrix = np.zeros((x.size, x.size))
+    if noise.left is not None:
+        found = stationary(J, J, np.resize(noise.left, len(J)))
+        wider = np.array([noise.wider.get(p.name, 1.0) for p in problem.free])
+        matrix += found.matrix * np.outer(wider, wider)
+    if noise.log == noise.force == 0.0:
+        return matrix
+    norms = np.linalg.norm(J, axis=0)
+    norms[norms == 0.0] = 1.0
+    inverse = np.linalg.pinv((J / norms).T @ (J / norms))
+    weights = (J / norms) @ inverse.T / norms  # (rows, free): what an error of the torque does to each parameter
+    moved = np.array([problem.filtered(one) @ weights for one in _errors(problem, x, noise, runs, seed)])
+    return matrix + moved.T @ moved / len(moved)
+
+
+def _errors(problem: ClosedLoopProblem, x: FloatArray, noise: Noise, runs: int, seed: int) -> list[FloatArray]:
+    """Return what noise adds to the logged torque in each of some runs, raw, (samples,) each."""
+    experiment, quiet = problem.experiment, problem.torque(x)
+
+    def error(number: int) -> FloatArray:
+        rng = np.random.default_rng([seed, number])
+        added = noise.log * rng.standard_normal(quiet.size)
+        if noise.force > 0:
+            force = noise.force * rng.standard_normal(experiment.after_limit.size)
+            forced = replace(experiment, after_limit=experiment.after_limit + force)
+            run = replace(problem, experiment=forced).torque(x)
+            # The log shows what the loop does about the force, and not the force itself.
+            added = added + run - quiet - as_logged(experiment, forced.shown - experiment.shown)
+        return added
+
+    return in_threads(error, range(runs))
+
+
+def _with_error(problem: ClosedLoopProblem, x: FloatArray, noise: Noise, seed: int) -> ClosedLoopProblem:
+    """Return the problem of a torque with noise, as an encoder's information asks for its size."""
+    if noise.left is None:
+        added = _errors(problem, x, noise, 1, seed)[0]
+    else:
+        size = float(np.sqrt(np.mean(noise.left**2)))
+        added = size * np.random.default_rng(seed).standard_normal(problem.measured.size)
+    return replace(problem, measured=problem.measured + added)
