@@ -175,7 +175,7 @@ def require_quantities(quantities: Sequence[str], loop: ClosedLoop) -> None:
     for quantity in quantities:
         if quantity == "compliance" and "stiffness" in known:
             continue
-        for name in _parse_weights(quantity):
+        for name in weights_of(quantity):
             if name not in known:
                 try:
                     surrounding(name, loop.controller)
@@ -185,7 +185,7 @@ def require_quantities(quantities: Sequence[str], loop: ClosedLoop) -> None:
 
 def _parse_combination(problem: ClosedLoopProblem, quantity: str) -> Combination:
     """Return the combination of parameters in a text such as ``a + b - c``."""
-    weights = _parse_weights(quantity)
+    weights = weights_of(quantity)
     free = {p.name: p for p in problem.free}
     if not weights.keys() <= free.keys():
         raise MethodError(_explain_unknown(quantity, free))
@@ -197,7 +197,7 @@ def _parse_combination(problem: ClosedLoopProblem, quantity: str) -> Combination
     return Combination(quantity, formula, units.pop(), weights)
 
 
-def _parse_weights(quantity: str) -> dict[str, float]:
+def weights_of(quantity: str) -> dict[str, float]:
     """Return the sign of each parameter in a text such as ``a + b - c``, by name."""
     terms = quantity.replace("-", "+-").split("+")
     found = {term.strip().removeprefix("-").strip(): -1.0 if "-" in term else 1.0 for term in terms if term.strip()}

@@ -36,12 +36,14 @@ from jointid.diagnostics.other_experiments import add_information, compute_encod
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import ClosedLoop
+from jointid.planning.limits import reached
 from jointid.records.record import Channel, Injection, Record, Tap, Timing
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Outcome, Simulation, in_threads, require_finished, simulate
 from jointid.simulation.loop_input import as_logged, prepare
 from jointid.uncertainty.covariance import Covariance, covariance_of, stationary
 
+_PEAKS = 4.0  # deviations of the noise on top of what a test asks for: of 24,000 samples one or two are beyond
 RUNS = 200
 """Runs of the loop with noise, from which its effect is known to 5 %."""
 
@@ -193,8 +195,9 @@ def foretell(
     matrix = _scatter(problem, x, J, noise, runs, seed)
     if load_encoder is not None:
         disturbed = _with_error(problem, x, noise, seed)
-        source = "log" if noise.log > noise.force else "loop"
-        _, load = compute_encoder_information(disturbed, x, source, load_encoder, load_encoder)
+        _, load = compute_encoder_information(
+            disturbed, x, "log" if noise.log > noise.force else "loop", load_encoder, load_encoder
+        )
         matrix = matrix if load is None else add_information(matrix, load)
     own = len(problem.free_joint)
     names = tuple(p.name for p in problem.free_joint)
@@ -211,6 +214,57 @@ def foretell(
         None if test.injected is None else test.injected.channel.values,
         problem.sample_time,
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RoughlyForetold:
+    """What a test tells, from one run with noise, and what it reaches.
+
+    Attributes:
+        names: of the joint's free parameters.
+        covariance: of their errors, (parameters, parameters).
+        reached: what the test reaches of each quantity that may be limited, see `limits.reached`.
+    """
+
+    names: tuple[str, ...]
+    covariance: FloatArray
+    reached: Mapping[str, float]
+
+
+def foretell_roughly(
+    loop: ClosedLoop,
+    values: Mapping[str, float],
+    test: Record,
+    noise: Noise,
+    *,
+    filtering: Filtering,
+    parameters: Mapping[str, Parameter],
+    seed: int = 0,
+) -> RoughlyForetold:
+    """Return what `foretell` does, from the spectrum of one run with noise, for a search that tries many tests.
+
+    Args and errors are those of `foretell`.
+    """
+    problem, x = _pose(loop, values, test, filtering, parameters)
+    response, columns = problem.sensitivities(x)
+    if response.outcome is not Outcome.FINISHED:
+        raise MethodError("The loop cannot be simulated along this test.")
+    J, own = problem.filtered(columns), len(problem.free_joint)
+    matrix = np.zeros((x.size, x.size))
+    if noise.left is not None:
+        wider = np.array([noise.wider.get(p.name, 1.0) for p in problem.free])
+        matrix += stationary(J, J, np.resize(noise.left, len(J))).matrix * np.outer(wider, wider)
+    size = 0.0 if noise.left is None else float(np.mean(noise.left**2))
+    if noise.log or noise.force:
+        (error,) = _errors(problem, x, noise, 1, seed)
+        matrix += stationary(J, J, problem.filtered(error)).matrix
+        size += float(np.mean(error**2))
+    run = problem.simulate(x)
+    torque = run.torque + _PEAKS * math.sqrt(size) * np.sign(run.torque)
+    assert test.reference is not None
+    found = reached(run, test.reference.values, torque, problem.sample_time)
+    found["rms_torque"] = math.sqrt(float(np.mean(run.torque**2)) + size)
+    return RoughlyForetold(tuple(p.name for p in problem.free_joint), matrix[:own, :own], found)
 
 
 def _pose(
@@ -255,7 +309,7 @@ def _scatter(
     inverse = np.linalg.pinv((J / norms).T @ (J / norms))
     weights = (J / norms) @ inverse.T / norms  # (rows, free): what an error of the torque does to each parameter
     moved = np.array([problem.filtered(one) @ weights for one in _errors(problem, x, noise, runs, seed)])
-    return matrix + moved.T @ moved / len(moved)
+    return np.asarray(matrix + moved.T @ moved / len(moved))
 
 
 def _errors(problem: ClosedLoopProblem, x: FloatArray, noise: Noise, runs: int, seed: int) -> list[FloatArray]:

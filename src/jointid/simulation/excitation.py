@@ -99,3 +99,135 @@ def pulses(samples: int, sample_time: float, height: float, width: float, every:
         sign = -sign
         start += every * random.uniform(0.5, 1.5)
     return signal
+
+
+def chirp(
+    samples: int, sample_time: float, amplitude: float, lowest: float, highest: float, *, rest: float = 0.0
+) -> FloatArray:
+    """Return a sine whose frequency rises in even steps of its logarithm, and that begins and ends at 0.
+
+    Args:
+        samples: how many.
+        sample_time: seconds.
+        amplitude: of the sine.
+        lowest: frequency at the beginning, Hz.
+        highest: at the end, Hz.
+        rest: seconds without it at the beginning and at the end.
+
+    Returns:
+        Shape (samples,).
+
+    Raises:
+        MethodError: the frequencies are not positive and rising, or the highest is no signal of that sample time.
+    """
+    _require_band(lowest, highest, sample_time)
+    signal, quiet = np.zeros(samples), round(rest / sample_time)
+    count = samples - 2 * quiet
+    if count < 2:
+        return signal
+    time, length = np.arange(count) * sample_time, count * sample_time
+    grows = math.log(highest / lowest) or 1e-12
+    turns = lowest * length / grows * np.expm1(grows * time / length)
+    # It fades in and out over a period each, so that no step rings the joint.
+    into, out = (
+        np.clip(at * sample_time * f, 0.0, 1.0)
+        for at, f in ((np.arange(count), lowest), (np.arange(count)[::-1], highest))
+    )
+    signal[quiet : quiet + count] = amplitude * into * out * np.sin(2 * math.pi * turns)
+    return signal
+
+
+def multisine(
+    samples: int,
+    sample_time: float,
+    amplitude: float,
+    lowest: float,
+    highest: float,
+    *,
+    lines: int = 20,
+    tilt: float = 0.0,
+    period: float | None = None,
+) -> FloatArray:
+    """Return a sum of sines at harmonics of one period, with the phases of M. R. Schroeder that keep its peaks low.
+
+    Args:
+        samples: how many.
+        sample_time: seconds.
+        amplitude: the largest value.
+        lowest: of the frequencies, Hz.
+        highest: of them, Hz.
+        lines: how many frequencies at most, evenly apart on a logarithmic scale.
+        tilt: exponent of the frequency by which the amplitudes of the sines fall: 0 all alike, 2 those of a position
+            whose accelerations are alike.
+        period: seconds after which it repeats; the whole length when None.
+
+    Returns:
+        Shape (samples,), beginning at 0.
+
+    Raises:
+        MethodError: see `chirp`.
+    """
+    _require_band(lowest, highest, sample_time)
+    length = period or samples * sample_time
+    wanted = np.geomspace(max(lowest, 1 / length), highest, max(lines, 1))
+    harmonics = np.unique(np.maximum(np.round(wanted * length), 1.0))
+    frequencies = harmonics / length
+    sizes = frequencies**-tilt
+    shares = sizes**2 / np.sum(sizes**2)
+    phases = -2 * math.pi * np.cumsum(np.cumsum(shares) - shares) if harmonics.size > 1 else np.zeros(1)
+    time = np.arange(samples) * sample_time
+    signal = np.sin(2 * math.pi * np.outer(time, frequencies) + phases) @ sizes
+    ramp = np.clip(time / min(1 / lowest, 0.1 * length), 0.0, 1.0)
+    signal = (signal - signal[0]) * ramp * ramp * (3 - 2 * ramp)
+    largest = float(np.max(np.abs(signal)))
+    return np.asarray(amplitude * signal / largest) if largest > 0 else signal
+
+
+def fourier_series(
+    samples: int, sample_time: float, period: float, cosines: Sequence[float], sines: Sequence[float]
+) -> FloatArray:
+    """Return ``sum_k a_k (cos(k w t) - 1) + b_k sin(k w t)``, w = 2 pi / period: the usual excitation of robots.
+
+    Args:
+        samples: how many.
+        sample_time: seconds.
+        period: of the first harmonic, seconds.
+        cosines: a_1, a_2, ...
+        sines: b_1, b_2, ..., as many.
+
+    Returns:
+        Shape (samples,), beginning at 0.
+    """
+    if len(cosines) != len(sines) or not period > 0:
+        raise MethodError(
+            f"A Fourier series has as many cosines as sines and a positive period; received {len(cosines)}, "
+            f"{len(sines)} and {period}."
+        )
+    angle = np.outer(np.arange(samples) * sample_time, 2 * math.pi / period * np.arange(1, len(sines) + 1))
+    return np.asarray((np.cos(angle) - 1.0) @ np.asarray(cosines) + np.sin(angle) @ np.asarray(sines))
+
+
+def smoothed(reference: FloatArray, sample_time: float, seconds: float) -> FloatArray:
+    """Return a reference averaged over so many seconds: steps of the acceleration become ramps of that length.
+
+    A drive calls it jerk limit, or S-curve: the jerk is at most the change of the acceleration over those seconds.
+
+    Args:
+        reference: (samples,).
+        sample_time: seconds.
+        seconds: of the average; nothing is changed by less than a sample.
+    """
+    width = round(seconds / sample_time)
+    if width < 2:
+        return reference
+    padded = np.concatenate([np.full(width - 1, reference[0]), reference])
+    summed = np.cumsum(np.concatenate([[0.0], padded]))
+    return np.asarray((summed[width:] - summed[:-width]) / width)
+
+
+def _require_band(lowest: float, highest: float, sample_time: float) -> None:
+    if not (0 < lowest <= highest < 0.5 / sample_time):
+        raise MethodError(
+            f"Frequencies rise from above 0 to below half of the sampling frequency, {0.5 / sample_time:g} Hz; "
+            f"received {lowest:g} to {highest:g} Hz."
+        )

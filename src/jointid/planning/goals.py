@@ -1,0 +1,70 @@
+"""What a test is to tell: one parameter, a combination, the worst known direction, or all of them together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.diagnostics.intervals import weights_of
+
+WEAKEST, ALL = "weakest", "all"
+"""Goals beside those that name a quantity: the direction known worst, and the volume of the intervals (D-optimal)."""
+
+_TINY = 1e-30
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """What a test is to tell.
+
+    Attributes:
+        name: as it was asked for.
+        weights: of the parameters, by name, where it is one or a combination of them; else none.
+    """
+
+    name: str
+    weights: Mapping[str, float]
+
+    def score(self, covariance: FloatArray, names: Sequence[str], values: Mapping[str, float]) -> float:
+        """Return a logarithm that is the smaller, the better a test tells the goal; its differences are relative.
+
+        Args:
+            covariance: (parameters, parameters).
+            names: of the parameters, in their order.
+            values: of them, by which deviations are measured where the goal is all of them.
+        """
+        if self.weights:
+            w = np.array([self.weights.get(name, 0.0) for name in names])
+            return 0.5 * math.log(max(float(w @ covariance @ w), _TINY))
+        size = np.array([abs(values[name]) or 1.0 for name in names])
+        kept = [i for i, name in enumerate(names) if name != "offset"]
+        relative = (covariance / np.outer(size, size))[np.ix_(kept, kept)]
+        found = np.maximum(np.linalg.eigvalsh(relative), _TINY)
+        return 0.5 * math.log(float(found[-1])) if self.name == WEAKEST else 0.5 * float(np.mean(np.log(found)))
+
+
+def goal_named(name: str, names: Sequence[str]) -> Goal:
+    """Return the goal that is asked for.
+
+    Args:
+        name: of a parameter, a sum or a difference such as "motor_viscous - load_viscous", "weakest" or "all".
+        names: of the joint's free parameters.
+
+    Raises:
+        MethodError: there is no such parameter.
+    """
+    if name in (WEAKEST, ALL):
+        return Goal(name, {})
+    weights = weights_of(name)
+    unknown = [one for one in weights if one not in names]
+    if unknown:
+        raise MethodError(
+            f'The goal "{name}" names {", ".join(unknown)}, which is no free parameter of this joint; choose from '
+            f'{", ".join(names)}, a sum or a difference of them, "{WEAKEST}", or "{ALL}".'
+        )
+    return Goal(name, weights)

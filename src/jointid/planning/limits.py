@@ -1,0 +1,86 @@
+"""What an axis may do in a test, and what is passed of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.settings import check_settings, documented, setting
+from jointid.common.text import number
+from jointid.simulation.closed_loop import Simulation
+
+_SLACK = 1e-9  # relative: what rounding passes a limit by
+
+
+@documented
+@dataclass(frozen=True, slots=True)
+class AxisLimits:
+    """What an axis may do in a test, on the side and in the units of the joint; what is not given is not limited.
+
+    Raises:
+        MethodError: a limit is not positive.
+    """
+
+    stroke: float | None = setting(None, "of the position, from one end to the other", unit="m or rad", above=0)
+    speed: float | None = setting(None, "largest", unit="m/s or rad/s", above=0)
+    acceleration: float | None = setting(None, "largest of the reference", unit="m/s2 or rad/s2", above=0)
+    jerk: float | None = setting(None, "largest of the reference", unit="m/s3 or rad/s3", above=0)
+    torque: float | None = setting(None, "largest, with what is injected", unit="N or N m", above=0)
+    rms_torque: float | None = setting(None, "root mean square of the torque over the test", unit="N or N m", above=0)
+    windup: float | None = setting(None, "largest wind-up of the spring, in which it rings", unit="m or rad", above=0)
+    lowest: float = setting(0.1, "frequency that a chirp or a multisine may have", unit="Hz", above=0)
+    highest: float | None = setting(
+        None, "frequency, likewise; without it the cut-off of the identification's filter", unit="Hz", above=0
+    )
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+    @property
+    def given(self) -> dict[str, float]:
+        """The limits on quantities that are given, by name."""
+        found = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("lowest", "highest")}
+        return {name: value for name, value in found.items() if value is not None}
+
+
+def reached(run: Simulation, reference: FloatArray, torque: FloatArray, sample_time: float) -> dict[str, float]:
+    """Return what a simulated test reaches of each quantity that may be limited.
+
+    Args:
+        run: of the loop.
+        reference: (samples,) of it, m or rad.
+        torque: (samples,) that acts on the joint.
+        sample_time: of both, s.
+    """
+    positions = [run.motor_position, *([] if run.load_position is None else [run.load_position])]
+    velocities = [run.motor_velocity, *([] if run.load_velocity is None else [run.load_velocity])]
+    acceleration = np.diff(reference, 2) / sample_time**2
+    jerk = np.diff(acceleration) / sample_time
+    low, high = (f([f(one) for one in (*positions, reference)]) for f in (np.min, np.max))
+    windup = 0.0 if run.load_position is None else float(np.max(np.abs(run.load_position - run.motor_position)))
+    return {
+        "stroke": float(high - low),
+        "speed": max(float(np.max(np.abs(one))) for one in velocities),
+        "acceleration": float(np.max(np.abs(acceleration), initial=0.0)),
+        "jerk": float(np.max(np.abs(jerk), initial=0.0)),
+        "torque": float(np.max(np.abs(torque))),
+        "rms_torque": math.sqrt(float(np.mean(torque**2))),
+        "windup": windup,
+    }
+
+
+def passed(limits: AxisLimits, found: Mapping[str, float]) -> dict[str, float]:
+    """Return by which factor each limit is passed; none that is kept."""
+    over = {name: found[name] / limit for name, limit in limits.given.items() if name in found}
+    return {name: factor for name, factor in over.items() if factor > 1 + _SLACK}
+
+
+def describe_passed(limits: AxisLimits, found: Mapping[str, float], units: Mapping[str, str]) -> Iterator[str]:
+    """Yield a clause for each limit that is passed."""
+    for name in passed(limits, found):
+        unit = units.get(name, "")
+        yield f"{name.replace('_', ' ')} {number(found[name], 3)} {unit}, of {number(limits.given[name], 3)} allowed"

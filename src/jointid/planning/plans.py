@@ -1,0 +1,296 @@
+"""Tests that a drive can play by itself: a motion, and a signal added to the torque, each in a few numbers.
+
+A drive's own generators make trapezoids (with a jerk limit, where it has one), chirps, sums of sines and pulses; a
+table of samples is what a test bench plays. A family is one motion with one added signal, and says between which
+numbers the search looks: from the axis limits, or where one is not given from the test there is already.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.text import number
+from jointid.simulation import excitation
+
+_SPEEDS = 3  # of the trapezoids of one cycle
+_REST = 0.4  # s before each way at most
+_INSIDE = 0.985  # of the stroke, that a reference takes at most: the motor passes where it was asked to stop
+_LINES = 24  # of a sum of sines
+
+
+@dataclass(frozen=True, slots=True)
+class Trapezoids:
+    """There and back at each speed in turn; `smoothing` is the time in which the acceleration rises, s."""
+
+    speeds: tuple[float, ...]
+    acceleration: float
+    travel: float
+    rest: float = 0.0
+    smoothing: float = 0.0
+
+    def play(self, samples: int, sample_time: float) -> FloatArray:
+        """Return the positions, (samples,)."""
+        played = excitation.trapezoids(
+            self.speeds, self.acceleration, self.travel, sample_time, rest=self.rest, duration=samples * sample_time
+        )
+        return excitation.smoothed(played[:samples], sample_time, self.smoothing)
+
+    def describe(self, unit: str) -> str:
+        """Return it in words, positions in that unit."""
+        speeds = ", ".join(number(one, 3) for one in self.speeds)
+        ramps = f", the acceleration rising in {number(1e3 * self.smoothing, 3)} ms" if self.smoothing else ""
+        return (
+            f"trapezoids there and back over {number(self.travel, 3)} {unit} at {speeds} {unit}/s, "
+            f"{number(self.acceleration, 3)} {unit}/s2{ramps}, {number(self.rest, 2)} s of rest before each way"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Sines:
+    """A sum of sines of a position whose accelerations are alike, between two frequencies, Hz."""
+
+    amplitude: float
+    lowest: float
+    highest: float
+
+    def play(self, samples: int, sample_time: float) -> FloatArray:
+        """Return the positions, (samples,)."""
+        return excitation.multisine(
+            samples, sample_time, self.amplitude, self.lowest, self.highest, lines=_LINES, tilt=1.5
+        )
+
+    def describe(self, unit: str) -> str:
+        """Return it in words, positions in that unit."""
+        return (
+            f"a sum of {_LINES} sines of the position, {number(self.lowest, 2)} to {number(self.highest, 2)} Hz, "
+            f"within {number(self.amplitude, 3)} {unit} of its beginning"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Positions as they stand in a table, one each sample."""
+
+    values: FloatArray
+
+    def play(self, samples: int, sample_time: float) -> FloatArray:
+        """Return the positions, (samples,); the table again, turned round in time, where it is shorter."""
+        del sample_time
+        whole = self.values
+        while whole.size < samples:
+            whole = np.concatenate([whole, whole[::-1]])
+        return np.asarray(whole[:samples])
+
+    def describe(self, unit: str) -> str:
+        """Return it in words, positions in that unit."""
+        return f"the reference as given, {number(float(np.ptp(self.values)), 3)} {unit} of travel"
+
+
+@dataclass(frozen=True, slots=True)
+class Pulses:
+    """Rectangular pulses of alternating sign at irregular times."""
+
+    height: float
+    width: float
+    every: float
+
+    def play(self, samples: int, sample_time: float) -> FloatArray:
+        """Return the torque that is added, (samples,)."""
+        return excitation.pulses(samples, sample_time, self.height, self.width, self.every, seed=0)
+
+    def describe(self, unit: str) -> str:
+        """Return it in words, torques in that unit."""
+        return (
+            f"pulses of {number(self.height, 3)} {unit} and {number(1e3 * self.width, 3)} ms on the torque, of "
+            f"alternating sign, one in {number(self.every, 2)} s"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class TorqueSines:
+    """A sum of sines of the torque, of equal size, between two frequencies, Hz; `amplitude` is its largest value."""
+
+    amplitude: float
+    lowest: float
+    highest: float
+
+    def play(self, samples: int, sample_time: float) -> FloatArray:
+        """Return the torque that is added, (samples,)."""
+        return excitation.multisine(samples, sample_time, self.amplitude, self.lowest, self.highest, lines=_LINES)
+
+    def describe(self, unit: str) -> str:
+        """Return it in words, torques in that unit."""
+        return (
+            f"a sum of {_LINES} sines of up to {number(self.amplitude, 3)} {unit} on the torque, "
+            f"{number(self.lowest, 2)} to {number(self.highest, 2)} Hz"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class TorqueChirp:
+    """A sine on the torque whose frequency rises from one to the other, Hz, over the whole test."""
+
+    amplitude: float
+    lowest: float
+    highest: float
+
+    def play(self, samples: int, sample_time: float) -> FloatArray:
+        """Return the torque that is added, (samples,)."""
+        return excitation.chirp(samples, sample_time, self.amplitude, self.lowest, self.highest)
+
+    def describe(self, unit: str) -> str:
+        """Return it in words, torques in that unit."""
+        return (
+            f"a chirp of {number(self.amplitude, 3)} {unit} on the torque, {number(self.lowest, 2)} to "
+            f"{number(self.highest, 2)} Hz"
+        )
+
+
+Motion: TypeAlias = Trapezoids | Sines | Table
+Added: TypeAlias = Pulses | TorqueSines | TorqueChirp
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A test: a motion, and a signal added to the torque or none."""
+
+    motion: Motion
+    added: Added | None = None
+
+    def play(self, samples: int, sample_time: float) -> tuple[FloatArray, FloatArray | None]:
+        """Return the reference and what is injected, (samples,) each."""
+        injected = None if self.added is None else self.added.play(samples, sample_time)
+        return self.motion.play(samples, sample_time), injected
+
+    def describe(self, position_unit: str, torque_unit: str) -> str:
+        """Return it in words."""
+        said = self.motion.describe(position_unit)
+        return said if self.added is None else f"{said}; {self.added.describe(torque_unit)}"
+
+
+@dataclass(frozen=True, slots=True)
+class Room:
+    """Between what a search looks: the largest of each quantity, and the frequencies in Hz.
+
+    Attributes:
+        stroke, speed, acceleration, torque: in the joint's units.
+        jerk: None where the drive limits none.
+        lowest, highest: frequencies of a chirp or a sum of sines.
+        mode: about where the joint's resonance is; a rigid one's half of the highest.
+    """
+
+    stroke: float
+    speed: float
+    acceleration: float
+    torque: float
+    jerk: float | None
+    lowest: float
+    highest: float
+    mode: float
+
+
+def _log(low: float, high: float, share: float) -> float:
+    return low * math.pow(high / low, share)
+
+
+def _trapezoids(u: Sequence[float], room: Room) -> Trapezoids:
+    speeds = tuple(_log(0.05, 1.0, one) * room.speed for one in u[:_SPEEDS])
+    acceleration = _log(0.05, 1.0, u[_SPEEDS]) * room.acceleration
+    smoothing = 0.0 if room.jerk is None else acceleration / room.jerk
+    return Trapezoids(
+        speeds, acceleration, _log(0.05, _INSIDE, u[_SPEEDS + 1]) * room.stroke, _REST * u[_SPEEDS + 2], smoothing
+    )
+
+
+def _sines(u: Sequence[float], room: Room) -> Sines:
+    lowest = _log(room.lowest, 0.3 * room.highest, u[1])
+    highest = max(_log(room.lowest, room.highest, u[2]), 1.05 * lowest)
+    return Sines(0.5 * _log(0.02, _INSIDE, u[0]) * room.stroke, lowest, highest)
+
+
+def _pulses(u: Sequence[float], room: Room) -> Pulses:
+    width = _log(0.1, 3.0, u[1]) / room.mode
+    return Pulses(_log(0.02, 1.0, u[0]) * room.torque, width, _log(1.5, 40.0, u[2]) * width)
+
+
+def _band(u: Sequence[float], room: Room) -> tuple[float, float]:
+    lowest = _log(max(room.lowest, 0.05 * room.mode), 0.9 * room.highest, u[0])
+    return lowest, min(lowest * _log(1.02, 10.0, u[1]), room.highest)
+
+
+def _torque_sines(u: Sequence[float], room: Room) -> TorqueSines:
+    return TorqueSines(_log(0.02, 1.0, u[0]) * room.torque, *_band(u[1:], room))
+
+
+def _torque_chirp(u: Sequence[float], room: Room) -> TorqueChirp:
+    return TorqueChirp(_log(0.02, 1.0, u[0]) * room.torque, *_band(u[1:], room))
+
+
+_Numbers: TypeAlias = Sequence[float]
+_MOTIONS: Mapping[str, tuple[int, Callable[[_Numbers, Room], Motion]]] = {
+    "trapezoids": (_SPEEDS + 3, _trapezoids), "sines": (3, _sines),
+}  # fmt: skip
+_ADDED: Mapping[str, tuple[int, Callable[[_Numbers, Room], Added] | None]] = {
+    "nothing": (0, None),
+    "pulses": (3, _pulses),
+    "sines": (3, _torque_sines),
+    "chirp": (3, _torque_chirp),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Family:
+    """One kind of motion with one kind of added signal.
+
+    Attributes:
+        motion: "trapezoids" or "sines".
+        added: "nothing", "pulses", "sines" or "chirp".
+    """
+
+    motion: str
+    added: str
+
+    @property
+    def size(self) -> int:
+        """How many numbers say one of its tests."""
+        return _MOTIONS[self.motion][0] + _ADDED[self.added][0]
+
+    def plan(self, u: Sequence[float], room: Room) -> Plan:
+        """Return the test that numbers between 0 and 1 say, (size,)."""
+        count, motion = _MOTIONS[self.motion]
+        make = _ADDED[self.added][1]
+        return Plan(motion(u[:count], room), None if make is None else make(u[count:], room))
+
+
+FAMILIES = tuple(Family(motion, added) for motion in _MOTIONS for added in _ADDED)
+"""All that a search tries."""
+
+
+def room_of(given: Mapping[str, float], found: Mapping[str, float], lowest: float, highest: float, mode: float) -> Room:
+    """Return between what a search looks.
+
+    Args:
+        given: the axis limits by name.
+        found: what the test there is already reaches, by the same names; where no limit is given, twice of it is the
+            most that is tried of a speed or an acceleration, and itself of stroke and torque.
+        lowest: frequency, Hz.
+        highest: frequency, Hz.
+        mode: of the joint, Hz.
+    """
+    more = {"speed": 2.0, "acceleration": 2.0}
+    size = {
+        name: given.get(name, more.get(name, 1.0) * found[name])
+        for name in ("stroke", "speed", "acceleration", "torque")
+    }
+    return Room(**size, jerk=given.get("jerk"), lowest=lowest, highest=highest, mode=min(mode, 0.9 * highest))
+
+
+def samples_of(duration: float, sample_time: float) -> int:
+    """Return how many samples a test of that many seconds has."""
+    return math.floor(duration / sample_time + 1e-9)

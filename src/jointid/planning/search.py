@@ -1,0 +1,191 @@
+"""Look for the test that tells most within the axis limits: several families at once, the better ones for longer.
+
+A test is a family and some numbers between 0 and 1 (`plans`). Each is simulated at several joints, the one that is
+roughly known and others drawn from its interval, with noise: what it tells is the mean over them, and what it reaches
+the largest of them. A test that passes a limit is worse than any that keeps them all, and the worse the farther it
+passes. A few tests of every family are drawn; then the best of all are moved by steps that grow where they help and
+shrink where they do not, as an evolution strategy does (I. Rechenberg's rule of one success in five).
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import JointidError
+from jointid.common.messages import Progress, Work
+from jointid.common.parameters import Parameter
+from jointid.models.joints import ClosedLoop
+from jointid.planning.foretell import Noise, foretell_roughly, planned_record
+from jointid.planning.goals import Goal
+from jointid.planning.limits import AxisLimits, passed
+from jointid.planning.plans import FAMILIES, Family, Plan, Room
+from jointid.records.record import Tap
+from jointid.records.signals.filtering import Filtering
+from jointid.simulation.closed_loop import in_threads
+
+_MARGIN = 0.97  # of each limit, that a test may reach in the search: other joints and other noise reach more
+_ASTRAY = 1e6  # a test that cannot be simulated
+_DRAWN = 6  # tests of each family, to begin with
+_KEPT = 4  # of all, that are followed
+_FIRST_STEP, _GROWS, _SHRINKS = 0.15, 1.4, 0.9  # of the numbers between 0 and 1
+_SMALLEST, _LONGEST = 2e-3, 0.5
+_GIVES_UP, _FRESH = 0.02, 0.1  # steps at which a test gives way to the best, and goes on from there
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Asked:
+    """What a search is for.
+
+    Attributes:
+        loop: joint and controller.
+        joints: values of every parameter, one mapping a joint that it may be.
+        noise: that will disturb the test.
+        goal: what the test is to tell.
+        limits: what the axis may do.
+        room: between what is looked.
+        samples, sample_time: of the test.
+        tap: where its torque will be logged.
+        filtering, parameters: of the identification.
+    """
+
+    loop: ClosedLoop
+    joints: tuple[Mapping[str, float], ...]
+    noise: Noise
+    goal: Goal
+    limits: AxisLimits
+    room: Room
+    samples: int
+    sample_time: float
+    tap: Tap
+    filtering: Filtering
+    parameters: Mapping[str, Parameter]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tried:
+    """A test that was tried.
+
+    Attributes:
+        plan: the test.
+        score: of the goal, the smaller the better, see `Goal.score`; the mean over the joints.
+        reached: the largest of each quantity over the joints, by name.
+        over: by how much the limit that is passed farthest is passed, at most 1 where none is.
+    """
+
+    plan: Plan
+    score: float
+    reached: Mapping[str, float]
+    over: float
+
+    @property
+    def rank(self) -> tuple[float, float]:
+        """What the better of two tests has less of: passing limits first."""
+        return max(self.over, 1.0), self.score
+
+
+def try_plan(asked: Asked, plan: Plan, *, margin: float = _MARGIN) -> Tried:
+    """Simulate a test at every joint, and say what it tells and reaches."""
+    reference, injected = plan.play(asked.samples, asked.sample_time)
+    test = planned_record(asked.loop, reference, asked.sample_time, injected, tap=asked.tap)
+    scores, most = [], dict[str, float]()
+    for number, values in enumerate(asked.joints):
+        try:
+            with np.errstate(all="ignore"):
+                told = foretell_roughly(
+                    asked.loop, values, test, asked.noise, filtering=asked.filtering, parameters=asked.parameters,
+                    seed=number,
+                )  # fmt: skip
+        except (JointidError, np.linalg.LinAlgError):
+            return Tried(plan, _ASTRAY, most, math.inf)
+        scores.append(asked.goal.score(told.covariance, told.names, values))
+        for name, size in told.reached.items():
+            most[name] = max(most.get(name, 0.0), size)
+    factors = passed(asked.limits, {name: size / margin for name, size in most.items()})
+    return Tried(plan, float(np.mean(scores)), most, max(factors.values(), default=0.0))
+
+
+@dataclass(slots=True)
+class _Line:
+    """One test that is moved: its family, its numbers, how well it does, and the length of its steps."""
+
+    family: Family
+    u: FloatArray
+    tried: Tried
+    step: float = _FIRST_STEP
+
+    def move(self, asked: Asked, rng: np.random.Generator) -> None:
+        """Try two tests beside this one, and take the place of the better one if it is better than this."""
+        moved = [np.clip(self.u + self.step * rng.standard_normal(self.u.size), 0.0, 1.0) for _ in range(2)]
+        tries = in_threads(lambda u: try_plan(asked, self.family.plan(list(u), asked.room)), moved)
+        first = min(range(2), key=lambda k: tries[k].rank)
+        if tries[first].rank < self.tried.rank:
+            self.u, self.tried, self.step = moved[first], tries[first], min(self.step * _GROWS, _LONGEST)
+        else:
+            self.step = max(self.step * _SHRINKS, _SMALLEST)
+
+
+def search(
+    asked: Asked,
+    begin: Sequence[Plan],
+    seconds: float,
+    progress: Progress,
+    *,
+    families: Sequence[Family] = FAMILIES,
+    seed: int = 0,
+    clock: Callable[[], float] = time.monotonic,
+) -> Iterator[Tried]:
+    """Yield ever better tests, until the time is over or it is interrupted.
+
+    Args:
+        asked: what is looked for.
+        begin: tests to compare with first, as the one there is already.
+        seconds: that it may take.
+        progress: is told.
+        families: that are looked at.
+        seed: of the draws.
+        clock: seconds that pass.
+    """
+    ends, rng = clock() + seconds, np.random.default_rng(seed)
+    work = Work(progress, "looking for the test that tells most", 100.0, "%")
+    best: Tried | None = None
+    for tried in _try_all(asked, begin, families, rng):
+        if best is None or tried.rank < best.rank:
+            best = tried
+            yield best
+        if clock() > ends:
+            break
+        work.reach(min(100.0 * (1 - (ends - clock()) / seconds), 99.0))
+    work.reach(100.0)
+
+
+def _try_all(
+    asked: Asked, begin: Sequence[Plan], families: Sequence[Family], rng: np.random.Generator
+) -> Iterator[Tried]:
+    """Yield every test as it is tried: those to begin with, some of each family, then what the best become."""
+    yield from (try_plan(asked, plan) for plan in begin)
+    drawn = [(family, rng.uniform(size=family.size)) for _ in range(_DRAWN) for family in families]
+    lines: list[_Line] = []
+    for pair in (drawn[k : k + 2] for k in range(0, len(drawn), 2)):
+        tries = in_threads(lambda one: try_plan(asked, one[0].plan(list(one[1]), asked.room)), pair)
+        lines += [_Line(family, u, tried) for (family, u), tried in zip(pair, tries, strict=True)]
+        yield from tries
+    lines = sorted(lines, key=lambda line: line.tried.rank)[:_KEPT]
+    while any(line.step > _SMALLEST for line in lines):
+        for line in lines:
+            line.move(asked, rng)
+            yield line.tried
+        # Who does not come near the best gives way to a copy of it, with steps of its own.
+        worst, leader = max(lines, key=lambda line: line.tried.rank), min(lines, key=lambda line: line.tried.rank)
+        if worst.step < _GIVES_UP and worst is not leader:
+            worst.family, worst.u, worst.tried, worst.step = leader.family, leader.u, leader.tried, _FRESH
+
+
+def with_joints(asked: Asked, joints: Sequence[Mapping[str, float]]) -> Asked:
+    """Return what is asked, at other joints."""
+    return replace(asked, joints=tuple(joints))
