@@ -133,6 +133,24 @@ class TorqueSines:
 
 
 @dataclass(frozen=True, slots=True)
+class TorqueLines:
+    """Sines of the torque at given frequencies, Hz, and of given amplitudes, with phases that keep their peaks low."""
+
+    frequencies: tuple[float, ...]
+    amplitudes: tuple[float, ...]
+
+    def play(self, samples: int, sample_time: float) -> FloatArray:
+        """Return the torque that is added, (samples,)."""
+        return excitation.sines(samples, sample_time, self.frequencies, self.amplitudes)
+
+    def describe(self, unit: str) -> str:
+        """Return it in words, torques in that unit."""
+        pairs = zip(self.frequencies, self.amplitudes, strict=True)
+        each = ", ".join(f"{number(size, 2)} {unit} at {number(f, 3)} Hz" for f, size in pairs)
+        return f"sines on the torque: {each}"
+
+
+@dataclass(frozen=True, slots=True)
 class TorqueChirp:
     """A sine on the torque whose frequency rises from one to the other, Hz, over the whole test."""
 
@@ -153,7 +171,7 @@ class TorqueChirp:
 
 
 Motion: TypeAlias = Trapezoids | Sines | Table
-Added: TypeAlias = Pulses | TorqueSines | TorqueChirp
+Added: TypeAlias = Pulses | TorqueSines | TorqueLines | TorqueChirp
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,6 +201,8 @@ class Room:
         jerk: None where the drive limits none.
         lowest, highest: frequencies of a chirp or a sum of sines.
         mode: about where the joint's resonance is; a rigid one's half of the highest.
+        lines: frequencies, Hz, of sines that would tell most of a joint without friction, and their amplitudes, the
+            largest 1; none where that is not known.
     """
 
     stroke: float
@@ -193,6 +213,7 @@ class Room:
     lowest: float
     highest: float
     mode: float
+    lines: tuple[tuple[float, float], ...] = ()
 
 
 def _log(low: float, high: float, share: float) -> float:
@@ -232,6 +253,13 @@ def _torque_chirp(u: Sequence[float], room: Room) -> TorqueChirp:
     return TorqueChirp(_log(0.02, 1.0, u[0]) * room.torque, *_band(u[1:], room))
 
 
+def _torque_lines(u: Sequence[float], room: Room) -> TorqueLines:
+    size, tilt = _log(0.02, 0.7, u[0]) * room.torque, 2.0 * u[1]
+    frequencies, shares = zip(*room.lines, strict=True)
+    # Friction wants more at low frequencies than a joint without it, or less: the shares may be levelled.
+    return TorqueLines(frequencies, tuple(size * share**tilt for share in shares))
+
+
 _Numbers: TypeAlias = Sequence[float]
 _MOTIONS: Mapping[str, tuple[int, Callable[[_Numbers, Room], Motion]]] = {
     "trapezoids": (_SPEEDS + 3, _trapezoids), "sines": (3, _sines),
@@ -241,6 +269,7 @@ _ADDED: Mapping[str, tuple[int, Callable[[_Numbers, Room], Added] | None]] = {
     "pulses": (3, _pulses),
     "sines": (3, _torque_sines),
     "chirp": (3, _torque_chirp),
+    "lines": (2, _torque_lines),
 }
 
 
@@ -250,7 +279,7 @@ class Family:
 
     Attributes:
         motion: "trapezoids" or "sines".
-        added: "nothing", "pulses", "sines" or "chirp".
+        added: "nothing", "pulses", "sines", "chirp" or "lines".
     """
 
     motion: str
@@ -268,11 +297,19 @@ class Family:
         return Plan(motion(u[:count], room), None if make is None else make(u[count:], room))
 
 
-FAMILIES = tuple(Family(motion, added) for motion in _MOTIONS for added in _ADDED)
-"""All that a search tries."""
+def families_in(room: Room) -> tuple[Family, ...]:
+    """Return all that a search tries."""
+    return tuple(Family(motion, added) for motion in _MOTIONS for added in _ADDED if added != "lines" or room.lines)
 
 
-def room_of(given: Mapping[str, float], found: Mapping[str, float], lowest: float, highest: float, mode: float) -> Room:
+def room_of(
+    given: Mapping[str, float],
+    found: Mapping[str, float],
+    lowest: float,
+    highest: float,
+    mode: float,
+    lines: tuple[tuple[float, float], ...] = (),
+) -> Room:
     """Return between what a search looks.
 
     Args:
@@ -282,13 +319,16 @@ def room_of(given: Mapping[str, float], found: Mapping[str, float], lowest: floa
         lowest: frequency, Hz.
         highest: frequency, Hz.
         mode: of the joint, Hz.
+        lines: see `Room`.
     """
     more = {"speed": 2.0, "acceleration": 2.0}
     size = {
         name: given.get(name, more.get(name, 1.0) * found[name])
         for name in ("stroke", "speed", "acceleration", "torque")
     }
-    return Room(**size, jerk=given.get("jerk"), lowest=lowest, highest=highest, mode=min(mode, 0.9 * highest))
+    return Room(
+        **size, jerk=given.get("jerk"), lowest=lowest, highest=highest, mode=min(mode, 0.9 * highest), lines=lines
+    )
 
 
 def samples_of(duration: float, sample_time: float) -> int:

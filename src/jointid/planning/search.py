@@ -24,7 +24,7 @@ from jointid.models.joints import ClosedLoop
 from jointid.planning.foretell import Noise, foretell_roughly, planned_record
 from jointid.planning.goals import Goal
 from jointid.planning.limits import AxisLimits, passed
-from jointid.planning.plans import FAMILIES, Family, Plan, Room
+from jointid.planning.plans import Family, Plan, Room, families_in
 from jointid.records.record import Tap
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import in_threads
@@ -136,7 +136,7 @@ def search(
     seconds: float,
     progress: Progress,
     *,
-    families: Sequence[Family] = FAMILIES,
+    families: Sequence[Family] | None = None,
     seed: int = 0,
     clock: Callable[[], float] = time.monotonic,
 ) -> Iterator[Tried]:
@@ -147,14 +147,14 @@ def search(
         begin: tests to compare with first, as the one there is already.
         seconds: that it may take.
         progress: is told.
-        families: that are looked at.
+        families: that are looked at; all there is room for when None.
         seed: of the draws.
         clock: seconds that pass.
     """
     ends, rng = clock() + seconds, np.random.default_rng(seed)
     work = Work(progress, "looking for the test that tells most", 100.0, "%")
     best: Tried | None = None
-    for tried in _try_all(asked, begin, families, rng):
+    for tried in _try_all(asked, begin, families or families_in(asked.room), rng):
         if best is None or tried.rank < best.rank:
             best = tried
             yield best
@@ -175,15 +175,30 @@ def _try_all(
         tries = in_threads(lambda one: try_plan(asked, one[0].plan(list(one[1]), asked.room)), pair)
         lines += [_Line(family, u, tried) for (family, u), tried in zip(pair, tries, strict=True)]
         yield from tries
-    lines = sorted(lines, key=lambda line: line.tried.rank)[:_KEPT]
-    while any(line.step > _SMALLEST for line in lines):
+    lines = _best_of_each(lines)[:_KEPT]
+    while lines:
         for line in lines:
             line.move(asked, rng)
             yield line.tried
-        # Who does not come near the best gives way to a copy of it, with steps of its own.
+        # Who comes no nearer to the best begins anew: in turn beside the best, and somewhere.
         worst, leader = max(lines, key=lambda line: line.tried.rank), min(lines, key=lambda line: line.tried.rank)
         if worst.step < _GIVES_UP and worst is not leader:
-            worst.family, worst.u, worst.tried, worst.step = leader.family, leader.u, leader.tried, _FRESH
+            worst.step = _FRESH
+            if rng.uniform() < 0.5:
+                worst.family, worst.u, worst.tried = leader.family, leader.u, leader.tried
+            else:
+                worst.family = families[int(rng.integers(len(families)))]
+                worst.u = rng.uniform(size=worst.family.size)
+                worst.tried = try_plan(asked, worst.family.plan(list(worst.u), asked.room))
+        leader.step = max(leader.step, 2 * _SMALLEST)
+
+
+def _best_of_each(lines: Sequence[_Line]) -> list[_Line]:
+    """Return the best test of each family, the best first."""
+    best: dict[Family, _Line] = {}
+    for line in sorted(lines, key=lambda line: line.tried.rank):
+        best.setdefault(line.family, line)
+    return list(best.values())
 
 
 def with_joints(asked: Asked, joints: Sequence[Mapping[str, float]]) -> Asked:

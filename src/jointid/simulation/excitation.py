@@ -183,6 +183,27 @@ def multisine(
     return np.asarray(amplitude * signal / largest) if largest > 0 else signal
 
 
+def sines(samples: int, sample_time: float, frequencies: Sequence[float], amplitudes: Sequence[float]) -> FloatArray:
+    """Return sines of given frequencies and amplitudes, with Schroeder's phases, that fade in over the slowest period.
+
+    Args:
+        samples: how many.
+        sample_time: seconds.
+        frequencies: Hz.
+        amplitudes: of each.
+
+    Returns:
+        Shape (samples,), beginning at 0.
+    """
+    f, sizes = np.asarray(frequencies, dtype=np.float64), np.asarray(amplitudes, dtype=np.float64)
+    _require_band(float(f.min()), float(f.max()), sample_time)
+    shares = sizes**2 / np.sum(sizes**2)
+    phases = -2 * math.pi * np.cumsum(np.cumsum(shares) - shares)
+    time = np.arange(samples) * sample_time
+    ramp = np.clip(time * float(f.min()), 0.0, 1.0)
+    return np.asarray(ramp * ramp * (3 - 2 * ramp) * (np.sin(2 * math.pi * np.outer(time, f) + phases) @ sizes))
+
+
 def fourier_series(
     samples: int, sample_time: float, period: float, cosines: Sequence[float], sines: Sequence[float]
 ) -> FloatArray:

@@ -1,0 +1,175 @@
+"""How well any motion could tell a goal within the limits: the floor below which no search need look.
+
+While it slides, a flexible joint is linear, and what a test tells adds up over frequencies. With P the response of the
+motor's position to the force on it, H the controller's torque per position, S = 1 / (1 + P H exp(-s d)) and F the force
+at a frequency, the logged torque moves with a parameter as ``-H S dP/dp F``, and the information is::
+
+    M = N sum_f |F(f)|^2 Re(g* g') / s(f),       g = H S dP/dp
+
+with N samples and the noise's spectrum s(f): of the log ``log^2``, of a force ``force^2 |H P S|^2``. It is linear in
+the powers ``|F|^2``, so the least deviation of a combination w, ``w' M^-1 w``, is a convex problem in them, with few
+constraints: their sum is at most the mean square of the torque, and those of the position at most the square of half
+of the stroke. Friction is known in it, the joint never sticks, all frequencies up to the filter's cut-off are free, and
+the peaks of the torque as well: each of these makes it smaller than a test can be. Of the torque's mean square what
+Coulomb friction takes is gone, ``(Fc1 + Fc2)^2``: a force that keeps an axis moving pushes at least so hard in its
+direction, on the mean. A test whose force does not, that rests or rings about a stop, is not bounded by it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.models.joints import ClosedLoop, FlexibleJoint
+from jointid.planning.foretell import Noise
+from jointid.planning.goals import Goal
+from jointid.planning.limits import AxisLimits
+
+_LINES = 120  # frequencies
+_STEP = 1e-6  # relative, of the differences by which P is differentiated
+_PARAMETERS = ("motor_inertia", "motor_viscous", "stiffness", "damping", "load_inertia", "load_viscous")
+_STEPS = 400  # of the search for the powers
+_LEFT = 0.1  # of a signal that is injected, at least
+_CLOSE = 0.08  # of the logarithm of a frequency
+_OF_ALL = 0.005  # of the power: a frequency with less matters little
+
+Complexes: TypeAlias = NDArray[np.complexfloating[Any, Any]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Floor:
+    """The least deviation that any motion could reach, and the powers of the force that would reach it.
+
+    Attributes:
+        deviation: of the goal.
+        hertz, power: (frequencies,) of the force that acts, and its mean square at each.
+        sensitivity: (frequencies,) size of S: so much of a signal that is injected is left of it in the force.
+    """
+
+    deviation: float
+    hertz: FloatArray
+    power: FloatArray
+    sensitivity: FloatArray
+
+    @property
+    def lines(self) -> tuple[tuple[float, float], ...]:
+        """The frequencies that matter, Hz, each with the amplitude to inject, the largest of which is 1.
+
+        What lies close together is one; what the loop takes away of an injected signal is left to the reference.
+        """
+        kept = np.flatnonzero((self.power > _OF_ALL * np.sum(self.power)) & (self.sensitivity > _LEFT))
+        groups = np.split(kept, np.flatnonzero(np.diff(np.log(self.hertz[kept])) > _CLOSE) + 1) if kept.size else []
+        found = []
+        for group in groups:
+            power = self.power[group]
+            middle = float(np.exp(np.average(np.log(self.hertz[group]), weights=power)))
+            found.append((middle, math.sqrt(float(np.sum(power / self.sensitivity[group] ** 2)))))
+        largest = max((size for _, size in found), default=1.0)
+        return tuple((f, size / largest) for f, size in found)
+
+
+def least_deviation(
+    loop: ClosedLoop,
+    values: Mapping[str, float],
+    noise: Noise,
+    goal: Goal,
+    limits: AxisLimits,
+    *,
+    samples: int,
+    sample_time: float,
+    cutoff: float,
+) -> Floor:
+    """Return the standard deviation of a goal below which no test of a flexible joint comes, and how it is reached.
+
+    Args:
+        loop: joint and controller.
+        values: every parameter of the joint by name.
+        noise: of the log, or of a force; not that of a first record.
+        goal: a linear parameter, or a combination of them.
+        limits: of torque (rms) and stroke.
+        samples: of the test.
+        sample_time: of its log, s.
+        cutoff: of the filter, Hz.
+
+    Raises:
+        MethodError: the joint is rigid, its friction is not symmetric, the noise is that of a record, the goal is no
+            linear parameter, or neither torque nor stroke is limited.
+    """
+    power = limits.rms_torque or limits.torque
+    if not isinstance(loop.joint, FlexibleJoint) or any(name not in values for name in _PARAMETERS):
+        raise MethodError("The bound is that of a flexible joint with symmetric friction and a linear spring.")
+    if power is None or not goal.weights.keys() <= set(_PARAMETERS) or not goal.weights:
+        raise MethodError(
+            f"A bound needs the torque limited, and a goal of {', '.join(_PARAMETERS)}; received {goal.name}."
+        )
+    if noise.left is not None:
+        raise MethodError("A bound needs the noise as white noise of the log or of a force; state it.")
+    hertz = np.geomspace(limits.lowest, cutoff, _LINES)
+    law = loop.controller.law(sample_time)
+    s = 2j * math.pi * hertz
+    H = -law.feedback(hertz)
+    P = _position(values, s)
+    S = 1 / (1 + P * H * np.exp(-s * (law.delay + 0.5 * law.period)))
+    slopes = np.array([_slope(values, name, s) for name in _PARAMETERS])
+    g = H * S * slopes
+    spectrum = noise.log**2 + noise.force**2 * np.abs(H * P * S) ** 2
+    information = samples * np.real(np.conj(g)[:, np.newaxis] * g[np.newaxis]) / spectrum  # (parameters, parameters, f)
+    friction = values["motor_coulomb"] + values["load_coulomb"]
+    if power <= friction:
+        raise MethodError(
+            f"A torque of {power:g} does not move the joint against a friction of {friction:g}; allow more."
+        )
+    most, square = power**2 - friction**2, np.abs(P) ** 2
+    allowed = np.vstack([np.full(hertz.size, 1 / most), square / (0.5 * (limits.stroke or math.inf)) ** 2])
+    w = np.array([goal.weights.get(name, 0.0) for name in _PARAMETERS])
+    variance, found = _least_variance(information, allowed, w)
+    return Floor(math.sqrt(variance), hertz, found, np.abs(S))
+
+
+def _position(values: Mapping[str, float], s: Complexes) -> Complexes:
+    """Return the motor's position per force on it, sliding."""
+    spring = values["stiffness"] + values["damping"] * s
+    motor = values["motor_inertia"] * s**2 + values["motor_viscous"] * s + spring
+    load = values["load_inertia"] * s**2 + values["load_viscous"] * s + spring
+    return np.asarray(load / (motor * load - spring**2))
+
+
+def _slope(values: Mapping[str, float], name: str, s: Complexes) -> Complexes:
+    step = _STEP * (abs(values[name]) or 1.0)
+    high, low = (_position({**values, name: values[name] + by}, s) for by in (step, -step))
+    return (high - low) / (2 * step)
+
+
+def _least_variance(information: FloatArray, allowed: FloatArray, w: FloatArray) -> tuple[float, FloatArray]:
+    """Return the least ``w' M^-1 w`` over powers whose sums, by the rows of `allowed`, are at most 1, and the powers.
+
+    By S. D. Silvey's multiplicative rule: a power grows with the root of what it does for the goal, and all are brought
+    back to the constraint that binds.
+    """
+    sizes = np.sqrt(np.maximum(np.diag(np.sum(information, axis=2)), 1e-300))
+    information = information / np.outer(sizes, sizes)[:, :, np.newaxis]
+    w = w / sizes
+    power = np.full(information.shape[2], 1.0)
+    best, kept = math.inf, power
+    price = np.array([1.0, 0.0])
+    for _ in range(_STEPS):
+        power = power / max(float(np.max(allowed @ power)), 1e-300)
+        M = information @ power
+        solved = np.linalg.lstsq(M, w, rcond=1e-14)[0]
+        variance = float(w @ solved)
+        if variance < best:
+            best, kept = variance, power
+        gain = np.einsum("i,ijf,j->f", solved, information, solved)
+        used = allowed @ power
+        # What binds costs; the price moves until both are used up, or one is not needed.
+        price = np.maximum(price * np.exp(0.5 * (used - 1.0)), 1e-6)
+        price = price / price.sum()
+        power = power * np.sqrt(np.maximum(gain, 0.0) / np.maximum(price @ allowed, 1e-300))
+    return best, kept
