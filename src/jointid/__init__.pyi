@@ -31,6 +31,9 @@ from .output.json import read_report
 from .output.json.documents import to_dict
 from .output.report import Report
 from .paper.twin import twin
+from .planning.design import design_test
+from .planning.foretell import Noise, foretell, planned_record
+from .planning.limits import AxisLimits
 from .records.chunks import Log
 from .records.columns import Column
 from .records.drives import Drive
@@ -54,6 +57,7 @@ __all__ = [
     "PD",
     "PID",
     "AsymmetricFriction",
+    "AxisLimits",
     "Cascade",
     "Channel",
     "ClosedLoop",
@@ -73,6 +77,7 @@ __all__ = [
     "JointidError",
     "Log",
     "MethodError",
+    "Noise",
     "OpenLoop",
     "OpenLoopFit",
     "Record",
@@ -94,16 +99,19 @@ __all__ = [
     "compare_springs",
     "convert",
     "design_stiffness_test",
+    "design_test",
     "examine",
     "excitation",
     "export",
     "figures",
     "filters",
+    "foretell",
     "identify",
     "inspect",
     "intervals",
     "learn_loop",
     "load",
+    "planned_record",
     "prepare",
     "read",
     "read_report",

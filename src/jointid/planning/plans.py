@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -190,6 +190,24 @@ class Plan:
         """Return it in words."""
         said = self.motion.describe(position_unit)
         return said if self.added is None else f"{said}; {self.added.describe(torque_unit)}"
+
+    def scaled(self, factor: float) -> Plan:
+        """Return the test with its added signal and its motion so many times as large."""
+        added, motion = self.added, self.motion
+        if isinstance(added, Pulses):
+            added = replace(added, height=factor * added.height)
+        elif isinstance(added, TorqueLines):
+            added = replace(added, amplitudes=tuple(factor * one for one in added.amplitudes))
+        elif added is not None:
+            added = replace(added, amplitude=factor * added.amplitude)
+        if isinstance(motion, Trapezoids):
+            speeds = tuple(factor * one for one in motion.speeds)
+            motion = replace(
+                motion, speeds=speeds, acceleration=factor * motion.acceleration, travel=factor * motion.travel
+            )
+        elif isinstance(motion, Sines):
+            motion = replace(motion, amplitude=factor * motion.amplitude)
+        return Plan(motion, added)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
 from jointid.simulation.closed_loop import Initial, Simulation, require_finished, simulate
-from jointid.simulation.loop_input import prepare
+from jointid.simulation.loop_input import as_logged, prepare
 
 
 def simulated_record(
@@ -71,11 +71,15 @@ def simulated_record(
         name=name,
     )
     experiment = prepare(loop, driven)
-    if disturbance is not None:
+    if disturbance is None:
+        run = require_finished(simulate(loop, experiment, values, initial))
+    else:
         extra = np.repeat(np.asarray(disturbance, dtype=np.float64), experiment.every)
         extra = extra[:: experiment.repeat][: experiment.after_limit.size]
-        experiment = replace(experiment, after_limit=experiment.after_limit + extra)
-    run = require_finished(simulate(loop, experiment, values, initial))
+        forced = replace(experiment, after_limit=experiment.after_limit + extra)
+        run = require_finished(simulate(loop, forced, values, initial))
+        # A force from outside is in no current of the motor, though it acts as an injected signal does.
+        run = replace(run, torque=run.torque - as_logged(experiment, forced.shown - experiment.shown))
     return as_record(driven, run, torque_noise=torque_noise, encoder_step=encoder_step)
 
 

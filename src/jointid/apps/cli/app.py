@@ -26,6 +26,7 @@ from jointid.apps.cli.console import clear_bars, tell
 from jointid.apps.cli.data import convert, inspect
 from jointid.apps.cli.diagnose import friction, intervals, loop, methods, sensors, springs
 from jointid.apps.cli.identify import controller, doctor, identify, tune
+from jointid.apps.cli.plan import design
 from jointid.apps.cli.results import compare, export, report, validate
 from jointid.apps.cli.serve import serve
 from jointid.apps.cli.simulate import demo, reproduce, simulate
@@ -50,7 +51,7 @@ diagnose = App(name="diagnose", help="Ask what an estimate is worth, one questio
 for parent, commands in (
     (app, (demo, doctor, identify, validate, report, compare)),
     (diagnose, (methods, springs, friction, intervals, loop, sensors)),
-    (app, (diagnose, controller, tune, simulate, export, data, serve, reproduce)),
+    (app, (diagnose, controller, tune, design, simulate, export, data, serve, reproduce)),
     (data, (inspect, convert)),
 ):
     for command in commands:

@@ -168,6 +168,13 @@ SHAPES: Mapping[str, Shape] = {
         "worse_std": "error",
         **same("predicts_as_well", "refusal"),
     },
+    "Design": {
+        "schema": always("jointid.design/1"),
+        **same("record", "goal", "sentence", "description", "transmission", "tests", "reached", "limits", "passed"),
+        **same("floor", "modes", "interrupted"),
+    },
+    "Goal": same("name", "weights"),
+    "Foretold": {**same("name", "values", "std", "units"), "correlation": "covariance.correlation"},
     "Examination": {
         "schema": always("jointid.examination/1"),
         **same("record", "healthy", "sentence", "logged", "transmission"),

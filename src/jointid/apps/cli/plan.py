@@ -1,0 +1,96 @@
+"""`jointid design`: the next test, planned from the record there is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cyclopts import Parameter
+
+from jointid.apps.cli.console import DEFAULTS, Options, deliver, show
+from jointid.apps.cli.places import Outputs
+
+if TYPE_CHECKING:
+    from jointid import AxisLimits
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limits:
+    """What the axis may do, on the side and in the units of the joint (m, rad, N, N m).
+
+    Attributes:
+        stroke: of the position, from one end to the other; without it, and without the next three, that of the record.
+        torque: the largest, with what is injected.
+        rms_torque: root mean square over the test.
+        speed: the largest.
+        acceleration: the largest of the reference.
+        jerk: the largest of the reference.
+        windup: the largest of the spring, in which it rings.
+        lowest: frequency of a chirp or of sines, Hz.
+        highest: frequency, likewise; without it the cut-off of the filter.
+    """
+
+    stroke: float | None = None
+    torque: float | None = None
+    rms_torque: float | None = None
+    speed: float | None = None
+    acceleration: float | None = None
+    jerk: float | None = None
+    windup: float | None = None
+    lowest: float = 0.1
+    highest: float | None = None
+
+    @property
+    def limits(self) -> AxisLimits:
+        """The same as the package has them."""
+        from jointid import AxisLimits
+
+        return AxisLimits(**{name: getattr(self, name) for name in self.__slots__})
+
+
+NO_LIMITS = Limits()
+
+
+def design(
+    joint: Path,
+    /,
+    *,
+    options: Options = DEFAULTS,
+    limits: Limits = NO_LIMITS,
+    goal: str = "all",
+    duration: float | None = None,
+    seconds: float = 60.0,
+    out: Path | None = None,
+    figure: Path | None = None,
+) -> None:
+    """Plan the next test from a first record: the one that tells most of the joint within what its axis may do.
+
+    The joint is identified from the record by didim; tests that a drive can play are then looked for, at the joint as
+    it was found and at others of its interval. Ctrl-C ends the search and keeps the best test there is.
+
+    Args:
+        joint: the joint file (TOML); its method is didim.
+        options: those that most commands have.
+        limits: of the axis.
+        goal: what the test is to tell: a parameter, a sum or a difference as "motor_viscous - load_viscous", "weakest"
+            (what is known worst) or "all".
+        duration: of the test, in s; without it that of the record.
+        seconds: that the search may take.
+        out: also write the test into this folder: a CSV, a MAT file, and a page on how to run it.
+        figure: also save reference, torque and spectrum as PNG, SVG or PDF.
+    """
+    from jointid import figures
+    from jointid.planning.design import plan_from_estimate
+
+    outputs = Outputs({"--json": options.json}, {"--figure": figure}, {"--out": out})
+    allowed = limits.limits
+    record, estimate = options.identify_by_didim(joint, outputs)
+    found = plan_from_estimate(
+        estimate, record, goal=goal, limits=allowed, duration=duration, seconds=seconds, progress=options.progress
+    )
+    deliver(found, options.json, (figure, figures.draw))
+    if out is not None:
+        paths = found.write(out)
+        show(f"\nWritten to {out}: {', '.join(path.name for path in paths)}")

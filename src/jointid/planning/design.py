@@ -1,0 +1,487 @@
+"""The verb `design_test`: the test that would tell most of a joint within the axis limits, before it is made.
+
+What is roughly known of the joint comes from an estimate of a first record, or is stated. Tests are looked for
+(`search`) at the joint as it is roughly known and at others of its interval, and the best one is then simulated at many
+more of them, so that a limit is passed in none. Beside it stands what the test there is already would tell, and what a
+load encoder, or twice the time, would add to the new one.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.charts import LOAD, MEASURED, SIMULATED, Chart, Charted, Line, Mark, Panel
+from jointid.common.document import Block, Document, Documented, Facts, Listing, Table, common_facts
+from jointid.common.errors import JointidError, MethodError
+from jointid.common.files import write_folder
+from jointid.common.messages import Progress, silent
+from jointid.common.parameters import POSITION_UNIT, Parameter
+from jointid.common.text import number
+from jointid.common.transmission import Transmission
+from jointid.estimation.result.estimate import Estimate
+from jointid.models.joints import ClosedLoop, FlexibleJoint
+from jointid.planning.bound import Floor, least_deviation
+from jointid.planning.foretell import Foretold, Noise, foretell, foretell_roughly, planned_record
+from jointid.planning.goals import Goal, goal_named
+from jointid.planning.limits import AxisLimits, describe_passed
+from jointid.planning.plans import Plan, room_of
+from jointid.planning.plans import Table as Played
+from jointid.planning.search import Asked, Tried, search, try_plan
+from jointid.records.record import Record, Tap
+from jointid.records.signals.filtering import Filtering
+from jointid.records.writing import write
+
+_JOINTS = 2  # of the interval, beside the one that is roughly known, in the search
+_MORE_JOINTS = 20  # of the interval, at which the result is simulated
+_SHRINKS = 0.95  # of a signal, where the result passes a limit at one of these
+_TRIES = 12
+_OF_STROKE = 1e-6  # the step assumed of a load encoder
+_LINE = 0.6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Design(Charted, Documented):
+    """A test, and what it is foretold to tell.
+
+    Attributes:
+        record: of what is roughly known; empty where it was stated.
+        loop: joint and controller.
+        goal: what the test is to tell.
+        description: of the test, in words.
+        present: the test there is already, foretold; None where there is none, or it cannot be simulated.
+        proposed: the new one.
+        with_encoder: the new one with a load encoder beside; None of a rigid joint.
+        longer: the new one for twice the time.
+        reached, limits: of each quantity, the largest over the joints that it was simulated at, and what is allowed.
+        passed: clauses on limits that are passed; none as a rule.
+        floor: standard deviation of the goal below which no motion comes; None where it is not known.
+        modes: Hz, of the joint as it is roughly known, by name; none of a rigid one.
+        interrupted: whether the search was, before its time was over.
+    """
+
+    record: str
+    loop: ClosedLoop
+    goal: Goal
+    description: str
+    present: Foretold | None
+    proposed: Foretold
+    with_encoder: Foretold | None
+    longer: Foretold | None
+    reached: Mapping[str, float]
+    limits: Mapping[str, float]
+    passed: tuple[str, ...]
+    floor: float | None
+    modes: Mapping[str, float] = field(default_factory=dict)
+    interrupted: bool = False
+
+    @property
+    def position_unit(self) -> str:
+        """Of reference and stroke."""
+        return POSITION_UNIT[self.loop.joint.kind]
+
+    @property
+    def torque_unit(self) -> str:
+        """Of the torque."""
+        return self.loop.joint.force_unit
+
+    @property
+    def transmission(self) -> Transmission | None:
+        """On whose `side` all numbers are."""
+        return self.loop.joint.transmission
+
+    @property
+    def sentence(self) -> str:
+        """What the proposed test tells of the goal, beside the present one."""
+        if not self.goal.weights:
+            what = "worst known direction" if self.goal.name == "weakest" else "volume of all intervals"
+            if self.present is None:
+                return f"The proposed test is the best found for the {what}."
+            ratio = math.exp(self._score(self.proposed) - self._score(self.present))
+            return f"The proposed test brings the {what} to {number(100 * ratio, 2)} % of what the present one tells."
+        unit = self.proposed.units[next(iter(self.goal.weights))]
+        told = (
+            f"{self.goal.name.replace('_', ' ')} to +- {number(2 * self.proposed.std_of(self.goal.weights), 2)} {unit}"
+        )
+        if self.present is None:
+            return f"The proposed test tells {told}."
+        before = number(2 * self.present.std_of(self.goal.weights), 2)
+        return f"The proposed test tells {told}, the present one to +- {before} {unit}."
+
+    def _score(self, told: Foretold) -> float:
+        return self.goal.score(told.covariance.matrix, told.joint, told.values)
+
+    @property
+    def tests(self) -> dict[str, Foretold]:
+        """What is foretold, by the name of the test."""
+        found = {
+            "present": self.present,
+            "proposed": self.proposed,
+            "with load encoder": self.with_encoder,
+            "twice the time": self.longer,
+        }
+        return {name: told for name, told in found.items() if told is not None}
+
+    def document(self, *, details: bool = False) -> Document:
+        """Return the intervals side by side, the test, and what it reaches; there are no further details."""
+        del details
+        tests, proposed = self.tests, self.proposed
+        rows = []
+        for name in proposed.joint:
+            stds = (number(2 * told.std[name], 2) for told in tests.values())
+            rows.append((proposed.symbols[name], number(proposed.values[name]), *stds, proposed.units[name]))
+        for pair in _pairs(proposed.joint):
+            for sign in (1.0, -1.0):
+                weights = {pair[0]: 1.0, pair[1]: sign}
+                shown = f"{proposed.symbols[pair[0]]} {'+' if sign > 0 else '-'} {proposed.symbols[pair[1]]}"
+                value = proposed.values[pair[0]] + sign * proposed.values[pair[1]]
+                stds = (number(2 * told.std_of(weights), 2) for told in tests.values())
+                rows.append((shown, number(value), *stds, proposed.units[pair[0]]))
+        header = ("symbol", "about", *tests, "unit")
+        blocks: list[Block] = [
+            Table(header, tuple(rows), caption="2 sigma that are foretold of", words=(0, len(header) - 1))
+        ]
+        facts = [("test", self.description), *common_facts(None, self.transmission)]
+        units = self._units
+        for name, limit in self.limits.items():
+            facts.append(
+                (name.replace("_", " "), f"{number(self.reached[name], 3)} of {number(limit, 3)} {units[name]}")
+            )
+        if self.floor is not None and self.goal.weights:
+            unit = proposed.units[next(iter(self.goal.weights))]
+            facts.append(("floor", f"no motion within these limits comes below +- {number(2 * self.floor, 2)} {unit}"))
+        if self.interrupted:
+            facts.append(("search", "interrupted; this is the best that was found until then"))
+        blocks.append(Facts(tuple(facts)))
+        blocks += [Listing(tuple(f"passes a limit: {one}" for one in self.passed))] if self.passed else []
+        return Document(self.sentence, tuple(blocks))
+
+    @property
+    def _units(self) -> dict[str, str]:
+        q, u = self.position_unit, self.torque_unit
+        return {
+            "stroke": q, "speed": f"{q}/s", "acceleration": f"{q}/s2", "jerk": f"{q}/s3", "torque": u, "rms_torque": u,
+            "windup": q,
+        }  # fmt: skip
+
+    def chart(self) -> Chart:
+        """Return the reference, the torque that is foretold, and the spectrum of both beside the modes."""
+        told, T = self.proposed, self.proposed.sample_time
+        time = np.asarray(np.arange(told.reference.size) * T, dtype=np.float64)
+        torque = told.motion.torque
+        q, u = self.position_unit, self.torque_unit
+        lines = [Line(time, torque, SIMULATED, "torque", width=_LINE)]
+        if told.injected is not None:
+            lines.append(Line(time, told.injected, LOAD, "of it injected", width=_LINE))
+        hertz = np.asarray(np.fft.rfftfreq(torque.size, T)[1:], dtype=np.float64)
+        size = np.abs(np.fft.rfft(torque - torque.mean()))[1:] * 2 / torque.size
+        kept = hertz <= 4 * max([*self.modes.values(), 25.0])
+        marks = tuple(Mark(f, name.replace("_", " "), row) for row, (name, f) in enumerate(self.modes.items()))
+        spectrum = Line(hertz[kept], size[kept], SIMULATED, width=_LINE)
+        panels = (
+            Panel("time [s]", f"reference [{q}]", (Line(time, told.reference, MEASURED),), height=170, group="time"),
+            Panel("time [s]", f"torque [{u}]", tuple(lines), height=170, group="time"),
+            Panel("frequency [Hz]", f"torque [{u}]", (spectrum, *marks), height=170),
+        )
+        return Chart("test", "", panels, title="the proposed test")
+
+    def write(self, folder: Path) -> tuple[Path, ...]:
+        """Write the test into a folder, and return the paths: a CSV and a MAT table, and a page on how to run it.
+
+        Raises:
+            RecordError: they cannot be written.
+        """
+        told = self.proposed
+        record = planned_record(self.loop, told.reference, told.sample_time, told.injected)
+        files: dict[str, bytes] = {}
+        with tempfile.TemporaryDirectory() as place:
+            for name in ("test.csv", "test.mat"):
+                write(record, Path(place) / name)
+                files[name] = (Path(place) / name).read_bytes()
+        files["how-to-run.md"] = self._page().encode("utf-8")
+        return write_folder(folder, files)
+
+    def _page(self) -> str:
+        told, u, q = self.proposed, self.torque_unit, self.position_unit
+        added = "" if told.injected is None else f", and the signal to add to the torque in {u}"
+        every, length = number(1e3 * told.sample_time, 6), number(told.reference.size * told.sample_time, 4)
+        steps = [
+            f"`test.csv` and `test.mat` hold the reference in {q}{added}, a row every {every} ms, {length} s.",
+            "Begin with a tenth of the added signal and half of the speed, and see that the axis follows.",
+            "Log torque and reference, and the motor's position where the drive can: it checks the controller, too.",
+            "Log the added signal as a channel (`injected`), with the same clock.",
+            "Then `jointid doctor joint.toml --record RECORD`, and `jointid identify joint.toml --record RECORD`.",
+        ]
+        numbered = "\n".join(f"{i}. {step}" for i, step in enumerate(steps, 1))
+        return f"# A test of this joint\n\n{self.description}.\n\n{numbered}\n\n{self.document().markdown()}\n"
+
+
+def design_test(
+    loop: ClosedLoop,
+    values: Mapping[str, float],
+    noise: Noise,
+    *,
+    goal: str = "all",
+    limits: AxisLimits | None = None,
+    present: Record | None = None,
+    covariance: FloatArray | None = None,
+    duration: float | None = None,
+    sample_time: float | None = None,
+    tap: Tap | str = Tap.COMMAND,
+    filtering: Filtering | None = None,
+    parameters: Mapping[str, Parameter] | None = None,
+    load_encoder: float | None = None,
+    seconds: float = 60.0,
+    seed: int = 0,
+    record: str = "",
+    progress: Progress = silent,
+) -> Design:
+    """Look for the test that tells most of a joint within the axis limits, and foretell what it tells.
+
+    Args:
+        loop: joint and controller.
+        values: every parameter of the joint by name, roughly known.
+        noise: what will disturb the test.
+        goal: a parameter, a sum or a difference of parameters, "weakest" (the direction that is known worst) or "all"
+            (the volume of all intervals).
+        limits: what the axis may do; of stroke, torque and its root mean square those of the present test where they
+            are not given.
+        present: the test there is already, as a record; its torque is not read. Needed where a limit of stroke, speed,
+            acceleration or torque is not given.
+        covariance: (free, free) of the joint's free parameters, in their order: other joints are drawn from it.
+        duration: of the test, s; that of the present one when None.
+        sample_time: of its log, s; likewise.
+        tap: where its torque will be logged.
+        filtering: of the identification; see `Filtering`.
+        parameters: changes to the joint's parameters by name, as for `identify`.
+        load_encoder: steps of the encoder that is foretold beside it, m or rad; a millionth of the stroke when None.
+        seconds: that the search may take. An interrupt ends it and keeps the best there is.
+        seed: of its draws.
+        record: name of what is roughly known.
+        progress: is told.
+
+    Raises:
+        MethodError: a limit is missing, the goal is no quantity of this joint, or no test could be simulated.
+        RecordError: the present test lacks what the controller reads.
+
+    Example:
+        >>> import jointid as ji
+        >>> axis = ji.twin("L19", noise="white")
+        >>> noise = Noise(log=axis.noise)
+        >>> found = design_test(
+        ...     axis.loop, axis.truth, noise, goal="stiffness", present=axis.record, duration=4.0, seconds=1.0
+        ... )
+        >>> found.proposed.std["stiffness"] < found.present.std["stiffness"]
+        True
+    """
+    filtering, parameters = filtering or Filtering(), parameters or {}
+    if present is None and (duration is None or sample_time is None):
+        raise MethodError(
+            "A test has a duration and a sample time; give both, or the record of a test there is already."
+        )
+    log = None if present is None else present.torque or present.reference
+    T = sample_time or (log.sample_time if log is not None else 0.0)
+    samples = math.floor((duration or (present.duration if present is not None else 0.0)) / T + 1e-9)
+    tap = Tap(tap)
+    free = [p.name for p in loop.joint.parameters if parameters.get(p.name, p).free]
+    wanted = goal_named(goal, free)
+    asked_limits, begin, found = _complete(
+        loop, values, noise, limits or AxisLimits(), present, samples, T, filtering, parameters
+    )
+    resolved = filtering.resolved(T, loop.joint.model)
+    assert resolved.cutoff is not None
+    highest = min(asked_limits.highest or resolved.cutoff, resolved.cutoff)
+    floor = _floor(loop, values, noise, wanted, asked_limits, samples, T, highest)
+    modes = FlexibleJoint.frequencies(values) if isinstance(loop.joint, FlexibleJoint) else {}
+    mode = modes.get("free_free", 0.5 * highest)
+    room = room_of(asked_limits.given, found, asked_limits.lowest, highest, mode, () if floor is None else floor.lines)
+    draws = _draw(values, free, covariance, _MORE_JOINTS, seed)
+    asked = Asked(
+        loop,
+        (dict(values), *draws[:_JOINTS]),
+        noise,
+        wanted,
+        asked_limits,
+        room,
+        samples,
+        T,
+        tap,
+        filtering,
+        parameters,
+    )
+    best, interrupted = _look(asked, begin, seconds, seed, progress)
+    best = _keep_within(replace(asked, joints=(dict(values), *draws)), best)
+    told = _foretell(asked, values, best.plan, samples)
+    step = load_encoder or _OF_STROKE * best.reached["stroke"]
+    flexible = isinstance(loop.joint, FlexibleJoint)
+    return Design(
+        record,
+        loop,
+        wanted,
+        best.plan.describe(POSITION_UNIT[loop.joint.kind], loop.joint.force_unit),
+        None if present is None else _foretell_present(asked, values, present),
+        told,
+        _foretell(asked, values, best.plan, samples, load_encoder=step) if flexible else None,
+        _foretell(asked, values, best.plan, 2 * samples),
+        best.reached,
+        asked_limits.given,
+        tuple(describe_passed(asked_limits, best.reached, {})),
+        None if floor is None or math.isnan(floor.deviation) else floor.deviation,
+        modes,
+        interrupted,
+    )
+
+
+def plan_from_estimate(
+    estimate: Estimate, record: Record, *, noise: Noise | None = None, progress: Progress = silent, **asked: object
+) -> Design:
+    """Look for the next test after a first record: its estimate says what is known, its residual how it is disturbed.
+
+    Args:
+        estimate: by DIDIM, with every parameter identified.
+        record: that it was identified from.
+        noise: instead of what the residual says.
+        progress: is told.
+        asked: the other arguments of `design_test`.
+
+    Raises:
+        MethodError: the estimate refuses a parameter; see `Noise.of`, and `design_test`.
+    """
+    loop = estimate.settings.loop
+    disturbed = noise or Noise.of(estimate, record)
+    assert loop is not None
+    free = [p.name for p in estimate.params if p.free and p.of_joint]
+    rows = [i for i, p in enumerate(q for q in estimate.params if q.free) if p.of_joint]
+    covariance = estimate.params.covariance[np.ix_(rows, rows)]
+    fixed = {p.name: p.fixed(estimate.values[p.name]) for p in loop.joint.parameters if p.name not in free}
+    settings: dict[str, object] = {
+        "present": record, "covariance": covariance, "tap": record.tap, "filtering": estimate.settings.filtering,
+        "parameters": fixed, "record": estimate.data.record,
+    }  # fmt: skip
+    return design_test(loop, estimate.values, disturbed, progress=progress, **{**settings, **asked})  # type: ignore[arg-type]
+
+
+def _complete(
+    loop: ClosedLoop,
+    values: Mapping[str, float],
+    noise: Noise,
+    limits: AxisLimits,
+    present: Record | None,
+    samples: int,
+    sample_time: float,
+    filtering: Filtering,
+    parameters: Mapping[str, Parameter],
+) -> tuple[AxisLimits, tuple[Plan, ...], dict[str, float]]:
+    """Return the limits with those of the present test, that test to begin with, and what it reaches."""
+    needed = ("stroke", "speed", "acceleration", "torque")
+    if present is None:
+        missing = [name for name in needed if name not in limits.given]
+        if missing:
+            raise MethodError(
+                f"Without a test there is already, a search needs limits of {', '.join(needed)}; "
+                f"{', '.join(missing)} {'are' if len(missing) > 1 else 'is'} missing: give them."
+            )
+        return limits, (), {name: limits.given[name] for name in needed}
+    assert present.reference is not None
+    told = foretell_roughly(loop, values, present, noise, filtering=filtering, parameters=parameters)
+    found = dict(told.reached)
+    taken = {name: found[name] for name in ("stroke", "torque", "rms_torque") if name not in limits.given}
+    begin: tuple[Plan, ...] = ()
+    if present.injected is None and present.reference.sample_time == sample_time:
+        begin = (Plan(Played(present.reference.values)),)
+    del samples
+    return replace(limits, **taken), begin, found
+
+
+def _floor(
+    loop: ClosedLoop, values: Mapping[str, float], noise: Noise, goal: Goal, limits: AxisLimits, samples: int,
+    sample_time: float, cutoff: float,
+) -> Floor | None:  # fmt: skip
+    """Return the bound of a goal; that of white noise of the same size where the noise is a first record's."""
+    known = noise.left is None
+    size = 1.0 if noise.left is None else float(np.sqrt(np.mean(noise.left**2)))
+    asked = goal if goal.weights else Goal("stiffness", {"stiffness": 1.0})
+    try:
+        floor = least_deviation(
+            loop, values, noise if known else Noise(force=size), asked, limits, samples=samples,
+            sample_time=sample_time, cutoff=cutoff,
+        )  # fmt: skip
+    except MethodError:
+        return None
+    return floor if known and goal.weights else replace(floor, deviation=math.nan)
+
+
+def _draw(
+    values: Mapping[str, float], free: Sequence[str], covariance: FloatArray | None, count: int, seed: int
+) -> list[dict[str, float]]:
+    """Return joints drawn from the interval; none where it is not known. What cannot be negative is not."""
+    if covariance is None:
+        return []
+    rng = np.random.default_rng([seed, 1])
+    moved = rng.multivariate_normal(np.zeros(len(free)), covariance, size=count, method="eigh")
+    drawn = []
+    for row in moved:
+        one = {name: values[name] + by for name, by in zip(free, map(float, row), strict=True)}
+        kept = {name: value if name == "offset" else max(value, 0.0) for name, value in one.items()}
+        drawn.append({**values, **kept})
+    return drawn
+
+
+def _look(asked: Asked, begin: Sequence[Plan], seconds: float, seed: int, progress: Progress) -> tuple[Tried, bool]:
+    """Return the best test of a search, and whether it was interrupted."""
+    best: Tried | None = None
+    interrupted = False
+    try:
+        for tried in search(asked, begin, seconds, progress, seed=seed):
+            best = tried
+    except KeyboardInterrupt:
+        if best is None:
+            raise
+        interrupted = True
+    if best is None or math.isinf(best.over):
+        raise MethodError(
+            "No test could be simulated within these limits; check the limits, the controller and the values."
+        )
+    return best, interrupted
+
+
+def _keep_within(asked: Asked, best: Tried) -> Tried:
+    """Return a test that keeps the limits at all joints: its added signal and its speed are lowered until it does."""
+    tried = try_plan(asked, best.plan, margin=1.0)
+    for _ in range(_TRIES):
+        if tried.over <= 1.0:
+            break
+        tried = try_plan(asked, tried.plan.scaled(_SHRINKS), margin=1.0)
+    return tried
+
+
+def _foretell(
+    asked: Asked, values: Mapping[str, float], plan: Plan, samples: int, load_encoder: float | None = None
+) -> Foretold:
+    reference, injected = plan.play(samples, asked.sample_time)
+    test = planned_record(asked.loop, reference, asked.sample_time, injected, tap=asked.tap)
+    return foretell(
+        asked.loop, values, test, asked.noise, filtering=asked.filtering, parameters=asked.parameters,
+        load_encoder=load_encoder,
+    )  # fmt: skip
+
+
+def _foretell_present(asked: Asked, values: Mapping[str, float], present: Record) -> Foretold | None:
+    try:
+        return foretell(
+            asked.loop, values, present, asked.noise, filtering=asked.filtering, parameters=asked.parameters
+        )
+    except JointidError:
+        return None
+
+
+def _pairs(names: Sequence[str]) -> list[tuple[str, str]]:
+    """Return the parameters that both sides have, but for inertias: what torque alone tells hardly apart."""
+    motor = [name for name in names if name.startswith("motor_") and "inertia" not in name]
+    return [(name, f"load_{name[6:]}") for name in motor if f"load_{name[6:]}" in names]
