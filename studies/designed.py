@@ -92,8 +92,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--loop", action="append", choices=("L19", "L30"))
     parser.add_argument("--noise", action="append", choices=("white", "disturbance"))
     given = parser.parse_args(arguments)
-    for loop in given.loop or ("L19",):
-        for noise in given.noise or ("disturbance", "white"):
+    loops: Sequence[Literal["L19", "L30"]] = given.loop or ("L19",)
+    noises: Sequence[Literal["white", "disturbance"]] = given.noise or ("disturbance", "white")
+    for loop in loops:
+        for noise in noises:
             for goal in ("stiffness", "motor_viscous - load_viscous"):
                 sys.stdout.write(json.dumps(made(loop, noise, goal, given.runs, given.seconds)) + "\n")
                 sys.stdout.flush()

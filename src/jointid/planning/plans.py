@@ -38,8 +38,14 @@ class Trapezoids:
         """Return the positions, (samples,)."""
         played = excitation.trapezoids(
             self.speeds, self.acceleration, self.travel, sample_time, rest=self.rest, duration=samples * sample_time
+        )[:samples]
+        # A way that would not be ended in time is not begun: the axis stands where it turned round last.
+        ends = np.flatnonzero(np.minimum(played, self.travel - played) <= self.acceleration * sample_time**2)
+        ends = ends[ends < samples - round(self.smoothing / sample_time)]
+        last = int(ends[-1]) if ends.size and ends[-1] > 0.5 * samples else samples - 1
+        return excitation.smoothed(
+            np.append(played[: last + 1], np.full(samples - 1 - last, played[last])), sample_time, self.smoothing
         )
-        return excitation.smoothed(played[:samples], sample_time, self.smoothing)
 
     def describe(self, unit: str) -> str:
         """Return it in words, positions in that unit."""

@@ -31,6 +31,7 @@ from jointid.simulation.closed_loop import in_threads
 
 _MARGIN = 0.97  # of each limit, that a test may reach in the search: other joints and other noise reach more
 _ASTRAY = 1e6  # a test that cannot be simulated
+_CLEARLY = 0.02  # of a score: other joints change it by as much
 _DRAWN = 6  # tests of each family, to begin with
 _KEPT = 4  # of all, that are followed
 _FIRST_STEP, _GROWS, _SHRINKS = 0.15, 1.4, 0.9  # of the numbers between 0 and 1
@@ -89,11 +90,19 @@ class Tried:
         return max(self.over, 1.0), self.score
 
 
-def try_plan(asked: Asked, plan: Plan, *, margin: float = _MARGIN) -> Tried:
-    """Simulate a test at every joint, and say what it tells and reaches."""
+def try_plan(asked: Asked, plan: Plan, *, margin: float = _MARGIN, than: Tried | None = None) -> Tried:
+    """Simulate a test at every joint, and say what it tells and reaches.
+
+    Args:
+        asked: what is looked for.
+        plan: the test.
+        margin: share of each limit that it may reach.
+        than: a test that it is to be better than; where it clearly is not at the first joint, the others are left out.
+    """
     reference, injected = plan.play(asked.samples, asked.sample_time)
     test = planned_record(asked.loop, reference, asked.sample_time, injected, tap=asked.tap)
     scores, most = [], dict[str, float]()
+    tried = Tried(plan, _ASTRAY, most, math.inf)
     for number, values in enumerate(asked.joints):
         try:
             with np.errstate(all="ignore"):
@@ -102,12 +111,15 @@ def try_plan(asked: Asked, plan: Plan, *, margin: float = _MARGIN) -> Tried:
                     seed=number,
                 )  # fmt: skip
         except (JointidError, np.linalg.LinAlgError):
-            return Tried(plan, _ASTRAY, most, math.inf)
+            return replace(tried, score=_ASTRAY, over=math.inf)
         scores.append(asked.goal.score(told.covariance, told.names, values))
         for name, size in told.reached.items():
             most[name] = max(most.get(name, 0.0), size)
-    factors = passed(asked.limits, {name: size / margin for name, size in most.items()})
-    return Tried(plan, float(np.mean(scores)), most, max(factors.values(), default=0.0))
+        factors = passed(asked.limits, {name: size / margin for name, size in most.items()})
+        tried = Tried(plan, float(np.mean(scores)), most, max(factors.values(), default=0.0))
+        if than is not None and tried.rank > (than.rank[0], than.score + _CLEARLY):
+            break
+    return tried
 
 
 @dataclass(slots=True)
@@ -122,7 +134,7 @@ class _Line:
     def move(self, asked: Asked, rng: np.random.Generator) -> None:
         """Try two tests beside this one, and take the place of the better one if it is better than this."""
         moved = [np.clip(self.u + self.step * rng.standard_normal(self.u.size), 0.0, 1.0) for _ in range(2)]
-        tries = in_threads(lambda u: try_plan(asked, self.family.plan(list(u), asked.room)), moved)
+        tries = in_threads(lambda u: try_plan(asked, self.family.plan(list(u), asked.room), than=self.tried), moved)
         first = min(range(2), key=lambda k: tries[k].rank)
         if tries[first].rank < self.tried.rank:
             self.u, self.tried, self.step = moved[first], tries[first], min(self.step * _GROWS, _LONGEST)

@@ -162,7 +162,7 @@ def multisine(
         period: seconds after which it repeats; the whole length when None.
 
     Returns:
-        Shape (samples,), beginning at 0.
+        Shape (samples,), beginning and ending at 0.
 
     Raises:
         MethodError: see `chirp`.
@@ -177,14 +177,13 @@ def multisine(
     phases = -2 * math.pi * np.cumsum(np.cumsum(shares) - shares) if harmonics.size > 1 else np.zeros(1)
     time = np.arange(samples) * sample_time
     signal = np.sin(2 * math.pi * np.outer(time, frequencies) + phases) @ sizes
-    ramp = np.clip(time / min(1 / lowest, 0.1 * length), 0.0, 1.0)
-    signal = (signal - signal[0]) * ramp * ramp * (3 - 2 * ramp)
+    signal = (signal - signal[0]) * _faded(samples, min(1 / lowest, 0.1 * length) / sample_time)
     largest = float(np.max(np.abs(signal)))
     return np.asarray(amplitude * signal / largest) if largest > 0 else signal
 
 
 def sines(samples: int, sample_time: float, frequencies: Sequence[float], amplitudes: Sequence[float]) -> FloatArray:
-    """Return sines of given frequencies and amplitudes, with Schroeder's phases, that fade in over the slowest period.
+    """Return sines of given frequencies and amplitudes, with Schroeder's phases, that fade in and out.
 
     Args:
         samples: how many.
@@ -193,15 +192,15 @@ def sines(samples: int, sample_time: float, frequencies: Sequence[float], amplit
         amplitudes: of each.
 
     Returns:
-        Shape (samples,), beginning at 0.
+        Shape (samples,), beginning and ending at 0, over the period of the slowest.
     """
     f, sizes = np.asarray(frequencies, dtype=np.float64), np.asarray(amplitudes, dtype=np.float64)
     _require_band(float(f.min()), float(f.max()), sample_time)
     shares = sizes**2 / np.sum(sizes**2)
     phases = -2 * math.pi * np.cumsum(np.cumsum(shares) - shares)
     time = np.arange(samples) * sample_time
-    ramp = np.clip(time * float(f.min()), 0.0, 1.0)
-    return np.asarray(ramp * ramp * (3 - 2 * ramp) * (np.sin(2 * math.pi * np.outer(time, f) + phases) @ sizes))
+    faded = _faded(samples, 1 / (float(f.min()) * sample_time))
+    return np.asarray(faded * (np.sin(2 * math.pi * np.outer(time, f) + phases) @ sizes))
 
 
 def fourier_series(
@@ -244,6 +243,13 @@ def smoothed(reference: FloatArray, sample_time: float, seconds: float) -> Float
     padded = np.concatenate([np.full(width - 1, reference[0]), reference])
     summed = np.cumsum(np.concatenate([[0.0], padded]))
     return np.asarray((summed[width:] - summed[:-width]) / width)
+
+
+def _faded(samples: int, over: float) -> FloatArray:
+    """Return a factor that rises smoothly from 0 to 1 over so many samples, and falls so at the end."""
+    at = np.arange(samples, dtype=np.float64)
+    ramp = np.minimum(np.clip(at / over, 0.0, 1.0), np.clip(at[::-1] / over, 0.0, 1.0))
+    return np.asarray(ramp * ramp * (3 - 2 * ramp))
 
 
 def _require_band(lowest: float, highest: float, sample_time: float) -> None:

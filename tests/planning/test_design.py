@@ -1,0 +1,242 @@
+"""Tests that are designed: better than the one there is, within every limit, and written for a drive to play."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jointid as ji
+from jointid.apps.cli import main
+from jointid.common.errors import MethodError
+from jointid.models.joints import ClosedLoop, RigidJoint
+from jointid.output.json.documents import to_dict
+from jointid.paper.twin import JOINT_FILE, SAMPLE_TIME, twin
+from jointid.planning import design as design_module
+from jointid.planning.bound import least_deviation
+from jointid.planning.design import Design, design_test
+from jointid.planning.foretell import Noise, foretell, planned_record
+from jointid.planning.goals import goal_named
+from jointid.planning.limits import AxisLimits, passed, reached
+from jointid.planning.plans import (
+    Family,
+    Plan,
+    Pulses,
+    Sines,
+    TorqueChirp,
+    TorqueLines,
+    TorqueSines,
+    Trapezoids,
+    room_of,
+)
+from jointid.planning.search import Asked, search, try_plan
+from jointid.records.record import Tap
+from jointid.records.signals.filtering import Filtering
+from jointid.records.writing import write
+from jointid.simulation import excitation
+
+AXIS = twin("L19", noise="white")
+NOISE = Noise(log=AXIS.noise)
+SHORT = 6000  # samples
+
+
+def short_record() -> ji.Record:
+    assert AXIS.record.reference is not None and AXIS.record.injected is not None
+    return planned_record(
+        AXIS.loop, AXIS.record.reference.values[:SHORT], SAMPLE_TIME, AXIS.record.injected.channel.values[:SHORT]
+    )
+
+
+@pytest.fixture(scope="module")
+def designed() -> Design:
+    covariance = np.diag([(0.01 * AXIS.truth[p.name]) ** 2 for p in AXIS.loop.joint.parameters])
+    return design_test(
+        AXIS.loop, AXIS.truth, NOISE, goal="stiffness", present=short_record(), covariance=covariance, seconds=8.0
+    )
+
+
+def test_it_tells_more_than_the_one_there_is_and_keeps_the_limits(designed: Design) -> None:
+    assert designed.present is not None
+    assert designed.proposed.std["stiffness"] < 0.7 * designed.present.std["stiffness"]
+    assert designed.floor is not None
+    assert designed.floor < designed.proposed.std["stiffness"]
+    assert not designed.passed
+    assert set(designed.limits) == {"stroke", "torque", "rms_torque"}
+    told = designed.proposed
+    found = reached(told.motion, told.reference, told.motion.torque, told.sample_time)
+    assert not passed(AxisLimits(**designed.limits), found)
+    assert designed.longer is not None and designed.with_encoder is not None
+    assert designed.longer.std["stiffness"] < told.std["stiffness"]
+    assert designed.with_encoder.std["stiffness"] < told.std["stiffness"]
+    assert told.reference[-1] == pytest.approx(told.reference[-2], abs=1e-8)  # it ends at rest
+
+
+def test_it_is_told_in_words_numbers_and_files(designed: Design, tmp_path: Path) -> None:
+    text = str(designed)
+    assert "The proposed test tells stiffness to +-" in text
+    assert "no motion within these limits comes below" in text
+    assert "Fv1 - Fv2" in text
+    answer = json.loads(json.dumps(to_dict(designed), allow_nan=False))
+    assert answer["schema"] == "jointid.design/1"
+    assert answer["tests"]["proposed"]["std"]["stiffness"] == designed.proposed.std["stiffness"]
+    paths = designed.write(tmp_path / "next")
+    assert sorted(path.name for path in paths) == ["how-to-run.md", "test.csv", "test.mat"]
+    table = ji.read(tmp_path / "next" / "test.csv", {"reference": ji.Column("reference", "m")}, time="t")
+    assert table.reference is not None
+    assert table.reference.values == pytest.approx(designed.proposed.reference, abs=1e-12)
+    assert "jointid doctor" in (tmp_path / "next" / "how-to-run.md").read_text()
+    assert len(designed.chart().panels) == 3
+
+
+def test_ctrl_c_keeps_the_best_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = search
+
+    def interrupted(*given: object, **named: object) -> object:
+        yield from itertools.islice(found(*given, **named), 2)  # type: ignore[arg-type]
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(design_module, "search", interrupted)
+    designed = design_test(AXIS.loop, AXIS.truth, NOISE, goal="stiffness", present=short_record(), seconds=60.0)
+    assert designed.interrupted
+    assert "interrupted; this is the best" in str(designed)
+
+
+def test_a_test_is_designed_without_a_record_from_limits_alone() -> None:
+    loop = ClosedLoop(RigidJoint("revolute"), ji.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0))
+    values = {"inertia": 0.04, "viscous": 0.05, "coulomb": 0.1, "offset": 0.02}
+    limits = AxisLimits(stroke=2.0, speed=3.0, acceleration=20.0, jerk=400.0, torque=2.0)
+    found = design_test(
+        loop, values, Noise(log=0.02), limits=limits, duration=4.0, sample_time=1e-3, seconds=3.0, goal="weakest"
+    )
+    assert found.present is None and found.with_encoder is None and found.floor is None
+    assert not found.passed
+    jerk = np.max(np.abs(np.diff(found.proposed.reference, 3))) / 1e-9
+    assert jerk < 400.0 * 1.05
+    with pytest.raises(MethodError, match="stroke, torque are missing"):
+        design_test(
+            loop,
+            values,
+            Noise(log=0.02),
+            limits=AxisLimits(speed=1.0, acceleration=1.0),
+            duration=4.0,
+            sample_time=1e-3,
+        )
+    with pytest.raises(MethodError, match="a duration and a sample time"):
+        design_test(loop, values, Noise(log=0.02))
+    with pytest.raises(MethodError, match="names stiffness, which is no free parameter"):
+        design_test(loop, values, Noise(log=0.02), goal="stiffness", limits=limits, duration=4.0, sample_time=1e-3)
+
+
+def test_no_plan_comes_below_the_floor() -> None:
+    """Of tests that keep the axis moving, as the floor has it."""
+    limits, hertz = AxisLimits(stroke=0.2, rms_torque=50.0), 60.0
+    for name in ("stiffness", "motor_viscous - load_viscous", "motor_inertia"):
+        goal = goal_named(name, [p.name for p in AXIS.loop.joint.parameters])
+        floor = least_deviation(
+            AXIS.loop, AXIS.truth, NOISE, goal, limits, samples=SHORT, sample_time=SAMPLE_TIME, cutoff=hertz
+        )
+        assert floor.power.sum() > 0
+        for motion, added in itertools.product(
+            (Trapezoids((0.05,), 0.5, 0.19), Sines(0.08, 0.3, 2.0)),
+            (TorqueLines((16.5, 29.8), (25.0, 60.0)), TorqueChirp(40.0, 8.0, 40.0), Pulses(120.0, 0.02, 0.4), None),
+        ):
+            reference, injected = Plan(motion, added).play(SHORT, SAMPLE_TIME)
+            test = planned_record(AXIS.loop, reference, SAMPLE_TIME, injected)
+            told = foretell(AXIS.loop, AXIS.truth, test, NOISE, filtering=Filtering(cutoff=hertz), runs=60)
+            size = math.sqrt(float(np.mean(told.motion.torque**2)))
+            assert told.std_of(goal.weights) * max(size / 50.0, 1.0) > floor.deviation, (name, motion, added)
+
+
+def test_the_floor_falls_with_time_and_noise() -> None:
+    limits = AxisLimits(stroke=0.2, rms_torque=50.0)
+    goal = goal_named("stiffness", ["stiffness"])
+
+    def floor(samples: int, noise: Noise) -> float:
+        return least_deviation(
+            AXIS.loop, AXIS.truth, noise, goal, limits, samples=samples, sample_time=SAMPLE_TIME, cutoff=60.0
+        ).deviation
+
+    once = floor(SHORT, NOISE)
+    assert floor(4 * SHORT, NOISE) == pytest.approx(0.5 * once, rel=1e-6)
+    assert floor(SHORT, Noise(log=2 * AXIS.noise)) == pytest.approx(2 * once, rel=1e-6)
+    with pytest.raises(MethodError, match="does not move the joint"):
+        least_deviation(
+            AXIS.loop, AXIS.truth, NOISE, goal, AxisLimits(torque=10.0), samples=SHORT, sample_time=SAMPLE_TIME,
+            cutoff=60.0,
+        )  # fmt: skip
+
+
+def test_a_limit_that_is_passed_counts_before_anything_else() -> None:
+    own = foretell(AXIS.loop, AXIS.truth, short_record(), NOISE, runs=5)
+    found = reached(own.motion, own.reference, own.motion.torque, SAMPLE_TIME)
+    limits = AxisLimits(stroke=0.1, torque=300.0)
+    room = room_of(limits.given, found, 0.1, 60.0, 29.5)
+    goal = goal_named("all", own.joint)
+    asked = Asked(AXIS.loop, (AXIS.truth,), NOISE, goal, limits, room, SHORT, SAMPLE_TIME, Tap.COMMAND, Filtering(), {})
+    wide = try_plan(asked, Plan(Trapezoids((0.1,), 1.0, 0.15), Pulses(150.0, 0.02, 0.4)))
+    narrow = try_plan(asked, Plan(Trapezoids((0.1,), 1.0, 0.05)))
+    assert wide.over == pytest.approx(1.5 / 0.97, rel=0.01)
+    assert narrow.over == 0.0
+    assert narrow.rank < wide.rank
+    assert wide.score < narrow.score
+    ticks = itertools.count()
+    first = list(search(asked, [], 30.0, lambda _: None, seed=3, clock=lambda: float(next(ticks))))
+    ticks = itertools.count()
+    again = list(search(asked, [], 30.0, lambda _: None, seed=3, clock=lambda: float(next(ticks))))
+    assert [one.plan for one in first] == [one.plan for one in again]
+    assert all(later.rank < before.rank for before, later in itertools.pairwise(first))
+
+
+def test_every_generator_plays_what_it_says() -> None:
+    samples, T = 8000, 1e-3
+    time = np.arange(samples) * T
+    sines = TorqueSines(10.0, 5.0, 40.0).play(samples, T)
+    assert np.max(np.abs(sines)) == pytest.approx(10.0)
+    spectrum = np.abs(np.fft.rfft(sines))
+    hertz = np.fft.rfftfreq(samples, T)
+    assert np.sum(spectrum[(hertz < 4.0) | (hertz > 41.0)] ** 2) < 0.01 * np.sum(spectrum**2)
+    chirp = TorqueChirp(3.0, 2.0, 20.0).play(samples, T)
+    assert np.max(np.abs(chirp)) == pytest.approx(3.0, rel=1e-3)
+    assert chirp[0] == 0.0 and abs(chirp[-1]) < 0.01
+    half = np.abs(np.fft.rfft(chirp[: samples // 2]))
+    assert hertz[::2][: half.size][np.argmax(half)] < 7.0  # it has not come to the fast ones yet
+    lines = TorqueLines((7.0, 19.0), (2.0, 1.0)).play(samples, T)
+    amplitude = 2 * np.abs(np.fft.rfft(lines)) / samples
+    assert amplitude[np.argmin(np.abs(hertz - 7.0))] == pytest.approx(2.0, rel=0.05)
+    trapezoid = Trapezoids((0.2,), 1.0, 0.1, rest=0.1, smoothing=0.05).play(samples, T)
+    acceleration = np.diff(trapezoid, 2) / T**2
+    assert np.max(np.abs(acceleration)) == pytest.approx(1.0, rel=0.02)
+    assert np.max(np.abs(np.diff(acceleration))) / T < 21.0
+    assert trapezoid[-1] == pytest.approx(trapezoid[-3], abs=1e-12)
+    series = excitation.fourier_series(samples, T, 4.0, (0.1, 0.0), (0.0, 0.2))
+    assert series == pytest.approx(0.1 * (np.cos(0.5 * math.pi * time) - 1) + 0.2 * np.sin(math.pi * time))
+    assert Family("trapezoids", "pulses").size == 9
+    with pytest.raises(MethodError, match="half of the sampling frequency"):
+        excitation.chirp(100, T, 1.0, 2.0, 600.0)
+    with pytest.raises(MethodError, match="as many cosines as sines"):
+        excitation.fourier_series(100, T, 1.0, (1.0,), ())
+
+
+@pytest.mark.slow
+def test_the_command_plans_from_a_record(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    axis = twin("L19")
+    write(replace(axis.record, motor_position=None, load_position=None), tmp_path / "record.csv")
+    (tmp_path / "joint.toml").write_text(JOINT_FILE)
+    with pytest.raises(SystemExit) as ended:
+        main([
+            "design", str(tmp_path / "joint.toml"), "-q", "--goal", "stiffness", "--seconds", "6", "--out",
+            str(tmp_path / "next"), "--json", str(tmp_path / "next.json"), "--windup", "0.001",
+        ])  # fmt: skip
+    assert ended.value.code == 0
+    printed = capsys.readouterr().out
+    assert "The proposed test tells stiffness" in printed
+    assert "windup" in printed
+    assert (tmp_path / "next" / "test.csv").exists()
+    answer = json.loads((tmp_path / "next.json").read_text())
+    assert answer["limits"]["windup"] == 0.001
+    assert answer["reached"]["windup"] < 0.001
