@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from jointid.apps.cli import main
+from jointid.config import load
 from jointid.diagnostics.examine_record import Examination, Question, examine
 from jointid.diagnostics.law_on_position import compare_law
 from jointid.models.joints import ClosedLoop
@@ -206,3 +207,21 @@ def test_the_command_says_by_its_code_whether_something_is_wrong(
     with pytest.raises(SystemExit) as ended:
         main(["doctor", file, "-q", "--record", str(tmp_path / "nowhere.csv")])
     assert ended.value.code == 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["DATA_EMPS", "DATA_EMPS_PULSES"])
+def test_a_real_axis_is_looked_over(name: str, data_dir: Path) -> None:
+    """Its friction at standstill is none of the model's, which moves its inertia by less than its interval."""
+    file = load(Path(__file__).parents[2] / "examples" / "emps" / "joint.toml")
+    record = file.record(data_dir / "emps" / f"{name}.mat")
+    assert file.loop is not None
+    found = examine(record, file.loop, file.method, filtering=file.filtering)
+    assert found.healthy, str(found)
+    assert "spoils its answer" in found.sentence
+    (law,) = (one for one in found.looked if one.question is Question.LAW)
+    assert law.good
+    compared = compare_law(record, file.loop)
+    assert compared is not None
+    assert compared.left < 0.003
+    assert compared.left < 1.05 * compared.noise  # nothing but rounding

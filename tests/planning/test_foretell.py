@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import jointid as ji
 from jointid.common.errors import MethodError
+from jointid.config import load
 from jointid.diagnostics.experiment_design import rebuild_declared_problem
 from jointid.estimation.methods.flexible import refined_least_squares
 from jointid.estimation.problems.closed_loop import torque_problem
@@ -120,3 +122,18 @@ def test_the_twin_scatters_as_foretold(loop: str, noise: str, tap: str) -> None:
     """120 runs tell a deviation to 6.5 %, and the runs with noise that it is foretold from to 5 %."""
     found = compare(loop, noise, tap, 120)  # type: ignore[arg-type]
     assert all(0.75 < ratio < 1.33 for ratio in found.ratio.values()), found.ratio
+
+
+def test_the_pulsed_record_of_a_real_axis_is_foretold_from_the_other(data_dir: Path) -> None:
+    """EMPS: from DATA_EMPS alone, what its other record gives an hour later; half of what is left repeats."""
+    file = load(Path(__file__).parents[2] / "examples" / "emps" / "joint.toml")
+    first, second = (file.record(data_dir / "emps" / name) for name in ("DATA_EMPS.mat", "DATA_EMPS_PULSES.mat"))
+    assert file.loop is not None
+    known, given = (
+        ji.identify(record, file.loop, file.method, filtering=file.filtering, loop_check=False)
+        for record in (first, second)
+    )
+    told = foretell(file.loop, known.values, second, Noise.of(known, first), filtering=file.filtering)
+    for name in told.joint:
+        assert told.std[name] == pytest.approx(given[name].stderr, rel=0.1), name
+    assert told.std["inertia"] < 0.85 * known["inertia"].stderr  # type: ignore[operator]

@@ -3,8 +3,9 @@
 A test is a family and some numbers between 0 and 1 (`plans`). Each is simulated at several joints, the one that is
 roughly known and others drawn from its interval, with noise: what it tells is the mean over them, and what it reaches
 the largest of them. A test that passes a limit is worse than any that keeps them all, and the worse the farther it
-passes. A few tests of every family are drawn; then the best of all are moved by steps that grow where they help and
-shrink where they do not, as an evolution strategy does (I. Rechenberg's rule of one success in five).
+passes. A few tests of every family are drawn; the best of each is moved a few times, and then the best of all, by steps
+that grow where they help and shrink where they do not, as an evolution strategy does (I. Rechenberg's rule of one
+success in five).
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ _MARGIN = 0.97  # of each limit, that a test may reach in the search: other join
 _ASTRAY = 1e6  # a test that cannot be simulated
 _CLEARLY = 0.02  # of a score: other joints change it by as much
 _DRAWN = 6  # tests of each family, to begin with
+_ROUNDS = 5  # in which the best of each family is moved
 _KEPT = 4  # of all, that are followed
 _FIRST_STEP, _GROWS, _SHRINKS = 0.15, 1.4, 0.9  # of the numbers between 0 and 1
 _SMALLEST, _LONGEST = 2e-3, 0.5
@@ -187,7 +189,11 @@ def _try_all(
         tries = in_threads(lambda one: try_plan(asked, one[0].plan(list(one[1]), asked.room)), pair)
         lines += [_Line(family, u, tried) for (family, u), tried in zip(pair, tries, strict=True)]
         yield from tries
-    lines = _best_of_each(lines)[:_KEPT]
+    lines = _best_of_each(lines)
+    for line in [line for _ in range(_ROUNDS) for line in lines]:
+        line.move(asked, rng)
+        yield line.tried
+    lines = sorted(lines, key=lambda line: line.tried.rank)[:_KEPT]
     while lines:
         for line in lines:
             line.move(asked, rng)

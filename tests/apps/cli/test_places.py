@@ -55,6 +55,7 @@ COMMANDS = (
     "diagnose springs joint.toml --json record.csv",
     "diagnose friction joint.toml --json record.csv",
     "doctor joint.toml --json record.csv",
+    "design joint.toml --json record.csv",
 )
 
 
@@ -211,6 +212,7 @@ OUTPUTS: dict[str, tuple[str, dict[str, str]]] = {
     "data convert": ("record.csv", {"TARGET": "x"}),
     "data inspect": ("record.csv", {"--json": "x.json", "--figure": "x.png"}),
     "demo": ("", {"FOLDER": "x"}),
+    "design": ("joint.toml", {"--json": "x.json", "--figure": "x.png", "--out": "x"}),
     "diagnose intervals": ("joint.toml", {}),
     "diagnose loop": ("joint.toml", {"--json": "x.json"}),
     "diagnose methods": ("joint.toml", {"--json": "x.json"}),
