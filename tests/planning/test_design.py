@@ -240,3 +240,13 @@ def test_the_command_plans_from_a_record(tmp_path: Path, capsys: pytest.CaptureF
     answer = json.loads((tmp_path / "next.json").read_text())
     assert answer["limits"]["windup"] == 0.001
     assert answer["reached"]["windup"] < 0.001
+    with pytest.raises(SystemExit) as ended:
+        main([
+            "design", str(tmp_path / "joint.toml"), "-q", "--goal", "stiffness", "--motion",
+            str(tmp_path / "next" / "test.csv"), "--json", str(tmp_path / "own.json"), "--stroke", "0.01",
+        ])  # fmt: skip
+    assert ended.value.code == 0
+    assert "passes a limit: stroke" in capsys.readouterr().out
+    own = json.loads((tmp_path / "own.json").read_text())
+    told, again = (one["tests"]["proposed"]["std"]["stiffness"] for one in (answer, own))
+    assert again == pytest.approx(told, rel=1e-6)  # the same test, read back

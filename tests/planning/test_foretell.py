@@ -116,12 +116,14 @@ def test_what_cannot_be_foretold_is_said() -> None:
 
 
 @pytest.mark.statistical
-@pytest.mark.parametrize("tap", ["command", "measured"])
-@pytest.mark.parametrize(("loop", "noise"), [("L19", "disturbance"), ("L30", "white"), ("L30", "disturbance")])
+@pytest.mark.parametrize(
+    ("loop", "noise", "tap"),
+    [("L19", "disturbance", "command"), ("L19", "disturbance", "measured"), ("L30", "white", "command")],
+)
 def test_the_twin_scatters_as_foretold(loop: str, noise: str, tap: str) -> None:
-    """120 runs tell a deviation to 6.5 %, and the runs with noise that it is foretold from to 5 %."""
-    found = compare(loop, noise, tap, 120)  # type: ignore[arg-type]
-    assert all(0.75 < ratio < 1.33 for ratio in found.ratio.values()), found.ratio
+    """80 runs tell a deviation to 8 %, and the runs with noise that it is foretold from to 5 %."""
+    found = compare(loop, noise, tap, 80)  # type: ignore[arg-type]
+    assert all(0.7 < ratio < 1.4 for ratio in found.ratio.values()), found.ratio
 
 
 def test_the_pulsed_record_of_a_real_axis_is_foretold_from_the_other(data_dir: Path) -> None:

@@ -124,6 +124,13 @@ def check_loop(
         >>> ji.check_loop(estimate, record).as_declared
         True
     """
+    return _check(estimate, record, settings, shown)[0]
+
+
+def _check(
+    estimate: Estimate, record: Record, settings: LoopTests | None, shown: Sequence[DriveNumber]
+) -> tuple[LoopCheck, _State]:
+    """Return what `check_loop` does, and the problem with the faults that were found corrected."""
     if estimate.settings.loop is None:
         raise MethodError("IDIM simulates no loop, so there is none to check; identify with DIDIM and the controller.")
     for p in estimate.params:
@@ -137,8 +144,8 @@ def check_loop(
         "record it was identified from."
     )
     std = {p.name: p.stderr for p in estimate.params if p.stderr is not None}
-    found = find_faults(*rebuild_problem(estimate, record, another), settings, std, record)
-    return replace(found, shown={one.number: one for one in shown})
+    found, state = _find(*rebuild_problem(estimate, record, another), settings, std, record)
+    return replace(found, shown={one.number: one for one in shown}), state
 
 
 def add_loop_verdict(
@@ -161,13 +168,14 @@ def add_loop_check(
     """Return an estimate with the verdict of its loop check added, and the check; None where there is none."""
     if estimate.settings.loop is None:
         return estimate, None
-    check = None
+    check = rest = None
     verdict = not_tested(Subject.LOOP, "not checked, because the joint is not fully identified; identify it as rigid")
     whole = all(p.value is not None for p in estimate.params)
     if whole:
         try:
-            check = check_loop(estimate, record, shown=shown)
+            check, state = _check(estimate, record, None, shown)
             verdict = Verdict(Subject.LOOP, check.status, check.reasons)
+            rest = _predict_rest(state)
         except (JointidError, np.linalg.LinAlgError) as error:  # no check ends an identification
             verdict = not_tested(Subject.LOOP, f"not checked: {error}")
     findings = () if check is None else check.findings
@@ -183,8 +191,8 @@ def add_loop_check(
     elif short is not None:
         verdict = Verdict(Subject.LOOP, Status.FAILED, (short,))
     verdicts = (*estimate.checks.verdicts, verdict)
-    if causes is None and check is not None and check.rest is not None and check.rest.follows:
-        follows = check.rest.verdict
+    if causes is None and rest is not None and rest.follows:
+        follows = rest.verdict
         before = next((one for one in verdicts if one.subject is follows.subject), None)
         kept = before.reasons if before is not None and before.status is Status.FAILED else ()
         others = tuple(one for one in verdicts if one is not before)
@@ -240,6 +248,17 @@ def find_faults(
     Raises:
         MethodError: a fault asked for cannot be tested in this record.
     """
+    return _find(problem, x, settings, std, record)[0]
+
+
+def _find(
+    problem: ClosedLoopProblem,
+    x: FloatArray,
+    settings: LoopTests | None,
+    std: Mapping[str, float] | None,
+    record: Record | None,
+) -> tuple[LoopCheck, _State]:
+    """Return what `find_faults` does, and the problem with the faults that were found corrected."""
     settings, known = settings or LoopTests(), std or {}
     state = beginning = _State(problem, np.asarray(x, dtype=np.float64))
     findings: list[Finding] = []
@@ -292,13 +311,14 @@ def find_faults(
     symbols = {p.name: p.symbol for p in joint.parameters}
     side, tests = None if joint.transmission is None else joint.transmission.side, () if first is None else first.tests
     law, frictions = numbers_of(problem.loop.controller), _frictions_to_try(joint)
-    rest = _predict_rest(state) if isinstance(joint, FlexibleJoint) else None
-    return LoopCheck(
-        tuple(findings), tests, settings.level, symbols, units, side, undecided, law, frictions=frictions, rest=rest
-    )
+    check = LoopCheck(tuple(findings), tests, settings.level, symbols, units, side, undecided, law, frictions=frictions)
+    return check, state
 
 
 def _predict_rest(state: _State) -> PredictedResidual | None:
+    """Return how much of what a flexible joint leaves its motion predicts; None of a rigid one."""
+    if not isinstance(state.problem.joint, FlexibleJoint):
+        return None
     try:
         return predict_residual(state.problem, state.x)
     except np.linalg.LinAlgError:  # what the tests found stands

@@ -20,7 +20,6 @@ from jointid.diagnostics.mechanics_faults import (
 )
 from jointid.diagnostics.number_words import call, show_times_beside, tell_difference, tell_difference_in_drive
 from jointid.diagnostics.other_laws import PERIOD, OtherLaw
-from jointid.diagnostics.unmodelled_motion import PredictedResidual
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.springs import Backlash, ThreePieceSpring
 from jointid.uncertainty.verdict import Reason, Status
@@ -87,8 +86,6 @@ class LoopCheck(Documented):
         law: the controller's numbers as they are declared.
         shown: how the drive shows those that the joint file declares, by the law's names.
         frictions: names of the laws in pieces that the joint's friction may be instead.
-        rest: how much of the residual of a flexible joint its motion predicts, with the faults found corrected; None
-            of a rigid one, or of too few rows.
     """
 
     findings: tuple[Finding, ...]
@@ -101,7 +98,6 @@ class LoopCheck(Documented):
     law: Mapping[str, float] = field(default_factory=dict)
     shown: Mapping[str, DriveNumber] = field(default_factory=dict)
     frictions: tuple[str, ...] = ()
-    rest: PredictedResidual | None = None
 
     @property
     def as_declared(self) -> bool:

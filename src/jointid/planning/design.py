@@ -31,7 +31,7 @@ from jointid.planning.bound import Floor, least_deviation
 from jointid.planning.foretell import Foretold, Noise, foretell, foretell_roughly, planned_record
 from jointid.planning.goals import Goal, goal_named
 from jointid.planning.limits import AxisLimits, describe_passed
-from jointid.planning.plans import Plan, room_of
+from jointid.planning.plans import Plan, TorqueTable, room_of
 from jointid.planning.plans import Table as Played
 from jointid.planning.search import Asked, Tried, search, try_plan
 from jointid.records.record import Record, Tap
@@ -230,6 +230,7 @@ def design_test(
     goal: str = "all",
     limits: AxisLimits | None = None,
     present: Record | None = None,
+    motion: Record | None = None,
     covariance: FloatArray | None = None,
     duration: float | None = None,
     sample_time: float | None = None,
@@ -254,6 +255,7 @@ def design_test(
             are not given.
         present: the test there is already, as a record; its torque is not read. Needed where a limit of stroke, speed,
             acceleration or torque is not given.
+        motion: a test of your own, at the sample time of the present one: it is foretold, and none is looked for.
         covariance: (free, free) of the joint's free parameters, in their order: other joints are drawn from it.
         duration: of the test, s; that of the present one when None.
         sample_time: of its log, s; likewise.
@@ -287,7 +289,8 @@ def design_test(
         )
     log = None if present is None else present.torque or present.reference
     T = sample_time or (log.sample_time if log is not None else 0.0)
-    samples = math.floor((duration or (present.duration if present is not None else 0.0)) / T + 1e-9)
+    lasts = motion if motion is not None else present
+    samples = math.floor((duration or (lasts.duration if lasts is not None else 0.0)) / T + 1e-9)
     tap = Tap(tap)
     free = [p.name for p in loop.joint.parameters if parameters.get(p.name, p).free]
     wanted = goal_named(goal, free)
@@ -315,8 +318,14 @@ def design_test(
         filtering,
         parameters,
     )
-    best, interrupted = _look(asked, begin, seconds, seed, progress)
-    best = _keep_within(replace(asked, joints=(dict(values), *draws)), best)
+    everywhere = replace(asked, joints=(dict(values), *draws))
+    if motion is not None:
+        best, interrupted = try_plan(everywhere, _given(motion, T), margin=1.0), False
+        if math.isinf(best.over):
+            raise MethodError("The loop cannot be simulated along this test; check its units, and what it begins with.")
+    else:
+        best, interrupted = _look(asked, begin, seconds, seed, progress)
+        best = _keep_within(everywhere, best)
     told = _foretell(asked, values, best.plan, samples)
     step = load_encoder or _OF_STROKE * best.reached["stroke"]
     flexible = isinstance(loop.joint, FlexibleJoint)
@@ -431,6 +440,18 @@ def _draw(
         kept = {name: value if name == "offset" else max(value, 0.0) for name, value in one.items()}
         drawn.append({**values, **kept})
     return drawn
+
+
+def _given(motion: Record, sample_time: float) -> Plan:
+    """Return a test of the user's own as a plan."""
+    if motion.reference is None or not math.isclose(motion.reference.sample_time, sample_time, rel_tol=1e-6):
+        every = "none" if motion.reference is None else f"one every {1e3 * motion.reference.sample_time:g} ms"
+        raise MethodError(
+            "A test of your own has a reference at the sample time of the log, a value every "
+            f"{1e3 * sample_time:g} ms; received {every}: resample it."
+        )
+    added = None if motion.injected is None else TorqueTable(motion.injected.channel.values)
+    return Plan(Played(motion.reference.values), added)
 
 
 def _look(asked: Asked, begin: Sequence[Plan], seconds: float, seed: int, progress: Progress) -> tuple[Tried, bool]:

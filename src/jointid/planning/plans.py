@@ -176,8 +176,24 @@ class TorqueChirp:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class TorqueTable:
+    """A signal on the torque as it stands in a table, one value each sample."""
+
+    values: FloatArray
+
+    def play(self, samples: int, sample_time: float) -> FloatArray:
+        """Return the torque that is added, (samples,); the table again where it is shorter."""
+        del sample_time
+        return np.asarray(np.resize(self.values, samples))
+
+    def describe(self, unit: str) -> str:
+        """Return it in words, torques in that unit."""
+        return f"the signal as given on the torque, of up to {number(float(np.max(np.abs(self.values))), 3)} {unit}"
+
+
 Motion: TypeAlias = Trapezoids | Sines | Table
-Added: TypeAlias = Pulses | TorqueSines | TorqueLines | TorqueChirp
+Added: TypeAlias = Pulses | TorqueSines | TorqueLines | TorqueChirp | TorqueTable
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,6 +218,8 @@ class Plan:
         added, motion = self.added, self.motion
         if isinstance(added, Pulses):
             added = replace(added, height=factor * added.height)
+        elif isinstance(added, TorqueTable):
+            added = replace(added, values=factor * added.values)
         elif isinstance(added, TorqueLines):
             added = replace(added, amplitudes=tuple(factor * one for one in added.amplitudes))
         elif added is not None:

@@ -233,7 +233,7 @@ OUTPUTS: dict[str, tuple[str, dict[str, str]]] = {
     ),
 }
 """Where every command writes, and what else it is given."""
-_READ = {"JOINT", "FILE", "SOURCE", "BEFORE", "AFTER", "--record", "--estimate"}
+_READ = {"JOINT", "FILE", "SOURCE", "BEFORE", "AFTER", "--record", "--estimate", "--motion"}
 
 
 def test_every_place_where_a_command_writes_is_listed() -> None:

@@ -12,7 +12,7 @@ from jointid.apps.cli.console import DEFAULTS, Options, deliver, show
 from jointid.apps.cli.places import Outputs
 
 if TYPE_CHECKING:
-    from jointid import AxisLimits
+    from jointid import AxisLimits, Estimate, Record
 
 
 @Parameter(name="*")
@@ -62,6 +62,7 @@ def design(
     goal: str = "all",
     duration: float | None = None,
     seconds: float = 60.0,
+    motion: Path | None = None,
     out: Path | None = None,
     figure: Path | None = None,
 ) -> None:
@@ -78,6 +79,8 @@ def design(
             (what is known worst) or "all".
         duration: of the test, in s; without it that of the record.
         seconds: that the search may take.
+        motion: a test of your own, foretold in the place of one that is looked for: a table with the columns t (s),
+            reference (m or rad) and, if a signal is added to the torque, injected (N, N m, or the torque's unit).
         out: also write the test into this folder: a CSV, a MAT file, and a page on how to run it.
         figure: also save reference, torque and spectrum as PNG, SVG or PDF.
     """
@@ -85,12 +88,33 @@ def design(
     from jointid.planning.design import plan_from_estimate
 
     outputs = Outputs({"--json": options.json}, {"--figure": figure}, {"--out": out})
+    outputs.spare("--motion", motion)
     allowed = limits.limits
     record, estimate = options.identify_by_didim(joint, outputs)
     found = plan_from_estimate(
-        estimate, record, goal=goal, limits=allowed, duration=duration, seconds=seconds, progress=options.progress
+        estimate,
+        record,
+        goal=goal,
+        limits=allowed,
+        duration=duration,
+        seconds=seconds,
+        motion=None if motion is None else _read(motion, estimate),
+        progress=options.progress,
     )
     deliver(found, options.json, (figure, figures.draw))
     if out is not None:
         paths = found.write(out)
         show(f"\nWritten to {out}: {', '.join(path.name for path in paths)}")
+
+
+def _read(motion: Path, estimate: Estimate) -> Record:
+    """Read a test of the user's own."""
+    from jointid import Column, read
+    from jointid.common.parameters import POSITION_UNIT
+
+    joint = estimate.settings.joint
+    columns = {
+        "reference": Column("reference", POSITION_UNIT[joint.kind]),
+        "injected": Column("injected", joint.force_unit, optional=True),
+    }
+    return read(motion, columns, time="t")
