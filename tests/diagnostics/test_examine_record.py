@@ -224,3 +224,16 @@ def test_a_real_axis_is_looked_over(name: str, data_dir: Path) -> None:
     assert compared is not None
     assert compared.left < 0.003
     assert compared.left < 1.05 * compared.noise  # nothing but rounding
+
+
+def test_what_is_missing_or_never_changes_is_said_at_once() -> None:
+    record, loop = without_mistake(axis("rigid"))
+    found = examine(record.without("reference"), loop)
+    assert "the record has no reference" in found.sentence
+    assert record.torque is not None
+    dead = replace(record.torque, values=0.0 * record.torque.values)
+    found = examine(record.with_channels({"torque": dead}), loop)
+    assert "0 N m in every sample" in found.sentence
+    short = {name: replace(one, values=one.values[:12]) for name, one in record.items()}
+    found = examine(Record(**short, name="short"), loop)  # type: ignore[arg-type]
+    assert not found.healthy

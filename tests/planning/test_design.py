@@ -136,7 +136,7 @@ def test_no_plan_comes_below_the_floor() -> None:
     """Of tests that keep the axis moving, as the floor has it."""
     limits, hertz = AxisLimits(stroke=0.2, rms_torque=50.0), 60.0
     for name in ("stiffness", "motor_viscous - load_viscous", "motor_inertia"):
-        goal = goal_named(name, [p.name for p in AXIS.loop.joint.parameters])
+        goal = goal_named(name, {p.name: AXIS.loop.joint.unit(p) for p in AXIS.loop.joint.parameters})
         floor = least_deviation(
             AXIS.loop, AXIS.truth, NOISE, goal, limits, samples=SHORT, sample_time=SAMPLE_TIME, cutoff=hertz
         )
@@ -154,7 +154,7 @@ def test_no_plan_comes_below_the_floor() -> None:
 
 def test_the_floor_falls_with_time_and_noise() -> None:
     limits = AxisLimits(stroke=0.2, rms_torque=50.0)
-    goal = goal_named("stiffness", ["stiffness"])
+    goal = goal_named("stiffness", {"stiffness": "N/m"})
 
     def floor(samples: int, noise: Noise) -> float:
         return least_deviation(
@@ -176,7 +176,7 @@ def test_a_limit_that_is_passed_counts_before_anything_else() -> None:
     found = reached(own.motion, own.reference, own.motion.torque, SAMPLE_TIME)
     limits = AxisLimits(stroke=0.1, torque=300.0)
     room = room_of(limits.given, found, 0.1, 60.0, 29.5)
-    goal = goal_named("all", own.joint)
+    goal = goal_named("all", own.units)
     asked = Asked(AXIS.loop, (AXIS.truth,), NOISE, goal, limits, room, SHORT, SAMPLE_TIME, Tap.COMMAND, Filtering(), {})
     wide = try_plan(asked, Plan(Trapezoids((0.1,), 1.0, 0.15), Pulses(150.0, 0.02, 0.4)))
     narrow = try_plan(asked, Plan(Trapezoids((0.1,), 1.0, 0.05)))
@@ -246,7 +246,49 @@ def test_the_command_plans_from_a_record(tmp_path: Path, capsys: pytest.CaptureF
             str(tmp_path / "next" / "test.csv"), "--json", str(tmp_path / "own.json"), "--stroke", "0.01",
         ])  # fmt: skip
     assert ended.value.code == 0
-    assert "passes a limit: stroke" in capsys.readouterr().out
+    assert "It passes a limit: stroke" in capsys.readouterr().out
     own = json.loads((tmp_path / "own.json").read_text())
     told, again = (one["tests"]["proposed"]["std"]["stiffness"] for one in (answer, own))
     assert again == pytest.approx(told, rel=1e-6)  # the same test, read back
+
+
+def test_a_test_stays_where_the_present_one_is_and_begins_at_rest() -> None:
+    """An axis that begins at 1.2 rad, holds a weight, logs its reference at a quarter of the rate, injects early."""
+    loop = ClosedLoop(
+        RigidJoint("revolute", gravity=ji.Gravity("constant")),
+        ji.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0),
+    )
+    values = {"inertia": 0.04, "viscous": 0.05, "coulomb": 0.1, "offset": 0.0, "gravity_constant": -0.8}
+    values = {p.name: values.get(p.name, -0.8) for p in loop.joint.parameters}
+    slow = 1.2 + excitation.trapezoids((0.5, 1.0), 8.0, 1.0, 4e-3, duration=4.0)
+    torque = ji.Channel(np.zeros(4000), "N m", 1e-3)
+    present = replace(planned_record(loop, slow, 4e-3), torque=torque)
+    free = [p for p in loop.joint.parameters if p.free]
+    covariance = np.diag([(0.02 * abs(values[p.name]) + 1e-4) ** 2 for p in free])
+    found = design_test(loop, values, Noise(log=0.01), present=present, covariance=covariance, seconds=2.0)
+    assert not found.passed
+    assert found.proposed.reference.min() > 1.19
+    assert found.proposed.reference.max() < 2.21
+    assert found.proposed.sample_time == 1e-3
+    assert found.reached["acceleration"] < 20.0  # by the rate of the reference itself
+    held = [values[p.name] for p in loop.joint.parameters if "gravity" in p.name]
+    assert found.proposed.motion.torque[0] == pytest.approx(held[0], rel=0.2)  # and not from 0
+    assert "not limited" in str(found)
+
+
+def test_bad_input_is_refused_in_a_sentence() -> None:
+    limits = AxisLimits(stroke=0.2, speed=0.2, acceleration=2.0, torque=200.0)
+    for wrong, said in (
+        ({"duration": -1.0}, "The duration is a positive number"),
+        ({"duration": 0.05}, "A test of 50 samples tells nothing"),
+        ({"seconds": 0.0}, "The time of the search is a positive number"),
+        ({"goal": "stiffness + damping"}, "only what has one unit can be added"),
+    ):
+        given = {"duration": 4.0, "sample_time": 1e-3, "limits": limits, "goal": "stiffness"} | wrong
+        with pytest.raises(MethodError, match=said):
+            design_test(AXIS.loop, AXIS.truth, NOISE, **given)  # type: ignore[arg-type]
+    with pytest.raises(MethodError, match="The highest frequency is above the lowest"):
+        AxisLimits(lowest=200.0, highest=30.0)
+    slow = planned_record(AXIS.loop, np.zeros(2000), 2e-3)
+    with pytest.raises(MethodError, match="a value every 1 ms; received one every 2 ms"):
+        design_test(AXIS.loop, AXIS.truth, NOISE, present=short_record(), motion=slow)

@@ -32,14 +32,15 @@ from jointid.estimation.result.answer import loop_verdict
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import ClosedLoop, Joint
-from jointid.records.checks import find_record_warnings, limit_faults
+from jointid.records.checks import find_record_warnings, limit_faults, still_faults
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, lowpass
 from jointid.simulation.prescribed import DriveSide, OpenLoop
 from jointid.uncertainty.identifiability import Kind
 from jointid.uncertainty.verdict import POOR_FIT, Reason, Status
 
-_FAST = 0.3  # of the sampling frequency: above it there is noise, and no joint
+_FAST = 0.3  # of the sampling frequency: what lies above it is noise, or steps
+_FEWEST = 100  # samples
 _RESTS = 1e-3  # of the greatest speed
 _WELL, _ROUGHLY = 0.1, 0.5  # 2 sigma of a parameter over its value
 _LAW_LEAVES = 0.1  # of the torque: more is not what rounding leaves
@@ -75,7 +76,6 @@ class Fault(StrEnum):
     LAW_DIFFERS = "law_differs"
     LAW_SCALED = "law_scaled"
     LAW_LATE = "law_late"
-    LOOP_DIFFERS = "loop_differs"
     JOINT_DIFFERS = "joint_differs"
     NOT_IDENTIFIED = "not_identified"
 
@@ -214,7 +214,12 @@ def examine(
         looked.append(_look_at_law(law, record))
     gear = _joint_of(model).transmission
     logged = record.sentence
-    if any(one.fault in _ENOUGH for one in looked):  # no joint would be right
+    missing = [name for name in ("torque", *(() if loop is None else loop.channels)) if getattr(record, name) is None]
+    if missing:
+        names = " and ".join(dict.fromkeys(missing))
+        said = f"the record has no {names}, without which this joint is not identified; log it"
+        looked.insert(0, Looked(Question.RECORD, False, (said,), Fault.UNREADABLE))
+    if any(one.fault in (*_ENOUGH, Fault.UNREADABLE) for one in looked):  # no joint would be right
         return Examination(record.name, logged, tuple(looked), transmission=gear)
     try:
         estimate = estimation.identify(
@@ -241,14 +246,17 @@ def _look_at_samples(record: Record, loop: ClosedLoop | None) -> Iterator[Looked
     yield _look_at_clock(record)
     torque = record.torque
     if torque is not None:
+        still = [_clause(one) for one in still_faults(record)]
         coarse = find_record_warnings(record, ("torque",))
-        noise = torque.values - lowpass(torque.values, _FAST / torque.sample_time, torque.sample_time)
-        size = float(np.std(torque.values)) or 1.0
-        said = (
-            f"{number(float(torque.values.min()), 3)} to {number(float(torque.values.max()), 3)} {torque.unit}; "
-            f"{number(100 * float(np.std(noise)) / size, 2)} % of it lies above "
-            f"{number(_FAST / torque.sample_time, 3)} Hz, where no joint moves"
-        )
+        size = float(np.std(torque.values))
+        said = f"{number(float(torque.values.min()), 3)} to {number(float(torque.values.max()), 3)} {torque.unit}"
+        if size and len(torque) > _FEWEST:
+            noise = torque.values - lowpass(torque.values, _FAST / torque.sample_time, torque.sample_time)
+            share, fast = number(100 * float(np.std(noise)) / size, 2), number(_FAST / torque.sample_time, 3)
+            said += f"; {share} % of it lies above {fast} Hz"
+        if still:
+            yield Looked(Question.TORQUE, False, (*still, said), Fault.MOTION_POOR)
+            return
         yield Looked(Question.TORQUE, not coarse, (*coarse, said), Fault.TORQUE_COARSE if coarse else None)
         limit = math.inf if loop is None else loop.controller.law(torque.sample_time).limit
         if math.isfinite(limit):

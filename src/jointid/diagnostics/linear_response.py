@@ -30,10 +30,13 @@ def find_unexplained_share(problem: ClosedLoopProblem, reference: FloatArray, me
 
     Args:
         problem: whose torque and filter are used.
-        reference: (samples,) in m or rad.
+        reference: (samples,) in m or rad, over the same time.
         memory: s; how long the responses are.
     """
     torque = problem.filtered(problem.measured)
+    if reference.size != problem.measured.size:  # logged at a rate of its own
+        at = np.arange(problem.measured.size) * (reference.size / problem.measured.size)
+        reference = np.interp(at, np.arange(reference.size), reference)
     velocity = np.gradient(reference)
     moving = np.abs(velocity) > _STANDS * np.max(np.abs(velocity))
     inputs = [np.gradient(velocity), velocity, np.sign(np.where(moving, velocity, 0.0))]

@@ -18,23 +18,24 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.charts import LOAD, MEASURED, SIMULATED, Chart, Charted, Line, Mark, Panel
-from jointid.common.document import Block, Document, Documented, Facts, Listing, Table, common_facts
+from jointid.common.document import Block, Document, Documented, Facts, Table, common_facts
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.files import write_folder
 from jointid.common.messages import Progress, silent
-from jointid.common.parameters import POSITION_UNIT, Parameter
+from jointid.common.parameters import POSITION_UNIT, Parameter, Quantity
 from jointid.common.text import number
 from jointid.common.transmission import Transmission
+from jointid.diagnostics.other_experiments import choose_encoder_steps
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.planning.bound import Floor, least_deviation
-from jointid.planning.foretell import Foretold, Noise, foretell, foretell_roughly, planned_record
-from jointid.planning.goals import Goal, goal_named
-from jointid.planning.limits import AxisLimits, describe_passed
+from jointid.planning.foretell import Foretold, Noise, foretell, foretell_roughly
+from jointid.planning.goals import WEAKEST, Goal, goal_named
+from jointid.planning.limits import AxisLimits, describe_passed, units_of_limits
 from jointid.planning.plans import Plan, TorqueTable, room_of
 from jointid.planning.plans import Table as Played
 from jointid.planning.search import Asked, Tried, search, try_plan
-from jointid.records.record import Record, Tap
+from jointid.records.record import InjectionPoint, Record, Tap
 from jointid.records.signals.filtering import Filtering
 from jointid.records.writing import write
 
@@ -42,6 +43,8 @@ _JOINTS = 2  # of the interval, beside the one that is roughly known, in the sea
 _MORE_JOINTS = 20  # of the interval, at which the result is simulated
 _SHRINKS = 0.95  # of a signal, where the result passes a limit at one of these
 _TRIES = 12
+_FEWEST = 200  # samples of a test
+_LEAST = 0.2  # of an inertia or a stiffness that is drawn: less is no joint that was identified
 _OF_STROKE = 1e-6  # the step assumed of a load encoder
 _LINE = 0.6
 
@@ -57,6 +60,7 @@ class Design(Charted, Documented):
         description: of the test, in words.
         present: the test there is already, foretold; None where there is none, or it cannot be simulated.
         proposed: the new one.
+        test: the same as a record without a torque yet.
         with_encoder: the new one with a load encoder beside; None of a rigid joint.
         longer: the new one for twice the time.
         reached, limits: of each quantity, the largest over the joints that it was simulated at, and what is allowed.
@@ -72,6 +76,7 @@ class Design(Charted, Documented):
     description: str
     present: Foretold | None
     proposed: Foretold
+    test: Record
     with_encoder: Foretold | None
     longer: Foretold | None
     reached: Mapping[str, float]
@@ -99,20 +104,26 @@ class Design(Charted, Documented):
     @property
     def sentence(self) -> str:
         """What the proposed test tells of the goal, beside the present one."""
+        over = f" It passes a limit: {'; '.join(self.passed)}." if self.passed else ""
+        return f"{self._told}.{over}"
+
+    @property
+    def _told(self) -> str:
+        better = self.present is None or self._score(self.proposed) < self._score(self.present)
+        none = "" if better else "No better test than the present one was found: "
+        test = "The proposed test" if better else "the best other one"
         if not self.goal.weights:
-            what = "worst known direction" if self.goal.name == "weakest" else "volume of all intervals"
             if self.present is None:
-                return f"The proposed test is the best found for the {what}."
-            ratio = math.exp(self._score(self.proposed) - self._score(self.present))
-            return f"The proposed test brings the {what} to {number(100 * ratio, 2)} % of what the present one tells."
+                return f"{none}{test} is the best found for the goal {self.goal.name}"
+            ratio = number(100 * math.exp(self._score(self.proposed) - self._score(self.present)), 3)
+            what = "worst known direction" if self.goal.name == WEAKEST else "intervals, on the geometric mean,"
+            return f"{none}{test} brings the {what} to {ratio} % of the width that the present one gives"
         unit = self.proposed.units[next(iter(self.goal.weights))]
-        told = (
-            f"{self.goal.name.replace('_', ' ')} to +- {number(2 * self.proposed.std_of(self.goal.weights), 2)} {unit}"
-        )
+        width = number(2 * self.proposed.std_of(self.goal.weights), 2)
+        told = f"{none}{test} tells {self.goal.name.replace('_', ' ')} to +- {width} {unit}"
         if self.present is None:
-            return f"The proposed test tells {told}."
-        before = number(2 * self.present.std_of(self.goal.weights), 2)
-        return f"The proposed test tells {told}, the present one to +- {before} {unit}."
+            return told
+        return f"{told}, the present one to +- {number(2 * self.present.std_of(self.goal.weights), 2)} {unit}"
 
     def _score(self, told: Foretold) -> float:
         return self.goal.score(told.covariance.matrix, told.joint, told.values)
@@ -148,27 +159,21 @@ class Design(Charted, Documented):
             Table(header, tuple(rows), caption="2 sigma that are foretold of", words=(0, len(header) - 1))
         ]
         facts = [("test", self.description), *common_facts(None, self.transmission)]
-        units = self._units
-        for name, limit in self.limits.items():
-            facts.append(
-                (name.replace("_", " "), f"{number(self.reached[name], 3)} of {number(limit, 3)} {units[name]}")
+        units = units_of_limits(self.loop)
+        for name, size in self.reached.items():
+            allowed = (
+                f"of {number(self.limits[name], 3)} {units[name]}"
+                if name in self.limits
+                else f"{units[name]}, not limited"
             )
+            facts.append((name.replace("_", " "), f"{number(size, 3)} {allowed}"))
         if self.floor is not None and self.goal.weights:
             unit = proposed.units[next(iter(self.goal.weights))]
             facts.append(("floor", f"no motion within these limits comes below +- {number(2 * self.floor, 2)} {unit}"))
         if self.interrupted:
             facts.append(("search", "interrupted; this is the best that was found until then"))
         blocks.append(Facts(tuple(facts)))
-        blocks += [Listing(tuple(f"passes a limit: {one}" for one in self.passed))] if self.passed else []
         return Document(self.sentence, tuple(blocks))
-
-    @property
-    def _units(self) -> dict[str, str]:
-        q, u = self.position_unit, self.torque_unit
-        return {
-            "stroke": q, "speed": f"{q}/s", "acceleration": f"{q}/s2", "jerk": f"{q}/s3", "torque": u, "rms_torque": u,
-            "windup": q,
-        }  # fmt: skip
 
     def chart(self) -> Chart:
         """Return the reference, the torque that is foretold, and the spectrum of both beside the modes."""
@@ -197,8 +202,7 @@ class Design(Charted, Documented):
         Raises:
             RecordError: they cannot be written.
         """
-        told = self.proposed
-        record = planned_record(self.loop, told.reference, told.sample_time, told.injected)
+        record = replace(self.test, name="test")
         files: dict[str, bytes] = {}
         with tempfile.TemporaryDirectory() as place:
             for name in ("test.csv", "test.mat"):
@@ -209,15 +213,29 @@ class Design(Charted, Documented):
 
     def _page(self) -> str:
         told, u, q = self.proposed, self.torque_unit, self.position_unit
-        added = "" if told.injected is None else f", and the signal to add to the torque in {u}"
         every, length = number(1e3 * told.sample_time, 6), number(told.reference.size * told.sample_time, 4)
+        start, low, high = (
+            number(float(one), 4) for one in (told.reference[0], told.reference.min(), told.reference.max())
+        )
+        added, injected = "", self.test.injected
+        if injected is not None:
+            where = "before the controller's limit" if injected.at is InjectionPoint.BEFORE_LIMIT else "after its limit"
+            added = f", and the signal to add to the controller's output, {where}, in {u}"
         steps = [
             f"`test.csv` and `test.mat` hold the reference in {q}{added}, a row every {every} ms, {length} s.",
-            "Begin with a tenth of the added signal and half of the speed, and see that the axis follows.",
+            f"It begins at {start} {q} and stays between {low} and {high} {q}: bring the axis there first.",
+            "Begin slowly, with half of the speed" + (" and a tenth of the added signal" if injected else "") + ".",
             "Log torque and reference, and the motor's position where the drive can: it checks the controller, too.",
-            "Log the added signal as a channel (`injected`), with the same clock.",
-            "Then `jointid doctor joint.toml --record RECORD`, and `jointid identify joint.toml --record RECORD`.",
         ]
+        if injected is not None:
+            inside = "true" if injected.in_torque else "false"
+            steps.append(
+                "Log the added signal with the same clock, and declare it in the joint file: `injected = { column = "
+                f'"injected", unit = "{u}", at = "{injected.at}", in_torque = {inside} }}`.'
+            )
+        steps.append(
+            "Then `jointid doctor joint.toml --record RECORD`, and `jointid identify joint.toml --record RECORD`."
+        )
         numbered = "\n".join(f"{i}. {step}" for i, step in enumerate(steps, 1))
         return f"# A test of this joint\n\n{self.description}.\n\n{numbered}\n\n{self.document().markdown()}\n"
 
@@ -283,6 +301,11 @@ def design_test(
         True
     """
     filtering, parameters = filtering or Filtering(), parameters or {}
+    for given, name in ((duration, "duration"), (sample_time, "sample time"), (seconds, "time of the search")):
+        if given is not None and not (math.isfinite(given) and given > 0):
+            raise MethodError(f"The {name} is a positive number of seconds; received {given:g}.")
+    if present is not None:
+        present.require(("reference",), "A design from a test there is already")
     if present is None and (duration is None or sample_time is None):
         raise MethodError(
             "A test has a duration and a sample time; give both, or the record of a test there is already."
@@ -291,11 +314,14 @@ def design_test(
     T = sample_time or (log.sample_time if log is not None else 0.0)
     lasts = motion if motion is not None else present
     samples = math.floor((duration or (lasts.duration if lasts is not None else 0.0)) / T + 1e-9)
+    if samples < _FEWEST:
+        raise MethodError(f"A test of {samples} samples tells nothing; expected {_FEWEST} or more: plan a longer one.")
     tap = Tap(tap)
-    free = [p.name for p in loop.joint.parameters if parameters.get(p.name, p).free]
-    wanted = goal_named(goal, free)
+    unknown = {p.name: parameters.get(p.name, p) for p in loop.joint.parameters}
+    free = [name for name, p in unknown.items() if p.free]
+    wanted = goal_named(goal, {name: loop.joint.unit(unknown[name]) for name in free})
     asked_limits, begin, found = _complete(
-        loop, values, noise, limits or AxisLimits(), present, samples, T, filtering, parameters
+        loop, values, noise, limits or AxisLimits(), present, T, filtering, parameters
     )
     resolved = filtering.resolved(T, loop.joint.model)
     assert resolved.cutoff is not None
@@ -303,31 +329,31 @@ def design_test(
     floor = _floor(loop, values, noise, wanted, asked_limits, samples, T, highest)
     modes = FlexibleJoint.frequencies(values) if isinstance(loop.joint, FlexibleJoint) else {}
     mode = modes.get("free_free", 0.5 * highest)
-    room = room_of(asked_limits.given, found, asked_limits.lowest, highest, mode, () if floor is None else floor.lines)
-    draws = _draw(values, free, covariance, _MORE_JOINTS, seed)
+    positions = np.zeros(1) if present is None or present.reference is None else present.reference.values
+    lines = () if floor is None else floor.lines
+    lowest = min(asked_limits.lowest, highest)
+    low = 0.5 * float(positions.min() + positions.max() - asked_limits.given["stroke"])
+    room = room_of(asked_limits.given, found, lowest, highest, mode, lines, low)
+    draws = _draw(values, [unknown[name] for name in free], covariance, _MORE_JOINTS, seed)
+    added = None if present is None else present.injected
+    how = (InjectionPoint.AFTER_LIMIT, True) if added is None else (added.at, added.in_torque)
     asked = Asked(
-        loop,
-        (dict(values), *draws[:_JOINTS]),
-        noise,
-        wanted,
-        asked_limits,
-        room,
-        samples,
-        T,
-        tap,
-        filtering,
-        parameters,
-    )
+        loop, (dict(values), *draws[:_JOINTS]), noise, wanted, asked_limits, room, samples, T, tap, filtering,
+        parameters, *how,
+    )  # fmt: skip
     everywhere = replace(asked, joints=(dict(values), *draws))
     if motion is not None:
-        best, interrupted = try_plan(everywhere, _given(motion, T), margin=1.0), False
-        if math.isinf(best.over):
+        plan = _given(motion, T)
+        if math.isinf(try_plan(asked, plan).over):
             raise MethodError("The loop cannot be simulated along this test; check its units, and what it begins with.")
+        best, interrupted = try_plan(everywhere, plan, margin=1.0), False
     else:
         best, interrupted = _look(asked, begin, seconds, seed, progress)
         best = _keep_within(everywhere, best)
     told = _foretell(asked, values, best.plan, samples)
-    step = load_encoder or _OF_STROKE * best.reached["stroke"]
+    step = load_encoder
+    if step is None:
+        step = _OF_STROKE * best.reached["stroke"] if present is None else choose_encoder_steps(present, None)[1]
     flexible = isinstance(loop.joint, FlexibleJoint)
     return Design(
         record,
@@ -336,11 +362,12 @@ def design_test(
         best.plan.describe(POSITION_UNIT[loop.joint.kind], loop.joint.force_unit),
         None if present is None else _foretell_present(asked, values, present),
         told,
+        asked.record(best.plan),
         _foretell(asked, values, best.plan, samples, load_encoder=step) if flexible else None,
         _foretell(asked, values, best.plan, 2 * samples),
         best.reached,
         asked_limits.given,
-        tuple(describe_passed(asked_limits, best.reached, {})),
+        _passed(asked_limits, best, units_of_limits(loop)),
         None if floor is None or math.isnan(floor.deviation) else floor.deviation,
         modes,
         interrupted,
@@ -382,7 +409,6 @@ def _complete(
     noise: Noise,
     limits: AxisLimits,
     present: Record | None,
-    samples: int,
     sample_time: float,
     filtering: Filtering,
     parameters: Mapping[str, Parameter],
@@ -402,9 +428,12 @@ def _complete(
     found = dict(told.reached)
     taken = {name: found[name] for name in ("stroke", "torque", "rms_torque") if name not in limits.given}
     begin: tuple[Plan, ...] = ()
-    if present.injected is None and present.reference.sample_time == sample_time:
-        begin = (Plan(Played(present.reference.values)),)
-    del samples
+    injected = present.injected
+    rates = {present.reference.sample_time, *([] if injected is None else [injected.channel.sample_time])}
+    if rates == {sample_time}:
+        begin = (
+            Plan(Played(present.reference.values), None if injected is None else TorqueTable(injected.channel.values)),
+        )
     return replace(limits, **taken), begin, found
 
 
@@ -427,25 +456,34 @@ def _floor(
 
 
 def _draw(
-    values: Mapping[str, float], free: Sequence[str], covariance: FloatArray | None, count: int, seed: int
+    values: Mapping[str, float], free: Sequence[Parameter], covariance: FloatArray | None, count: int, seed: int
 ) -> list[dict[str, float]]:
-    """Return joints drawn from the interval; none where it is not known. What cannot be negative is not."""
+    """Return joints drawn from the interval, within the bounds of their parameters; none where it is not known."""
     if covariance is None:
         return []
     rng = np.random.default_rng([seed, 1])
     moved = rng.multivariate_normal(np.zeros(len(free)), covariance, size=count, method="eigh")
     drawn = []
     for row in moved:
-        one = {name: values[name] + by for name, by in zip(free, map(float, row), strict=True)}
-        kept = {name: value if name == "offset" else max(value, 0.0) for name, value in one.items()}
-        drawn.append({**values, **kept})
+        one = dict(values)
+        for p, by in zip(free, map(float, row), strict=True):
+            least = _LEAST * values[p.name] if p.quantity in (Quantity.INERTIA, Quantity.STIFFNESS) else p.lower
+            one[p.name] = min(max(values[p.name] + by, least), p.upper)
+        drawn.append(one)
     return drawn
+
+
+def _passed(limits: AxisLimits, best: Tried, units: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the limits that a test passes at some joint of the interval, or that it cannot be simulated there."""
+    lost = ("at some joints of the interval the loop is not stable",) if math.isinf(best.over) else ()
+    return (*lost, *describe_passed(limits, best.reached, units))
 
 
 def _given(motion: Record, sample_time: float) -> Plan:
     """Return a test of the user's own as a plan."""
-    if motion.reference is None or not math.isclose(motion.reference.sample_time, sample_time, rel_tol=1e-6):
-        every = "none" if motion.reference is None else f"one every {1e3 * motion.reference.sample_time:g} ms"
+    rates = [channel.sample_time for name, channel in motion.items() if name in ("reference", "injected")]
+    if motion.reference is None or any(not math.isclose(rate, sample_time, rel_tol=1e-6) for rate in rates):
+        every = " and ".join(f"one every {1e3 * rate:g} ms" for rate in rates) or "none"
         raise MethodError(
             "A test of your own has a reference at the sample time of the log, a value every "
             f"{1e3 * sample_time:g} ms; received {every}: resample it."
@@ -476,7 +514,7 @@ def _keep_within(asked: Asked, best: Tried) -> Tried:
     """Return a test that keeps the limits at all joints: its added signal and its speed are lowered until it does."""
     tried = try_plan(asked, best.plan, margin=1.0)
     for _ in range(_TRIES):
-        if tried.over <= 1.0:
+        if tried.over <= 1.0 or math.isinf(tried.over):
             break
         tried = try_plan(asked, tried.plan.scaled(_SHRINKS), margin=1.0)
     return tried
@@ -485,11 +523,9 @@ def _keep_within(asked: Asked, best: Tried) -> Tried:
 def _foretell(
     asked: Asked, values: Mapping[str, float], plan: Plan, samples: int, load_encoder: float | None = None
 ) -> Foretold:
-    reference, injected = plan.play(samples, asked.sample_time)
-    test = planned_record(asked.loop, reference, asked.sample_time, injected, tap=asked.tap)
     return foretell(
-        asked.loop, values, test, asked.noise, filtering=asked.filtering, parameters=asked.parameters,
-        load_encoder=load_encoder,
+        asked.loop, values, asked.record(plan, samples), asked.noise, filtering=asked.filtering,
+        parameters=asked.parameters, load_encoder=load_encoder,
     )  # fmt: skip
 
 

@@ -32,14 +32,14 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import POSITION_UNIT, Parameter
 from jointid.diagnostics.experiment_design import rebuild_declared_problem
-from jointid.diagnostics.other_experiments import add_information, compute_encoder_information
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
+from jointid.diagnostics.other_experiments import add_information, compute_encoder_information, find_noise_source
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import ClosedLoop
 from jointid.planning.limits import reached
-from jointid.records.record import Channel, Injection, Record, Tap, Timing
+from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.closed_loop import Outcome, Simulation, in_threads, require_finished, simulate
+from jointid.simulation.closed_loop import Initial, Outcome, Simulation, in_threads, require_finished, simulate
 from jointid.simulation.loop_input import as_logged, prepare
 from jointid.uncertainty.covariance import Covariance, covariance_of, stationary
 
@@ -85,8 +85,8 @@ class Noise:
         problem, x = rebuild_declared_problem(estimate, record)
         if any(p.value is None or p.stderr is None for p in estimate.params if p.free):
             raise MethodError(
-                "The noise of a first record is taken from an estimate that gives every parameter; this one refuses "
-                "some: state the noise instead."
+                "The noise of a first record is taken from an estimate that gives every parameter, and this record "
+                "does not identify all: jointid diagnose sensors says which test would; design_test takes rough values."
             )
         error, slopes = problem.linearised(x)
         alone = stationary(-slopes, -slopes, error).std
@@ -138,6 +138,8 @@ def planned_record(
     sample_time: float,
     injected: FloatArray | None = None,
     *,
+    at: InjectionPoint = InjectionPoint.AFTER_LIMIT,
+    in_torque: bool = True,
     tap: Tap | str = Tap.COMMAND,
     name: str = "test",
 ) -> Record:
@@ -147,14 +149,19 @@ def planned_record(
         loop: whose joint says the units.
         reference: (samples,) commanded position, m or rad.
         sample_time: of reference and log, s.
-        injected: (samples,) a signal added after the controller's limit, in the torque's unit.
+        injected: (samples,) a signal added to the torque, in its unit.
+        at: where it is added; see `Injection`.
+        in_torque: whether the logged torque will contain it.
         tap: where the torque will be logged.
         name: of the test.
     """
-    unit = loop.joint.force_unit
-    added = None if injected is None else Injection(Channel(injected, unit, sample_time, Timing.HELD))
-    at = Channel(reference, POSITION_UNIT[loop.joint.kind], sample_time)
-    return Record(reference=at, injected=added, tap=Tap(tap), name=name)
+    unit, position = loop.joint.force_unit, POSITION_UNIT[loop.joint.kind]
+    added = None if injected is None else Injection(Channel(injected, unit, sample_time, Timing.HELD), at, in_torque)
+    velocity = None
+    if "reference_velocity" in loop.controller.channels:
+        velocity = Channel(np.gradient(reference, sample_time), f"{position}/s", sample_time)
+    commanded = Channel(reference, position, sample_time)
+    return Record(reference=commanded, reference_velocity=velocity, injected=added, tap=Tap(tap), name=name)
 
 
 def foretell(
@@ -195,9 +202,8 @@ def foretell(
     matrix = _scatter(problem, x, J, noise, runs, seed)
     if load_encoder is not None:
         disturbed = _with_error(problem, x, noise, seed)
-        _, load = compute_encoder_information(
-            disturbed, x, "log" if noise.log > noise.force else "loop", load_encoder, load_encoder
-        )
+        source = find_noise_source(test) if noise.left is not None else "log" if noise.log > noise.force else "loop"
+        _, load = compute_encoder_information(disturbed, x, source, load_encoder, load_encoder)
         matrix = matrix if load is None else add_information(matrix, load)
     own = len(problem.free_joint)
     names = tuple(p.name for p in problem.free_joint)
@@ -262,7 +268,7 @@ def foretell_roughly(
     run = problem.simulate(x)
     torque = run.torque + _PEAKS * math.sqrt(size) * np.sign(run.torque)
     assert test.reference is not None
-    found = reached(run, test.reference.values, torque, problem.sample_time)
+    found = reached(run, test.reference.values, torque, test.reference.sample_time)
     found["rms_torque"] = math.sqrt(float(np.mean(run.torque**2)) + size)
     return RoughlyForetold(tuple(p.name for p in problem.free_joint), matrix[:own, :own], found)
 
@@ -283,14 +289,30 @@ def _pose(
         zeros = np.zeros(math.floor(test.duration / reference.sample_time + 1e-9))
         torque = Channel(zeros, loop.joint.force_unit, reference.sample_time, Timing.HELD)
     played = replace(test, torque=replace(torque, values=np.zeros(len(torque))))
-    clean = require_finished(simulate(loop, prepare(loop, played), values)).torque
-    driven = replace(played, torque=replace(torque, values=clean))
     own = tuple(parameters.get(p.name, p) for p in loop.joint.parameters)
-    problem = torque_problem(driven, loop, filtering, own).keeping({"initial_velocity": 0.0})
-    known = dict(values) | {"initial_position": float(reference.values[0])}
-    if any(p.name == "initial_torque" for p in problem.free):
-        known["initial_torque"] = float(clean[0])
+    held = _holding_torque(loop, values, float(reference.values[0]))
+    experiment = prepare(loop, played)
+    at_rest = torque_problem(
+        replace(played, torque=replace(torque, values=np.full(len(torque), held))), loop, filtering, own
+    )
+    position = beginning_position(at_rest)
+    begins = Initial(position, 0.0, held if experiment.law.integrates else None)
+    clean = require_finished(simulate(loop, experiment, values, begins)).torque
+    problem = torque_problem(replace(played, torque=replace(torque, values=clean)), loop, filtering, own)
+    known = dict(values) | {"initial_position": position, "initial_velocity": 0.0}
+    if begins.torque is not None:
+        known["initial_torque"] = begins.torque
+    problem = problem.keeping({"initial_velocity": 0.0})
     return problem, problem.vector(known)
+
+
+def _holding_torque(loop: ClosedLoop, values: Mapping[str, float], position: float) -> float:
+    """Return the torque that holds the joint at a position: an axis at rest has it before the test begins."""
+    gravity, held = loop.joint.gravity, values.get("offset", 0.0)
+    if gravity is None:
+        return held
+    weights = np.array([values[p.name] for p in gravity.parameters])
+    return held + float(gravity.columns(np.array([position]))[0] @ weights)
 
 
 def _scatter(

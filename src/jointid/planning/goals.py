@@ -48,23 +48,26 @@ class Goal:
         return 0.5 * math.log(float(found[-1])) if self.name == WEAKEST else 0.5 * float(np.mean(np.log(found)))
 
 
-def goal_named(name: str, names: Sequence[str]) -> Goal:
+def goal_named(name: str, units: Mapping[str, str]) -> Goal:
     """Return the goal that is asked for.
 
     Args:
         name: of a parameter, a sum or a difference such as "motor_viscous - load_viscous", "weakest" or "all".
-        names: of the joint's free parameters.
+        units: of the joint's free parameters, by name.
 
     Raises:
-        MethodError: there is no such parameter.
+        MethodError: there is no such parameter, or the sum is of several units.
     """
     if name in (WEAKEST, ALL):
         return Goal(name, {})
     weights = weights_of(name)
-    unknown = [one for one in weights if one not in names]
+    unknown = [one for one in weights if one not in units]
     if unknown:
         raise MethodError(
             f'The goal "{name}" names {", ".join(unknown)}, which is no free parameter of this joint; choose from '
-            f'{", ".join(names)}, a sum or a difference of them, "{WEAKEST}", or "{ALL}".'
+            f'{", ".join(units)}, a sum or a difference of them, "{WEAKEST}", or "{ALL}".'
         )
+    several = sorted({units[one] for one in weights})
+    if len(several) > 1:
+        raise MethodError(f'The goal "{name}" adds {" and ".join(several)}; only what has one unit can be added.')
     return Goal(name, weights)

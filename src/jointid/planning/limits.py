@@ -9,8 +9,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.parameters import POSITION_UNIT
 from jointid.common.settings import check_settings, documented, setting
 from jointid.common.text import number
+from jointid.models.joints import ClosedLoop
 from jointid.simulation.closed_loop import Simulation
 
 _SLACK = 1e-9  # relative: what rounding passes a limit by
@@ -39,6 +42,10 @@ class AxisLimits:
 
     def __post_init__(self) -> None:
         check_settings(self)
+        if self.highest is not None and self.highest <= self.lowest:
+            raise MethodError(
+                f"The highest frequency is above the lowest; received {self.highest:g} and {self.lowest:g} Hz."
+            )
 
     @property
     def given(self) -> dict[str, float]:
@@ -54,7 +61,7 @@ def reached(run: Simulation, reference: FloatArray, torque: FloatArray, sample_t
         run: of the loop.
         reference: (samples,) of it, m or rad.
         torque: (samples,) that acts on the joint.
-        sample_time: of both, s.
+        sample_time: of the reference, s.
     """
     positions = [run.motor_position, *([] if run.load_position is None else [run.load_position])]
     velocities = [run.motor_velocity, *([] if run.load_velocity is None else [run.load_velocity])]
@@ -84,3 +91,12 @@ def describe_passed(limits: AxisLimits, found: Mapping[str, float], units: Mappi
     for name in passed(limits, found):
         unit = units.get(name, "")
         yield f"{name.replace('_', ' ')} {number(found[name], 3)} {unit}, of {number(limits.given[name], 3)} allowed"
+
+
+def units_of_limits(loop: ClosedLoop) -> dict[str, str]:
+    """Return the unit of each quantity that may be limited."""
+    q, u = POSITION_UNIT[loop.joint.kind], loop.joint.force_unit
+    return {
+        "stroke": q, "speed": f"{q}/s", "acceleration": f"{q}/s2", "jerk": f"{q}/s3", "torque": u, "rms_torque": u,
+        "windup": q,
+    }  # fmt: skip

@@ -26,13 +26,14 @@ _LINES = 24  # of a sum of sines
 
 @dataclass(frozen=True, slots=True)
 class Trapezoids:
-    """There and back at each speed in turn; `smoothing` is the time in which the acceleration rises, s."""
+    """There and back from `start` at each speed in turn; `smoothing` is the time in which the acceleration rises, s."""
 
     speeds: tuple[float, ...]
     acceleration: float
     travel: float
     rest: float = 0.0
     smoothing: float = 0.0
+    start: float = 0.0
 
     def play(self, samples: int, sample_time: float) -> FloatArray:
         """Return the positions, (samples,)."""
@@ -43,7 +44,7 @@ class Trapezoids:
         ends = np.flatnonzero(np.minimum(played, self.travel - played) <= self.acceleration * sample_time**2)
         ends = ends[ends < samples - round(self.smoothing / sample_time)]
         last = int(ends[-1]) if ends.size and ends[-1] > 0.5 * samples else samples - 1
-        return excitation.smoothed(
+        return self.start + excitation.smoothed(
             np.append(played[: last + 1], np.full(samples - 1 - last, played[last])), sample_time, self.smoothing
         )
 
@@ -52,8 +53,9 @@ class Trapezoids:
         speeds = ", ".join(number(one, 3) for one in self.speeds)
         ramps = f", the acceleration rising in {number(1e3 * self.smoothing, 3)} ms" if self.smoothing else ""
         return (
-            f"trapezoids there and back over {number(self.travel, 3)} {unit} at {speeds} {unit}/s, "
-            f"{number(self.acceleration, 3)} {unit}/s2{ramps}, {number(self.rest, 2)} s of rest before each way"
+            f"trapezoids from {number(self.start, 3)} {unit} over {number(self.travel, 3)} {unit} and back, at "
+            f"{speeds} {unit}/s, {number(self.acceleration, 3)} {unit}/s2{ramps}, {number(self.rest, 2)} s of rest "
+            "before each way"
         )
 
 
@@ -64,18 +66,19 @@ class Sines:
     amplitude: float
     lowest: float
     highest: float
+    start: float = 0.0
 
     def play(self, samples: int, sample_time: float) -> FloatArray:
         """Return the positions, (samples,)."""
-        return excitation.multisine(
-            samples, sample_time, self.amplitude, self.lowest, self.highest, lines=_LINES, tilt=1.5
+        return self.start + excitation.multisine(
+            samples, sample_time, self.amplitude, self.lowest, self.highest, lines=_LINES, tilt=2.0
         )
 
     def describe(self, unit: str) -> str:
         """Return it in words, positions in that unit."""
         return (
             f"a sum of {_LINES} sines of the position, {number(self.lowest, 2)} to {number(self.highest, 2)} Hz, "
-            f"within {number(self.amplitude, 3)} {unit} of its beginning"
+            f"within {number(self.amplitude, 3)} {unit} of {number(self.start, 3)} {unit}"
         )
 
 
@@ -240,6 +243,7 @@ class Room:
 
     Attributes:
         stroke, speed, acceleration, torque: in the joint's units.
+        low: end of the stroke from which it is reckoned.
         jerk: None where the drive limits none.
         lowest, highest: frequencies of a chirp or a sum of sines.
         mode: about where the joint's resonance is; a rigid one's half of the highest.
@@ -252,6 +256,7 @@ class Room:
     acceleration: float
     torque: float
     jerk: float | None
+    low: float
     lowest: float
     highest: float
     mode: float
@@ -265,16 +270,16 @@ def _log(low: float, high: float, share: float) -> float:
 def _trapezoids(u: Sequence[float], room: Room) -> Trapezoids:
     speeds = tuple(_log(0.05, 1.0, one) * room.speed for one in u[:_SPEEDS])
     acceleration = _log(0.05, 1.0, u[_SPEEDS]) * room.acceleration
-    smoothing = 0.0 if room.jerk is None else acceleration / room.jerk
-    return Trapezoids(
-        speeds, acceleration, _log(0.05, _INSIDE, u[_SPEEDS + 1]) * room.stroke, _REST * u[_SPEEDS + 2], smoothing
-    )
+    smoothing = 0.0 if room.jerk is None else 2 * acceleration / room.jerk  # from full ahead to full back
+    travel = _log(0.05, _INSIDE, u[_SPEEDS + 1]) * room.stroke
+    start = room.low + 0.5 * (room.stroke - travel)
+    return Trapezoids(speeds, acceleration, travel, _REST * u[_SPEEDS + 2], smoothing, start)
 
 
 def _sines(u: Sequence[float], room: Room) -> Sines:
-    lowest = _log(room.lowest, 0.3 * room.highest, u[1])
-    highest = max(_log(room.lowest, room.highest, u[2]), 1.05 * lowest)
-    return Sines(0.5 * _log(0.02, _INSIDE, u[0]) * room.stroke, lowest, highest)
+    lowest = _log(room.lowest, max(0.3 * room.highest, room.lowest), u[1])
+    highest = min(max(_log(room.lowest, room.highest, u[2]), 1.05 * lowest), room.highest)
+    return Sines(0.5 * _log(0.02, _INSIDE, u[0]) * room.stroke, lowest, highest, room.low + 0.5 * room.stroke)
 
 
 def _pulses(u: Sequence[float], room: Room) -> Pulses:
@@ -283,7 +288,8 @@ def _pulses(u: Sequence[float], room: Room) -> Pulses:
 
 
 def _band(u: Sequence[float], room: Room) -> tuple[float, float]:
-    lowest = _log(max(room.lowest, 0.05 * room.mode), 0.9 * room.highest, u[0])
+    least = max(room.lowest, 0.05 * room.mode)
+    lowest = _log(least, max(0.9 * room.highest, least), u[0])
     return lowest, min(lowest * _log(1.02, 10.0, u[1]), room.highest)
 
 
@@ -351,6 +357,7 @@ def room_of(
     highest: float,
     mode: float,
     lines: tuple[tuple[float, float], ...] = (),
+    low: float = 0.0,
 ) -> Room:
     """Return between what a search looks.
 
@@ -362,6 +369,7 @@ def room_of(
         highest: frequency, Hz.
         mode: of the joint, Hz.
         lines: see `Room`.
+        low: end of the stroke.
     """
     more = {"speed": 2.0, "acceleration": 2.0}
     size = {
@@ -369,10 +377,11 @@ def room_of(
         for name in ("stroke", "speed", "acceleration", "torque")
     }
     return Room(
-        **size, jerk=given.get("jerk"), lowest=lowest, highest=highest, mode=min(mode, 0.9 * highest), lines=lines
+        **size,
+        jerk=given.get("jerk"),
+        low=low,
+        lowest=lowest,
+        highest=highest,
+        mode=min(mode, 0.9 * highest),
+        lines=lines,
     )
-
-
-def samples_of(duration: float, sample_time: float) -> int:
-    """Return how many samples a test of that many seconds has."""
-    return math.floor(duration / sample_time + 1e-9)

@@ -26,7 +26,7 @@ from jointid.planning.foretell import Noise, foretell_roughly, planned_record
 from jointid.planning.goals import Goal
 from jointid.planning.limits import AxisLimits, passed
 from jointid.planning.plans import Family, Plan, Room, families_in
-from jointid.records.record import Tap
+from jointid.records.record import InjectionPoint, Record, Tap
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import in_threads
 
@@ -55,6 +55,7 @@ class Asked:
         samples, sample_time: of the test.
         tap: where its torque will be logged.
         filtering, parameters: of the identification.
+        at, in_torque: where a signal is added, and whether the log contains it, see `Injection`.
     """
 
     loop: ClosedLoop
@@ -68,6 +69,15 @@ class Asked:
     tap: Tap
     filtering: Filtering
     parameters: Mapping[str, Parameter]
+    at: InjectionPoint = InjectionPoint.AFTER_LIMIT
+    in_torque: bool = True
+
+    def record(self, plan: Plan, samples: int | None = None) -> Record:
+        """Return a test as a drive is to play it, of as many samples as are asked for."""
+        reference, injected = plan.play(samples or self.samples, self.sample_time)
+        return planned_record(
+            self.loop, reference, self.sample_time, injected, at=self.at, in_torque=self.in_torque, tap=self.tap
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,8 +111,7 @@ def try_plan(asked: Asked, plan: Plan, *, margin: float = _MARGIN, than: Tried |
         margin: share of each limit that it may reach.
         than: a test that it is to be better than; where it clearly is not at the first joint, the others are left out.
     """
-    reference, injected = plan.play(asked.samples, asked.sample_time)
-    test = planned_record(asked.loop, reference, asked.sample_time, injected, tap=asked.tap)
+    test = asked.record(plan)
     scores, most = [], dict[str, float]()
     tried = Tried(plan, _ASTRAY, most, math.inf)
     for number, values in enumerate(asked.joints):
@@ -217,8 +226,3 @@ def _best_of_each(lines: Sequence[_Line]) -> list[_Line]:
     for line in sorted(lines, key=lambda line: line.tried.rank):
         best.setdefault(line.family, line)
     return list(best.values())
-
-
-def with_joints(asked: Asked, joints: Sequence[Mapping[str, float]]) -> Asked:
-    """Return what is asked, at other joints."""
-    return replace(asked, joints=tuple(joints))

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from jointid.config import JointFile
 
 
-_OF_PAGES = (".html", ".md", ".png", ".svg")
+_OF_FOLDERS = (".html", ".md", ".png", ".svg", ".csv", ".mat")
 
 
 class Outputs:
@@ -68,7 +68,7 @@ class Outputs:
                         f"{option} {out} is the file that {what} names, which would be replaced; name another file."
                     )
             for option, folder in self._folders.items():
-                if path.suffix.lower() in _OF_PAGES and folder.exists() and folder.samefile(path.absolute().parent):
+                if path.suffix.lower() in _OF_FOLDERS and folder.exists() and folder.samefile(path.absolute().parent):
                     raise RecordError(
                         f"{option} {folder} is the folder of the file that {what} names, {path.name}, which might be "
                         "replaced; name another folder."

@@ -21,11 +21,11 @@ class Limits:
     """What the axis may do, on the side and in the units of the joint (m, rad, N, N m).
 
     Attributes:
-        stroke: of the position, from one end to the other; without it, and without the next three, that of the record.
-        torque: the largest, with what is injected.
-        rms_torque: root mean square over the test.
-        speed: the largest.
-        acceleration: the largest of the reference.
+        stroke: of the position, from one end to the other; without it that of the record.
+        torque: the largest, with what is injected; without it that of the record.
+        rms_torque: root mean square over the test; without it that of the record.
+        speed: the largest; without it there is no limit, and up to twice that of the record is tried.
+        acceleration: the largest of the reference, likewise.
         jerk: the largest of the reference.
         windup: the largest of the spring, in which it rings.
         lowest: frequency of a chirp or of sines, Hz.
