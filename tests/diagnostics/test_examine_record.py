@@ -40,7 +40,7 @@ def _saturated(on: str) -> Told:
 def _wrong_gain(on: str) -> Told:
     record, loop = without_mistake(axis(on))  # type: ignore[arg-type]
     assert record.torque is not None
-    return record.with_channels({"torque": replace(record.torque, values=1.5 * record.torque.values)}), loop
+    return record.with_channels({"torque": replace(record.torque, values=2.0 * record.torque.values)}), loop
 
 
 def _motionless(on: str) -> Told:
