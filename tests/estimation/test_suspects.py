@@ -295,7 +295,7 @@ def test_a_check_that_is_not_possible_ends_no_identification(
     def refuse(*_: object) -> None:
         raise failure("There is no derivative.")
 
-    monkeypatch.setattr("jointid.diagnostics.check_loop.find_faults", refuse)
+    monkeypatch.setattr("jointid.diagnostics.check_loop._find", refuse)
     record = twin(noise="white").record.without("motor_position", "load_position")
     estimate = add_loop_verdict(identified("L19", FlexibleDIDIM(frequency=30.0), noise="white"), record)
     assert estimate.checks.verdicts[-1].said == "not checked: There is no derivative."
