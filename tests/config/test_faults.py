@@ -47,7 +47,7 @@ FAULTS = [
     (
         SMALLEST + "[methods]",
         "methods is not a known key; expected one of joint, transmission, gravity, record, drive, controller, "
-        "filtering, method, parameters, records, together: did you mean method?",
+        "filtering, method, parameters, records, together, limits: did you mean method?",
     ),
     (
         SMALLEST.replace("motor_position", "motor_positon"),
@@ -57,7 +57,7 @@ FAULTS = [
     (
         SMALLEST + '["a.b"]',
         '"a.b" is not a known key; expected one of joint, transmission, gravity, record, drive, controller, '
-        "filtering, method, parameters, records, together: leave it out.",
+        "filtering, method, parameters, records, together, limits: leave it out.",
     ),
     (
         SMALLEST.replace("position_gain = 100.0\n", ""),

@@ -16,6 +16,7 @@ from jointid.config import controller_text, dumps, load, load_to_learn, loads, w
 from jointid.config.quantities import Stated, units_declared
 from jointid.models.controllers import Cascade, FirstOrder, SecondOrder
 from jointid.models.joints import ClosedLoop, RigidJoint
+from jointid.planning.limits import AxisLimits
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from tests.joint_files import CASCADE, JOINT, SMALLEST, faults
@@ -439,3 +440,24 @@ def test_a_wrong_torque_constant_scales_every_value_and_a_line_says_so(tmp_path:
         assert f"values scale with torque_constant {constant} N m/A, which no record checks" in unwrapped(str(estimate))
     assert found["0.72"] == pytest.approx(0.01, rel=1e-3)
     assert found["7.2"] == pytest.approx(10 * found["0.72"], rel=1e-6)
+
+
+def test_limits_of_the_axis_are_given_with_units_of_its_own_motion() -> None:
+    limits = 'stroke = "90 deg"\nspeed = "60 rpm"\ntorque = 5.0\nlowest = 0.5\n'
+    file = loads(f"{TURNING}[limits]\n{limits}")
+    assert file.limits == AxisLimits(stroke=math.pi / 2, speed=2 * math.pi, torque=5.0, lowest=0.5)
+    assert 'speed = "60 rpm"' in dumps(file)
+    assert loads(dumps(file)).limits == file.limits
+    assert faults(f'{TURNING}[limits]\nstroke = "20 mm"\nhighest = 40.0') == (
+        'limits.stroke is "20 mm"; expected a number in rad, or a plain one in SI units: correct the unit.',
+    )
+    (fault,) = faults(f"{TURNING}[limits]\nhighest = 0.05")
+    assert fault == "limits.highest: The highest frequency is above the lowest; received 0.05 and 0.1 Hz."
+
+
+@pytest.mark.parametrize(("side", "unit"), [("motor", "rad"), ("load", "m")])
+def test_limits_are_those_of_the_side_that_is_reported(side: str, unit: str) -> None:
+    screw = changed(('kind = "revolute"', 'kind = "prismatic"'))
+    stroke = '"0.2 m"' if unit == "rad" else '"90 deg"'
+    (fault,) = faults(f'{screw}[transmission]\nlead = 0.01\nside = "{side}"\n[limits]\nstroke = {stroke}')
+    assert fault.startswith(f"limits.stroke is {stroke}; expected a number in {unit}, ")

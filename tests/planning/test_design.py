@@ -6,6 +6,7 @@ import itertools
 import json
 import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ import pytest
 import jointid as ji
 from jointid.apps.cli import main
 from jointid.common.errors import MethodError
-from jointid.models.joints import ClosedLoop, RigidJoint
+from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.output.json.documents import to_dict
 from jointid.paper.twin import JOINT_FILE, SAMPLE_TIME, twin
 from jointid.planning import design as design_module
@@ -54,10 +55,14 @@ def short_record() -> ji.Record:
 
 @pytest.fixture(scope="module")
 def designed() -> Design:
+    """A second for every test that is tried: as many on a slow machine as on a fast one."""
     covariance = np.diag([(0.01 * AXIS.truth[p.name]) ** 2 for p in AXIS.loop.joint.parameters])
-    return design_test(
-        AXIS.loop, AXIS.truth, NOISE, goal="stiffness", present=short_record(), covariance=covariance, seconds=8.0
-    )
+    ticks = itertools.count()
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(design_module, "search", partial(search, clock=lambda: float(next(ticks))))
+        return design_test(
+            AXIS.loop, AXIS.truth, NOISE, goal="stiffness", present=short_record(), covariance=covariance, seconds=400.0
+        )
 
 
 def test_it_tells_more_than_the_one_there_is_and_keeps_the_limits(designed: Design) -> None:
@@ -171,6 +176,18 @@ def test_the_floor_falls_with_time_and_noise() -> None:
         )  # fmt: skip
 
 
+def test_the_lines_of_the_floor_are_the_peaks_of_its_powers() -> None:
+    """What is told of the two viscous frictions is told at antiresonance and resonance, not between them."""
+    goal = goal_named("motor_viscous - load_viscous", {"motor_viscous": "N s/m", "load_viscous": "N s/m"})
+    floor = least_deviation(
+        AXIS.loop, AXIS.truth, Noise(force=AXIS.noise), goal, AxisLimits(stroke=0.2, rms_torque=50.0), samples=SHORT,
+        sample_time=SAMPLE_TIME, cutoff=60.0,
+    )  # fmt: skip
+    modes = FlexibleJoint.frequencies(AXIS.truth)
+    strong = [f for f, size in floor.lines if size > 0.1]
+    assert strong == pytest.approx([modes["motor_locked"], modes["free_free"]], rel=0.03)
+
+
 def test_a_limit_that_is_passed_counts_before_anything_else() -> None:
     own = foretell(AXIS.loop, AXIS.truth, short_record(), NOISE, runs=5)
     found = reached(own.motion, own.reference, own.motion.torque, SAMPLE_TIME)
@@ -226,7 +243,7 @@ def test_every_generator_plays_what_it_says() -> None:
 def test_the_command_plans_from_a_record(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     axis = twin("L19")
     write(replace(axis.record, motor_position=None, load_position=None), tmp_path / "record.csv")
-    (tmp_path / "joint.toml").write_text(JOINT_FILE)
+    (tmp_path / "joint.toml").write_text(f'{JOINT_FILE}[limits]\nspeed = "300 mm/s"\nwindup = 0.5\n')
     with pytest.raises(SystemExit) as ended:
         main([
             "design", str(tmp_path / "joint.toml"), "-q", "--goal", "stiffness", "--seconds", "6", "--out",
@@ -238,7 +255,8 @@ def test_the_command_plans_from_a_record(tmp_path: Path, capsys: pytest.CaptureF
     assert "windup" in printed
     assert (tmp_path / "next" / "test.csv").exists()
     answer = json.loads((tmp_path / "next.json").read_text())
-    assert answer["limits"]["windup"] == 0.001
+    assert answer["limits"]["windup"] == 0.001  # the option's, not the file's
+    assert answer["limits"]["speed"] == pytest.approx(0.3)
     assert answer["reached"]["windup"] < 0.001
     with pytest.raises(SystemExit) as ended:
         main([
@@ -246,7 +264,7 @@ def test_the_command_plans_from_a_record(tmp_path: Path, capsys: pytest.CaptureF
             str(tmp_path / "next" / "test.csv"), "--json", str(tmp_path / "own.json"), "--stroke", "0.01",
         ])  # fmt: skip
     assert ended.value.code == 0
-    assert "It passes a limit: stroke" in capsys.readouterr().out
+    assert "Beware: it passes a limit, stroke" in capsys.readouterr().out
     own = json.loads((tmp_path / "own.json").read_text())
     told, again = (one["tests"]["proposed"]["std"]["stiffness"] for one in (answer, own))
     assert again == pytest.approx(told, rel=1e-6)  # the same test, read back

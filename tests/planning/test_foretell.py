@@ -30,6 +30,17 @@ T = 1e-3
 REFERENCE = excitation.trapezoids((0.5, 1.0, 2.0), 8.0, 2.0, T, duration=6.0)
 
 
+def test_a_test_that_does_not_tell_a_parameter_is_refused() -> None:
+    still = planned_record(LOOP, np.zeros(3000), 1e-3)
+    with pytest.raises(MethodError, match="does not tell inertia, viscous, coulomb, offset"):
+        foretell(LOOP, TRUTH, still, Noise(log=0.01))
+    with pytest.raises(MethodError, match="does not tell"):
+        list(foretell_roughly(LOOP, [TRUTH], still, Noise(log=0.01), filtering=Filtering(), parameters={}))
+    one_way = planned_record(LOOP, np.arange(3000) * 1e-3 * 0.2, 1e-3)
+    with pytest.raises(MethodError, match="does not tell .*coulomb"):
+        foretell(LOOP, TRUTH, one_way, Noise(log=0.01))
+
+
 def test_a_rigid_joint_scatters_as_foretold() -> None:
     noise = 0.02
     told = foretell(LOOP, TRUTH, planned_record(LOOP, REFERENCE, T), Noise(log=noise))
@@ -52,7 +63,7 @@ def test_intervals_scale_as_they_must() -> None:
     short, long = (planned_record(LOOP, np.tile(cycle, times), T) for times in (2, 8))
     before, after = (foretell(LOOP, TRUTH, one, Noise(log=0.01)).covariance.std for one in (short, long))
     assert after == pytest.approx(0.5 * before, rel=0.15)
-    roughly = foretell_roughly(LOOP, TRUTH, test, Noise(log=0.01), filtering=Filtering(), parameters={})
+    (roughly,) = foretell_roughly(LOOP, [TRUTH], test, Noise(log=0.01), filtering=Filtering(), parameters={})
     assert np.sqrt(np.diag(roughly.covariance)) == pytest.approx(once, rel=0.35)  # from one run
     assert roughly.reached["stroke"] == pytest.approx(2.0, rel=0.02)
 

@@ -13,8 +13,10 @@ from typing import Any
 
 from jointid.common import messages, units
 from jointid.common.parameters import TORQUE_UNIT, Parameter
+from jointid.common.settings import settings_of
 from jointid.common.units import Kind
 from jointid.config.draft import KINDS, Draft, table_at
+from jointid.config.quantities import Stated, misfit
 from jointid.config.schema import GravityTable, JointTable, MethodTable, ParameterTable, keys_of
 from jointid.config.schema_record import ChannelTable
 from jointid.config.table import refusal
@@ -25,6 +27,7 @@ from jointid.models.friction import FRICTIONS
 from jointid.models.gravity import GRAVITY_PARAMETERS
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.springs import SPRINGS, LinearSpring
+from jointid.planning.limits import AxisLimits
 from jointid.records.columns import known_units
 from jointid.records.drives import Drive
 
@@ -352,6 +355,20 @@ def _misfit(channel: str, unit: str, known: Collection[str], kinds: Collection[K
     if set(moving) != set(kinds) and any(unit in known_units(channel, kind) for kind in kinds):
         remedy = ', or set side = "load"'
     return f", a unit of {dimension}; {expected}: give one of them{remedy}."
+
+
+def limit_faults(draft: Draft) -> Iterator[str]:
+    """Yield limits in units of the other kind of motion than that of the side they are of."""
+    if draft.limits is None or len(draft.kinds) > 1 or (draft.geared and draft.transmission is None):
+        return
+    gear, (kind,) = draft.transmission, draft.kinds
+    turning = gear is not None and gear.lead is not None and gear.side == "motor"
+    for one in settings_of(AxisLimits):
+        number = getattr(draft.limits, one.name)
+        if isinstance(number, Stated) and (
+            fault := misfit(number.text, one.setting.unit, "revolute" if turning else kind)
+        ):
+            yield f"limits.{one.name}{fault}"
 
 
 def transmission_faults(draft: Draft) -> Iterator[str]:

@@ -21,6 +21,7 @@ from jointid.config.consistency import (
     channel_faults,
     choose_method,
     free_faults,
+    limit_faults,
     method_faults,
     needed_channels,
     parameter_faults,
@@ -43,6 +44,7 @@ from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Controller, with_numbers
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import ClosedLoop, Joint
+from jointid.planning.limits import AxisLimits
 from jointid.records.checks import check_record
 from jointid.records.chunks import Log
 from jointid.records.columns import Column, known_units
@@ -74,6 +76,7 @@ class JointFile:
         name: what reports call the joint.
         runs: records that are identified together.
         together: how they are; see `jointid.SeveralRecords`.
+        limits: of the axis in a test that is planned; see `jointid.design_test`.
         path: of the joint file; a text is taken to stand in `joint.toml`.
         stated: numbers that were given with a unit, by the path of their key; a file that is written has them so.
         said: keys of [controller] that the file gives, and the gains that they say in other words.
@@ -102,6 +105,7 @@ class JointFile:
     name: str | None = None
     runs: tuple[Run, ...] = ()
     together: Together = field(default_factory=Together)
+    limits: AxisLimits = field(default_factory=AxisLimits)
     path: Path = field(default=Path("joint.toml"), compare=False)
     stated: Mapping[str, Stated] = field(default_factory=dict, compare=False, repr=False)
     said: Collection[str] = field(default=(), compare=False, repr=False)
@@ -135,6 +139,7 @@ class JointFile:
             name=file.joint.name,
             runs=tuple(table.build() for table in file.records),
             together=file.together.build(),
+            limits=file.limits.build(),
             path=path,
             stated=dict(stated_in(file)),
             said=with_gains_meant(file.controller.model_fields_set) if file.controller else (),
@@ -397,6 +402,7 @@ class JointFile:
             "parameters": parameters,
             "records": [serialise.settings(run) for run in self.runs],
             "together": serialise.settings(self.together),
+            "limits": serialise.settings(self.limits),
         }
         return serialise.as_stated({name: table for name, table in tables.items() if table}, self.stated)
 
@@ -442,6 +448,7 @@ def _faults_between(draft: Draft) -> Iterator[str]:
     yield from record_faults(draft)
     if draft.together is not None:
         yield from free_faults("together.free", draft.together.free, draft.controller)
+    yield from limit_faults(draft)
 
 
 def _crowded(raw: Mapping[str, Any], where: str = "The joint file") -> Iterator[str]:

@@ -15,6 +15,7 @@ from jointid.config.schema import (
     GravityTable,
     JointTable,
     LawTable,
+    LimitsTable,
     MethodTable,
     ParameterTable,
     TransmissionTable,
@@ -56,6 +57,7 @@ class Draft:
         bare: names of those that are given by a bare number.
         runs: the records that are identified together and are right, by their place.
         together: how they are.
+        limits: of the axis.
     """
 
     joint: JointTable | None
@@ -77,6 +79,7 @@ class Draft:
     bare: Collection[str]
     runs: Mapping[int, RunTable]
     together: TogetherTable | None
+    limits: LimitsTable | None
 
     @classmethod
     def of(cls, raw: Mapping[str, Any]) -> Self:
@@ -122,6 +125,7 @@ class Draft:
             bare=[name for name, value in parameters.items() if not isinstance(value, dict)],
             runs={k: run for k, value in enumerate(listed) if (run := _part(RunTable, value))},
             together=_part(TogetherTable, raw.get("together", {})),
+            limits=_part(LimitsTable, raw.get("limits", {})),
         )
 
     @property

@@ -59,6 +59,7 @@ from jointid.models.friction import FRICTIONS, friction_named
 from jointid.models.gravity import Counterbalance, Gravity
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
 from jointid.models.springs import SPRINGS, LinearSpring, spring_named
+from jointid.planning.limits import AxisLimits
 from jointid.records.drives import Drive
 from jointid.records.signals.filtering import Filtering
 
@@ -530,6 +531,16 @@ class ParameterTable(Table):
             yield "value", " is missing; a parameter that is not free needs the value that it keeps: add it."
 
 
+@keys_from(AxisLimits)
+class LimitsTable(Table):
+    """[limits]: what the axis may do in a test that is planned, on the side that is reported."""
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield that the band of frequencies is none."""
+        if refused := refusal(self.build):
+            yield "highest", refused
+
+
 class FileTable(Table):
     """A joint file."""
 
@@ -551,6 +562,9 @@ class FileTable(Table):
     )
     together: TogetherTable = Field(
         default_factory=TogetherTable, description="how several records are identified together"
+    )
+    limits: LimitsTable = Field(
+        default_factory=LimitsTable, description="what the axis may do in a test that is planned"
     )
 
 

@@ -38,7 +38,7 @@ _PARAMETERS = ("motor_inertia", "motor_viscous", "stiffness", "damping", "load_i
 _STEPS = 400  # of the search for the powers
 _LEFT = 0.1  # of a signal that is injected, at least
 _CLOSE = 0.08  # of the logarithm of a frequency
-_OF_ALL = 0.005  # of the power: a frequency with less matters little
+_OF_ALL = 0.02  # of the power: frequencies with less matter little
 
 Complexes: TypeAlias = NDArray[np.complexfloating[Any, Any]]
 
@@ -64,13 +64,15 @@ class Floor:
 
         What lies close together is one; what the loop takes away of an injected signal is left to the reference.
         """
-        kept = np.flatnonzero((self.power > _OF_ALL * np.sum(self.power)) & (self.sensitivity > _LEFT))
-        groups = np.split(kept, np.flatnonzero(np.diff(np.log(self.hertz[kept])) > _CLOSE) + 1) if kept.size else []
+        left = np.where(self.sensitivity > _LEFT, self.power, 0.0)
         found = []
-        for group in groups:
-            power = self.power[group]
-            middle = float(np.exp(np.average(np.log(self.hertz[group]), weights=power)))
-            found.append((middle, math.sqrt(float(np.sum(power / self.sensitivity[group] ** 2)))))
+        while left.max() > _OF_ALL * np.sum(self.power):
+            strongest = self.hertz[int(np.argmax(left))]
+            near = np.abs(np.log(self.hertz / strongest)) < _CLOSE
+            middle = float(np.exp(np.average(np.log(self.hertz[near]), weights=left[near])))
+            found.append((middle, math.sqrt(float(np.sum(left[near] / self.sensitivity[near] ** 2)))))
+            left = np.where(near, 0.0, left)
+        found.sort()
         largest = max((size for _, size in found), default=1.0)
         return tuple((f, size / largest) for f, size in found)
 

@@ -43,6 +43,7 @@ _JOINTS = 2  # of the interval, beside the one that is roughly known, in the sea
 _MORE_JOINTS = 20  # of the interval, at which the result is simulated
 _SHRINKS = 0.95  # of a signal, where the result passes a limit at one of these
 _TRIES = 12
+_CANDIDATES = 6  # of a search, that are simulated at more joints
 _FEWEST = 200  # samples of a test
 _LEAST = 0.2  # of an inertia or a stiffness that is drawn: less is no joint that was identified
 _OF_STROKE = 1e-6  # the step assumed of a load encoder
@@ -104,7 +105,7 @@ class Design(Charted, Documented):
     @property
     def sentence(self) -> str:
         """What the proposed test tells of the goal, beside the present one."""
-        over = f" It passes a limit: {'; '.join(self.passed)}." if self.passed else ""
+        over = f" Beware: {'; '.join(self.passed)}." if self.passed else ""
         return f"{self._told}.{over}"
 
     @property
@@ -348,8 +349,8 @@ def design_test(
             raise MethodError("The loop cannot be simulated along this test; check its units, and what it begins with.")
         best, interrupted = try_plan(everywhere, plan, margin=1.0), False
     else:
-        best, interrupted = _look(asked, begin, seconds, seed, progress)
-        best = _keep_within(everywhere, best)
+        looked, interrupted = _look(asked, begin, seconds, seed, progress)
+        best = _choose(everywhere, looked)
     told = _foretell(asked, values, best.plan, samples)
     step = load_encoder
     if step is None:
@@ -424,7 +425,7 @@ def _complete(
             )
         return limits, (), {name: limits.given[name] for name in needed}
     assert present.reference is not None
-    told = foretell_roughly(loop, values, present, noise, filtering=filtering, parameters=parameters)
+    (told,) = foretell_roughly(loop, [values], present, noise, filtering=filtering, parameters=parameters)
     found = dict(told.reached)
     taken = {name: found[name] for name in ("stroke", "torque", "rms_torque") if name not in limits.given}
     begin: tuple[Plan, ...] = ()
@@ -475,7 +476,8 @@ def _draw(
 
 def _passed(limits: AxisLimits, best: Tried, units: Mapping[str, str]) -> tuple[str, ...]:
     """Return the limits that a test passes at some joint of the interval, or that it cannot be simulated there."""
-    lost = ("at some joints of the interval the loop is not stable",) if math.isinf(best.over) else ()
+    where = "at some joints of the interval it cannot be simulated, or tells nothing of a parameter"
+    lost = (where,) if math.isinf(best.over) else ()
     return (*lost, *describe_passed(limits, best.reached, units))
 
 
@@ -492,22 +494,34 @@ def _given(motion: Record, sample_time: float) -> Plan:
     return Plan(Played(motion.reference.values), added)
 
 
-def _look(asked: Asked, begin: Sequence[Plan], seconds: float, seed: int, progress: Progress) -> tuple[Tried, bool]:
-    """Return the best test of a search, and whether it was interrupted."""
-    best: Tried | None = None
+def _look(
+    asked: Asked, begin: Sequence[Plan], seconds: float, seed: int, progress: Progress
+) -> tuple[list[Tried], bool]:
+    """Return the tests of a search, each better than those before, and whether it was interrupted."""
+    found: list[Tried] = []
     interrupted = False
     try:
         for tried in search(asked, begin, seconds, progress, seed=seed):
-            best = tried
+            found.append(tried)
     except KeyboardInterrupt:
-        if best is None:
+        if not found:
             raise
         interrupted = True
-    if best is None or math.isinf(best.over):
+    if not found or math.isinf(found[-1].over):
         raise MethodError(
             "No test could be simulated within these limits; check the limits, the controller and the values."
         )
-    return best, interrupted
+    return found, interrupted
+
+
+def _choose(asked: Asked, found: Sequence[Tried]) -> Tried:
+    """Return the best test that keeps the limits at all joints; where none of the last few does, what comes nearest."""
+    kept: list[Tried] = []
+    for tried in reversed(found[-_CANDIDATES:]):
+        kept.append(_keep_within(asked, tried))
+        if kept[-1].over <= 1.0:
+            return kept[-1]
+    return min(kept, key=lambda tried: tried.rank)
 
 
 def _keep_within(asked: Asked, best: Tried) -> Tried:

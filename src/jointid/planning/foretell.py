@@ -23,7 +23,7 @@ the time, or a value that a search does not reach are not foretold.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -35,15 +35,18 @@ from jointid.diagnostics.experiment_design import rebuild_declared_problem
 from jointid.diagnostics.other_experiments import add_information, compute_encoder_information, find_noise_source
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
 from jointid.estimation.result.estimate import Estimate
+from jointid.models.controllers import REFERENCE
 from jointid.models.joints import ClosedLoop
 from jointid.planning.limits import reached
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.closed_loop import Initial, Outcome, Simulation, in_threads, require_finished, simulate
-from jointid.simulation.loop_input import as_logged, prepare
+from jointid.simulation.closed_loop import Outcome, Simulation, in_threads, require_finished
+from jointid.simulation.loop_input import as_logged
 from jointid.uncertainty.covariance import Covariance, covariance_of, stationary
 
 _PEAKS = 4.0  # deviations of the noise on top of what a test asks for: of 24,000 samples one or two are beyond
+_SAME = 1e-13  # of the largest eigenvalue of the information: what is below is rounding
+_PART = 1e-3  # of a direction, that a parameter takes
 RUNS = 200
 """Runs of the loop with noise, from which its effect is known to 5 %."""
 
@@ -190,15 +193,18 @@ def foretell(
         seed: of them.
 
     Raises:
-        MethodError: the loop cannot be simulated along the test.
+        MethodError: the loop cannot be simulated along the test, or the test does not tell a parameter at all.
         RecordError: the test lacks what the controller reads.
     """
-    problem, x = _pose(loop, values, test, filtering or Filtering(), parameters or {})
+    problem = _pose(loop, test, filtering or Filtering(), parameters or {})
+    x = _place(problem, values)
     run = require_finished(problem.simulate(x))
+    problem = replace(problem, measured=run.torque)
     response, columns = problem.sensitivities(x)
     if response.outcome is not Outcome.FINISHED:
         raise MethodError(f"The loop cannot be simulated along this test ({response.outcome.value}).")
     J = problem.filtered(columns)
+    _require_told(problem, J)
     matrix = _scatter(problem, x, J, noise, runs, seed)
     if load_encoder is not None:
         disturbed = _with_error(problem, x, noise, seed)
@@ -239,48 +245,48 @@ class RoughlyForetold:
 
 def foretell_roughly(
     loop: ClosedLoop,
-    values: Mapping[str, float],
+    joints: Iterable[Mapping[str, float]],
     test: Record,
     noise: Noise,
     *,
     filtering: Filtering,
     parameters: Mapping[str, Parameter],
-    seed: int = 0,
-) -> RoughlyForetold:
-    """Return what `foretell` does, from the spectrum of one run with noise, for a search that tries many tests.
+) -> Iterator[RoughlyForetold]:
+    """Yield for each of some joints what `foretell` does, from the spectrum of one run with noise.
 
-    Args and errors are those of `foretell`.
+    That is for a search, which tries many tests. Args and errors are those of `foretell`; each joint has noise of its
+    own.
     """
-    problem, x = _pose(loop, values, test, filtering, parameters)
-    response, columns = problem.sensitivities(x)
-    if response.outcome is not Outcome.FINISHED:
-        raise MethodError("The loop cannot be simulated along this test.")
-    J, own = problem.filtered(columns), len(problem.free_joint)
-    matrix = np.zeros((x.size, x.size))
-    if noise.left is not None:
-        wider = np.array([noise.wider.get(p.name, 1.0) for p in problem.free])
-        matrix += stationary(J, J, np.resize(noise.left, len(J))).matrix * np.outer(wider, wider)
-    size = 0.0 if noise.left is None else float(np.mean(noise.left**2))
-    if noise.log or noise.force:
-        (error,) = _errors(problem, x, noise, 1, seed)
-        matrix += stationary(J, J, problem.filtered(error)).matrix
-        size += float(np.mean(error**2))
-    run = problem.simulate(x)
-    torque = run.torque + _PEAKS * math.sqrt(size) * np.sign(run.torque)
+    problem = _pose(loop, test, filtering, parameters)
+    own = len(problem.free_joint)
     assert test.reference is not None
-    found = reached(run, test.reference.values, torque, test.reference.sample_time)
-    found["rms_torque"] = math.sqrt(float(np.mean(run.torque**2)) + size)
-    return RoughlyForetold(tuple(p.name for p in problem.free_joint), matrix[:own, :own], found)
+    for seed, values in enumerate(joints):
+        x = _place(problem, values)
+        run = problem.simulate(x)
+        response, columns = problem.sensitivities(x)
+        if response.outcome is not Outcome.FINISHED:
+            raise MethodError("The loop cannot be simulated along this test.")
+        J = problem.filtered(columns)
+        _require_told(problem, J)
+        matrix = np.zeros((x.size, x.size))
+        if noise.left is not None:
+            wider = np.array([noise.wider.get(p.name, 1.0) for p in problem.free])
+            matrix += stationary(J, J, np.resize(noise.left, len(J))).matrix * np.outer(wider, wider)
+        size = 0.0 if noise.left is None else float(np.mean(noise.left**2))
+        if noise.log or noise.force:
+            (error,) = _errors(problem, x, noise, 1, seed)
+            matrix += stationary(J, J, problem.filtered(error)).matrix
+            size += float(np.mean(error**2))
+        torque = run.torque + _PEAKS * math.sqrt(size) * np.sign(run.torque)
+        found = reached(run, test.reference.values, torque, test.reference.sample_time)
+        found["rms_torque"] = math.sqrt(float(np.mean(run.torque**2)) + size)
+        yield RoughlyForetold(tuple(p.name for p in problem.free_joint), matrix[:own, :own], found)
 
 
 def _pose(
-    loop: ClosedLoop,
-    values: Mapping[str, float],
-    test: Record,
-    filtering: Filtering,
-    parameters: Mapping[str, Parameter],
-) -> tuple[ClosedLoopProblem, FloatArray]:
-    """Return the problem that the identification of a test will solve, and the values where it is."""
+    loop: ClosedLoop, test: Record, filtering: Filtering, parameters: Mapping[str, Parameter]
+) -> ClosedLoopProblem:
+    """Return the problem that the identification of a test will solve, its torque still 0."""
     reference = test.reference
     if reference is None:
         raise MethodError("A test needs a reference; give the position that the axis is to follow.")
@@ -290,20 +296,16 @@ def _pose(
         torque = Channel(zeros, loop.joint.force_unit, reference.sample_time, Timing.HELD)
     played = replace(test, torque=replace(torque, values=np.zeros(len(torque))))
     own = tuple(parameters.get(p.name, p) for p in loop.joint.parameters)
-    held = _holding_torque(loop, values, float(reference.values[0]))
-    experiment = prepare(loop, played)
-    at_rest = torque_problem(
-        replace(played, torque=replace(torque, values=np.full(len(torque), held))), loop, filtering, own
-    )
-    position = beginning_position(at_rest)
-    begins = Initial(position, 0.0, held if experiment.law.integrates else None)
-    clean = require_finished(simulate(loop, experiment, values, begins)).torque
-    problem = torque_problem(replace(played, torque=replace(torque, values=clean)), loop, filtering, own)
-    known = dict(values) | {"initial_position": position, "initial_velocity": 0.0}
-    if begins.torque is not None:
-        known["initial_torque"] = begins.torque
-    problem = problem.keeping({"initial_velocity": 0.0})
-    return problem, problem.vector(known)
+    return torque_problem(played, loop, filtering, own).keeping({"initial_velocity": 0.0})
+
+
+def _place(problem: ClosedLoopProblem, values: Mapping[str, float]) -> FloatArray:
+    """Return the free parameters of a joint that rests when the test begins."""
+    begins = float(problem.experiment.inputs[0, REFERENCE])
+    held = _holding_torque(problem.loop, values, begins)
+    position = beginning_position(replace(problem, measured=np.full_like(problem.measured, held)))
+    around = {"initial_position": position, "initial_velocity": 0.0, "initial_torque": held}
+    return problem.vector({**values, **around})
 
 
 def _holding_torque(loop: ClosedLoop, values: Mapping[str, float], position: float) -> float:
@@ -313,6 +315,20 @@ def _holding_torque(loop: ClosedLoop, values: Mapping[str, float], position: flo
         return held
     weights = np.array([values[p.name] for p in gravity.parameters])
     return held + float(gravity.columns(np.array([position]))[0] @ weights)
+
+
+def _require_told(problem: ClosedLoopProblem, J: FloatArray) -> None:
+    """Raise a `MethodError` if the torque of a test stays the same along a parameter of the joint, or a sum of some."""
+    norms = np.linalg.norm(J, axis=0)
+    norms[norms == 0.0] = 1.0
+    sizes, directions = np.linalg.eigh((J / norms).T @ (J / norms))
+    free = directions[:, sizes <= _SAME * max(float(sizes[-1]), 1.0)]
+    untold = [p.name for p, row in zip(problem.free_joint, free, strict=False) if np.any(np.abs(row) > _PART)]
+    if untold:
+        raise MethodError(
+            f"This test does not tell {', '.join(untold)}: the torque would be the same for other values; move the "
+            "axis, in both directions and at several speeds."
+        )
 
 
 def _scatter(

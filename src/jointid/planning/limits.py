@@ -90,7 +90,8 @@ def describe_passed(limits: AxisLimits, found: Mapping[str, float], units: Mappi
     """Yield a clause for each limit that is passed."""
     for name in passed(limits, found):
         unit = units.get(name, "")
-        yield f"{name.replace('_', ' ')} {number(found[name], 3)} {unit}, of {number(limits.given[name], 3)} allowed"
+        allowed = number(limits.given[name], 3)
+        yield f"it passes a limit, {name.replace('_', ' ')} {number(found[name], 3)} {unit} of {allowed} allowed"
 
 
 def units_of_limits(loop: ClosedLoop) -> dict[str, str]:

@@ -43,7 +43,7 @@ class Trapezoids:
         # A way that would not be ended in time is not begun: the axis stands where it turned round last.
         ends = np.flatnonzero(np.minimum(played, self.travel - played) <= self.acceleration * sample_time**2)
         ends = ends[ends < samples - round(self.smoothing / sample_time)]
-        last = int(ends[-1]) if ends.size and ends[-1] > 0.5 * samples else samples - 1
+        last = int(ends[-1]) if ends.size else 0
         return self.start + excitation.smoothed(
             np.append(played[: last + 1], np.full(samples - 1 - last, played[last])), sample_time, self.smoothing
         )
@@ -308,6 +308,13 @@ def _torque_lines(u: Sequence[float], room: Room) -> TorqueLines:
     return TorqueLines(frequencies, tuple(size * share**tilt for share in shares))
 
 
+def _pair_of_sines(u: Sequence[float], room: Room) -> TorqueLines:
+    lowest, highest = _log(0.3, 1.2, u[1]) * room.mode, room.highest
+    frequencies = tuple(min(one, highest) for one in (lowest, lowest * _log(1.02, 2.5, u[2])))
+    size = _log(0.02, 0.9, u[0]) * room.torque
+    return TorqueLines(frequencies, (size * (1 - u[3]), size * u[3]))
+
+
 _Numbers: TypeAlias = Sequence[float]
 _MOTIONS: Mapping[str, tuple[int, Callable[[_Numbers, Room], Motion]]] = {
     "trapezoids": (_SPEEDS + 3, _trapezoids), "sines": (3, _sines),
@@ -318,6 +325,7 @@ _ADDED: Mapping[str, tuple[int, Callable[[_Numbers, Room], Added] | None]] = {
     "sines": (3, _torque_sines),
     "chirp": (3, _torque_chirp),
     "lines": (2, _torque_lines),
+    "pair": (4, _pair_of_sines),
 }
 
 

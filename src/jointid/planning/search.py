@@ -34,11 +34,10 @@ _MARGIN = 0.97  # of each limit, that a test may reach in the search: other join
 _ASTRAY = 1e6  # a test that cannot be simulated
 _CLEARLY = 0.02  # of a score: other joints change it by as much
 _DRAWN = 6  # tests of each family, to begin with
-_ROUNDS = 5  # in which the best of each family is moved
-_KEPT = 4  # of all, that are followed
+_FOLLOWED = ((6, 20), (15, 5), (30, 2))  # rounds in which so many tests, the best there are, are moved
+_LED = 10  # moves of the best of all, before others are drawn
 _FIRST_STEP, _GROWS, _SHRINKS = 0.15, 1.4, 0.9  # of the numbers between 0 and 1
 _SMALLEST, _LONGEST = 2e-3, 0.5
-_GIVES_UP, _FRESH = 0.02, 0.1  # steps at which a test gives way to the best, and goes on from there
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,17 +113,17 @@ def try_plan(asked: Asked, plan: Plan, *, margin: float = _MARGIN, than: Tried |
     test = asked.record(plan)
     scores, most = [], dict[str, float]()
     tried = Tried(plan, _ASTRAY, most, math.inf)
-    for number, values in enumerate(asked.joints):
+    told = foretell_roughly(
+        asked.loop, asked.joints, test, asked.noise, filtering=asked.filtering, parameters=asked.parameters
+    )
+    for values in asked.joints:
         try:
             with np.errstate(all="ignore"):
-                told = foretell_roughly(
-                    asked.loop, values, test, asked.noise, filtering=asked.filtering, parameters=asked.parameters,
-                    seed=number,
-                )  # fmt: skip
+                one = next(told)
         except (JointidError, np.linalg.LinAlgError):
             return replace(tried, score=_ASTRAY, over=math.inf)
-        scores.append(asked.goal.score(told.covariance, told.names, values))
-        for name, size in told.reached.items():
+        scores.append(asked.goal.score(one.covariance, one.names, values))
+        for name, size in one.reached.items():
             most[name] = max(most.get(name, 0.0), size)
         factors = passed(asked.limits, {name: size / margin for name, size in most.items()})
         tried = Tried(plan, float(np.mean(scores)), most, max(factors.values(), default=0.0))
@@ -192,32 +191,24 @@ def _try_all(
 ) -> Iterator[Tried]:
     """Yield every test as it is tried: those to begin with, some of each family, then what the best become."""
     yield from (try_plan(asked, plan) for plan in begin)
-    drawn = [(family, rng.uniform(size=family.size)) for _ in range(_DRAWN) for family in families]
-    lines: list[_Line] = []
-    for pair in (drawn[k : k + 2] for k in range(0, len(drawn), 2)):
-        tries = in_threads(lambda one: try_plan(asked, one[0].plan(list(one[1]), asked.room)), pair)
-        lines += [_Line(family, u, tried) for (family, u), tried in zip(pair, tries, strict=True)]
-        yield from tries
-    lines = _best_of_each(lines)
-    for line in [line for _ in range(_ROUNDS) for line in lines]:
-        line.move(asked, rng)
-        yield line.tried
-    lines = sorted(lines, key=lambda line: line.tried.rank)[:_KEPT]
-    while lines:
-        for line in lines:
-            line.move(asked, rng)
-            yield line.tried
-        # Who comes no nearer to the best begins anew: in turn beside the best, and somewhere.
-        worst, leader = max(lines, key=lambda line: line.tried.rank), min(lines, key=lambda line: line.tried.rank)
-        if worst.step < _GIVES_UP and worst is not leader:
-            worst.step = _FRESH
-            if rng.uniform() < 0.5:
-                worst.family, worst.u, worst.tried = leader.family, leader.u, leader.tried
-            else:
-                worst.family = families[int(rng.integers(len(families)))]
-                worst.u = rng.uniform(size=worst.family.size)
-                worst.tried = try_plan(asked, worst.family.plan(list(worst.u), asked.room))
-        leader.step = max(leader.step, 2 * _SMALLEST)
+    leader: _Line | None = None
+    while True:
+        lines: list[_Line] = []
+        drawn = [(family, rng.uniform(size=family.size)) for _ in range(_DRAWN) for family in families]
+        for pair in (drawn[k : k + 2] for k in range(0, len(drawn), 2)):
+            tries = in_threads(lambda one: try_plan(asked, one[0].plan(list(one[1]), asked.room)), pair)
+            lines += [_Line(family, u, tried) for (family, u), tried in zip(pair, tries, strict=True)]
+            yield from tries
+        lines = _best_of_each(lines)
+        for rounds, kept in _FOLLOWED:
+            lines = sorted(lines, key=lambda line: line.tried.rank)[:kept]
+            for line in [line for _ in range(rounds) for line in lines]:
+                line.move(asked, rng)
+                yield line.tried
+        leader = min([line for line in (leader, *lines) if line is not None], key=lambda line: line.tried.rank)
+        for _ in range(_LED):
+            leader.move(asked, rng)
+            yield leader.tried
 
 
 def _best_of_each(lines: Sequence[_Line]) -> list[_Line]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,18 +18,18 @@ if TYPE_CHECKING:
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """What the axis may do, on the side and in the units of the joint (m, rad, N, N m).
+    """What the axis may do, on the side and in the units of the joint (m, rad, N, N m); else as [limits] says.
 
     Attributes:
-        stroke: of the position, from one end to the other; without it that of the record.
-        torque: the largest, with what is injected; without it that of the record.
-        rms_torque: root mean square over the test; without it that of the record.
-        speed: the largest; without it there is no limit, and up to twice that of the record is tried.
+        stroke: of the position, from one end to the other; without a limit that of the record.
+        torque: the largest, with what is injected; without a limit that of the record.
+        rms_torque: root mean square over the test; without a limit that of the record.
+        speed: the largest; without a limit up to twice that of the record is tried.
         acceleration: the largest of the reference, likewise.
         jerk: the largest of the reference.
         windup: the largest of the spring, in which it rings.
-        lowest: frequency of a chirp or of sines, Hz.
-        highest: frequency, likewise; without it the cut-off of the filter.
+        lowest: frequency of a chirp or of sines, Hz; without a limit 0.1.
+        highest: frequency, likewise; without a limit the cut-off of the filter.
     """
 
     stroke: float | None = None
@@ -39,15 +39,13 @@ class Limits:
     acceleration: float | None = None
     jerk: float | None = None
     windup: float | None = None
-    lowest: float = 0.1
+    lowest: float | None = None
     highest: float | None = None
 
-    @property
-    def limits(self) -> AxisLimits:
-        """The same as the package has them."""
-        from jointid import AxisLimits
-
-        return AxisLimits(**{name: getattr(self, name) for name in self.__slots__})
+    def beside(self, stated: AxisLimits) -> AxisLimits:
+        """Return the limits that a joint file states, with those that are given here in their place."""
+        given = {name: getattr(self, name) for name in self.__slots__}
+        return replace(stated, **{name: limit for name, limit in given.items() if limit is not None})
 
 
 NO_LIMITS = Limits()
@@ -74,7 +72,7 @@ def design(
     Args:
         joint: the joint file (TOML); its method is didim.
         options: those that most commands have.
-        limits: of the axis.
+        limits: of the axis, in the place of those that [limits] of the joint file states.
         goal: what the test is to tell: a parameter, a sum or a difference as "motor_viscous - load_viscous", "weakest"
             (what is known worst) or "all".
         duration: of the test, in s; without it that of the record.
@@ -89,8 +87,9 @@ def design(
 
     outputs = Outputs({"--json": options.json}, {"--figure": figure}, {"--out": out})
     outputs.spare("--motion", motion)
-    allowed = limits.limits
-    record, estimate = options.identify_by_didim(joint, outputs)
+    file = options.load(joint, outputs, method="didim")
+    allowed = limits.beside(file.limits)
+    record, estimate = options.identify(file)
     found = plan_from_estimate(
         estimate,
         record,
