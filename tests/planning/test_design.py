@@ -270,6 +270,25 @@ def test_the_command_plans_from_a_record(tmp_path: Path, capsys: pytest.CaptureF
     assert again == pytest.approx(told, rel=1e-6)  # the same test, read back
 
 
+@pytest.mark.slow
+def test_a_past_record_is_foretold_as_the_joint_file_reads_it(
+    emps_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    joint = Path(__file__).parents[2] / "examples" / "emps" / "joint.toml"
+    given = ["design", str(joint), "--record", str(emps_path), "-q", "--json", str(tmp_path / "told.json")]
+    with pytest.raises(SystemExit) as ended:
+        main([*given, "--motion", str(emps_path.with_name("DATA_EMPS_PULSES.mat"))])
+    assert ended.value.code == 0
+    assert "Beware" not in capsys.readouterr().out  # the limits of the present test are not those of another
+    tests = json.loads((tmp_path / "told.json").read_text())["tests"]
+    assert tests["proposed"]["std"]["inertia"] < 0.8 * tests["present"]["std"]["inertia"]
+    (tmp_path / "spoiled.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(SystemExit) as ended:
+        main([*given, "--motion", str(tmp_path / "spoiled.csv")])
+    assert ended.value.code == 2
+    assert "spoiled.csv" in capsys.readouterr().err
+
+
 def test_a_test_stays_where_the_present_one_is_and_begins_at_rest() -> None:
     """An axis that begins at 1.2 rad, holds a weight, logs its reference at a quarter of the rate, injects early."""
     loop = ClosedLoop(

@@ -37,7 +37,7 @@ def test_a_test_that_does_not_tell_a_parameter_is_refused() -> None:
     with pytest.raises(MethodError, match="does not tell"):
         list(foretell_roughly(LOOP, [TRUTH], still, Noise(log=0.01), filtering=Filtering(), parameters={}))
     one_way = planned_record(LOOP, np.arange(3000) * 1e-3 * 0.2, 1e-3)
-    with pytest.raises(MethodError, match="does not tell .*coulomb"):
+    with pytest.raises(MethodError, match=r"does not tell .*coulomb"):
         foretell(LOOP, TRUTH, one_way, Noise(log=0.01))
 
 

@@ -203,6 +203,10 @@ class Design(Charted, Documented):
         Raises:
             RecordError: they cannot be written.
         """
+        return write_folder(folder, self.files())
+
+    def files(self) -> dict[str, bytes]:
+        """Return what `write` writes, by name."""
         record = replace(self.test, name="test")
         files: dict[str, bytes] = {}
         with tempfile.TemporaryDirectory() as place:
@@ -210,7 +214,7 @@ class Design(Charted, Documented):
                 write(record, Path(place) / name)
                 files[name] = (Path(place) / name).read_bytes()
         files["how-to-run.md"] = self._page().encode("utf-8")
-        return write_folder(folder, files)
+        return files
 
     def _page(self) -> str:
         told, u, q = self.proposed, self.torque_unit, self.position_unit
@@ -338,9 +342,11 @@ def design_test(
     draws = _draw(values, [unknown[name] for name in free], covariance, _MORE_JOINTS, seed)
     added = None if present is None else present.injected
     how = (InjectionPoint.AFTER_LIMIT, True) if added is None else (added.at, added.in_torque)
+    # A test of one's own may do what the present one does not: only what is stated limits it.
+    allowed = asked_limits if motion is None else limits or AxisLimits()
     asked = Asked(
-        loop, (dict(values), *draws[:_JOINTS]), noise, wanted, asked_limits, room, samples, T, tap, filtering,
-        parameters, *how,
+        loop, (dict(values), *draws[:_JOINTS]), noise, wanted, allowed, room, samples, T, tap, filtering, parameters,
+        *how,
     )  # fmt: skip
     everywhere = replace(asked, joints=(dict(values), *draws))
     if motion is not None:
@@ -367,8 +373,8 @@ def design_test(
         _foretell(asked, values, best.plan, samples, load_encoder=step) if flexible else None,
         _foretell(asked, values, best.plan, 2 * samples),
         best.reached,
-        asked_limits.given,
-        _passed(asked_limits, best, units_of_limits(loop)),
+        allowed.given,
+        _passed(allowed, best, units_of_limits(loop)),
         None if floor is None or math.isnan(floor.deviation) else floor.deviation,
         modes,
         interrupted,

@@ -21,6 +21,8 @@ from jointid.apps.cli import main
 from jointid.apps.web.application import build_application
 from jointid.apps.web.folder import Limits, write_json
 from jointid.config import loads
+from jointid.records.columns import Column
+from jointid.records.reading import read
 from tests.apps.web.asking import ADDRESS, LAW, TOKEN, UNITS, Asker, ended, running
 from tests.apps.web.conftest import TRUTH
 from tests.apps.web.testclient import TestClient
@@ -96,6 +98,51 @@ def test_the_answer_is_there_before_its_report_which_gives_way(asker: Asker, log
     page = asker.get(f"/runs/{run.number}")
     assert "The answer" in page
     assert "Another identification was started before its report was written" in page
+
+
+def test_the_next_test_is_planned_after_an_answer(client: TestClient, asker: Asker, log: bytes, tmp_path: Path) -> None:
+    run = asker.identify(log, extra="[limits]\nspeed = 0.35\n")
+    assert asker.post(f"/runs/{run.number}/plan", {"goal": "all"})[0] == 422  # it has no answer yet
+    assert ended(run) == "done", run.status
+    assert "Plan it" in asker.get(f"/runs/{run.number}")
+    assert client.get(f"/runs/{run.number}/test.csv").status_code == 404
+    assert asker.post(f"/runs/{run.number}/plan", {"goal": "inertia"})[0] == 200
+    assert ended(run) == "done", run.status
+    page = asker.get(f"/runs/{run.number}")
+    assert "The proposed test tells inertia to" in page
+    assert "with load encoder" not in page  # of a rigid joint
+    assert "twice the time" in page
+    assert re.search(r"speed: 0\.\d+\s+of\s+0\.35", page)
+    (tmp_path / "test.csv").write_bytes(client.get(f"/runs/{run.number}/test.csv").content)
+    planned = read(tmp_path / "test.csv", {"reference": Column("reference", "m")}, time="t").reference
+    assert planned is not None
+    assert planned.duration == pytest.approx(8.0, abs=0.01)
+    for name, begins in (("test.png", b"\x89PNG"), ("how-to-run.md", b"# A test"), ("test.mat", b"MATLAB")):
+        assert client.get(f"/runs/{run.number}/{name}").content.startswith(begins), name
+    names = zipfile.ZipFile(io.BytesIO(client.get(f"/runs/{run.number}/all.zip").content)).namelist()
+    assert "test.csv" in names
+    assert "event: end" in client.get(f"/runs/{run.number}/events").text
+
+
+def test_a_plan_that_is_refused_or_cancelled_leaves_the_answer(asker: Asker, log: bytes) -> None:
+    run = asker.identify(log)
+    assert ended(run) == "done", run.status
+    asker.post(f"/runs/{run.number}/plan", {"goal": "<b>stiffness</b>"})
+    assert ended(run) == "done"
+    page = asker.client.get(f"/runs/{run.number}").text
+    assert "which is no free parameter of this joint; choose from inertia" in page
+    assert "<b>" not in page
+    asker.post(f"/runs/{run.number}/plan", {"goal": "all"})
+    running(run, "identifying again")
+    assert run.status["state"] == "planning"
+    assert "It is being planned" in asker.get(f"/runs/{run.number}")
+    assert "You cancelled it" in asker.post(f"/runs/{run.number}/cancel")[1]
+    assert run.status["state"] == "done"
+    assert not run.has("plan.json")
+    assert "Open the report" in asker.get(f"/runs/{run.number}")
+    run.update(state="planning", before="done")
+    asker.folder.close_interrupted()  # an earlier page was killed
+    assert run.status["state"] == "done"
 
 
 def test_the_report_is_shown_in_a_sandbox(client: TestClient, asker: Asker, log: bytes) -> None:

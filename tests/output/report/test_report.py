@@ -218,6 +218,25 @@ def test_what_to_set_in_the_drive_has_its_place() -> None:
     assert "response" not in carried["present"]
 
 
+def test_the_next_test_has_its_place() -> None:
+    told = reports.rigid()
+    assert "The next test" not in told.markdown()
+    estimate = told.estimate
+    loop = estimate.settings.loop
+    assert loop is not None
+    limits = ji.AxisLimits(stroke=0.2, speed=0.3, acceleration=2.0, torque=100.0)
+    found = ji.design_test(
+        loop, estimate.values, ji.Noise(log=0.5), limits=limits, duration=4.0, sample_time=1e-3, seconds=1.0
+    )
+    planned = replace(told, design=found)
+    text = planned.markdown()
+    assert text.index("## The next test\n") < text.index("## Appendix") < text.index("## The next test in full\n")
+    assert found.description.split()[0] in text
+    assert "test.svg" in text
+    assert json.loads(planned.answer())["design"]["schema"] == "jointid.design/1"
+    assert "What is to be played" in planned.html()
+
+
 @pytest.mark.browser
 def test_the_summary_is_two_printed_pages_and_fits_a_phone(tmp_path: Path) -> None:
     path = replace(reports.flexible(), name="Axis 1").save(tmp_path / "page.html")

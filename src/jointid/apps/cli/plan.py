@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,9 +11,11 @@ from cyclopts import Parameter
 
 from jointid.apps.cli.console import DEFAULTS, Options, deliver, show
 from jointid.apps.cli.places import Outputs
+from jointid.common.errors import RecordError
 
 if TYPE_CHECKING:
-    from jointid import AxisLimits, Estimate, Record
+    from jointid import AxisLimits, Record
+    from jointid.config import JointFile
 
 
 @Parameter(name="*")
@@ -78,7 +81,8 @@ def design(
         duration: of the test, in s; without it that of the record.
         seconds: that the search may take.
         motion: a test of your own, foretold in the place of one that is looked for: a table with the columns t (s),
-            reference (m or rad) and, if a signal is added to the torque, injected (N, N m, or the torque's unit).
+            reference (m or rad) and, if a signal is added to the torque, injected (N, N m, or the torque's unit); or a
+            past record, logged as the joint file says.
         out: also write the test into this folder: a CSV, a MAT file, and a page on how to run it.
         figure: also save reference, torque and spectrum as PNG, SVG or PDF.
     """
@@ -97,7 +101,7 @@ def design(
         limits=allowed,
         duration=duration,
         seconds=seconds,
-        motion=None if motion is None else _read(motion, estimate),
+        motion=None if motion is None else _read(motion, file),
         progress=options.progress,
     )
     deliver(found, options.json, (figure, figures.draw))
@@ -106,14 +110,19 @@ def design(
         show(f"\nWritten to {out}: {', '.join(path.name for path in paths)}")
 
 
-def _read(motion: Path, estimate: Estimate) -> Record:
-    """Read a test of the user's own."""
+def _read(motion: Path, file: JointFile) -> Record:
+    """Read a test of the user's own, or a past record."""
     from jointid import Column, read
     from jointid.common.parameters import POSITION_UNIT
 
-    joint = estimate.settings.joint
+    joint = file.joint
     columns = {
         "reference": Column("reference", POSITION_UNIT[joint.kind]),
         "injected": Column("injected", joint.force_unit, optional=True),
     }
-    return read(motion, columns, time="t")
+    try:
+        return read(motion, columns, time="t")
+    except RecordError:
+        with contextlib.suppress(RecordError):
+            return file.record(motion)
+        raise

@@ -18,6 +18,7 @@ from jointid.apps.cli.console import (
     show,
 )
 from jointid.apps.cli.places import Outputs
+from jointid.common.errors import JointidError
 from jointid.common.parallel import Aside
 from jointid.estimation.methods.registry import MethodName
 
@@ -37,6 +38,7 @@ def report(
     friction: str | None = None,
     no_profiles: Flag = False,
     no_tuning: Flag = False,
+    plan: str | None = None,
 ) -> None:
     """Identify a joint from a record, and report it as one page: result, verdicts, figures, and how to repeat it.
 
@@ -51,10 +53,12 @@ def report(
         friction: as for identify.
         no_profiles: do not follow the criterion along the parameters where it is no parabola.
         no_tuning: leave out margins and gains, which a controller with a limit otherwise has.
+        plan: also plan the next test, for a goal as of design, within [limits] of the joint file; it takes a minute.
     """
     from jointid import Report
     from jointid.output.report import repetition, require_page, tune_to_limit
     from jointid.output.report.page import require_extra
+    from jointid.planning.design import plan_from_estimate
 
     page = html if html or markdown or figures else Path("report.html")
     outputs = Outputs({"--html": page, "--json": options.json}, folders={"--markdown": markdown, "--figures": figures})
@@ -64,7 +68,8 @@ def report(
     choices = {"method": method, "filtering": filtering, "friction": friction}
     file = options.load(joint, outputs, **choices)
     source = Path(file.record_path(options.record))
-    again = repetition(joint, source, choices, options.changes, "report.html" if page is None else page.name)
+    asked = {**choices, "plan": plan}
+    again = repetition(joint, source, asked, options.changes, "report.html" if page is None else page.name)
     record, estimate = options.identify(file)
     tuning = None if no_tuning else Aside(partial(tune_to_limit, estimate, file.drive, file.declared_numbers))
     told = Report.of(
@@ -76,6 +81,12 @@ def report(
         show(f"Without margins and gains: {tuned}")
     else:
         told = replace(told, tuned=tuned)
+    if plan is not None:
+        try:
+            found = plan_from_estimate(estimate, record, goal=plan, limits=file.limits, progress=options.progress)
+            told = replace(told, design=found)
+        except JointidError as error:
+            show(f"Without a next test: {error}")
     written = [] if page is None else [told.save(page)]
     written += [] if markdown is None else [told.save_markdown(markdown)[0]]
     written += [] if figures is None else [*told.save_figures(figures)]

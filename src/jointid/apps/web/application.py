@@ -194,6 +194,7 @@ _ROUTES = [
     Route("/runs/{number:number}", routes.show_run),
     Route("/runs/{number:number}/events", routes.stream_progress),
     Route("/runs/{number:number}/cancel", routes.cancel_run, methods=["POST"]),
+    Route("/runs/{number:number}/plan", routes.plan_test, methods=["POST"]),
     Route("/runs/{number:number}/{name:str}", routes.send_file),
     Mount("/static", StaticFiles(packages=[("jointid.apps.web", "static")])),
 ]

@@ -20,7 +20,9 @@ from jointid.records.formats import format_of
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 """Addresses that only this machine reaches."""
 
-_OF_A_RUN = ("answer.txt", "learned.txt", "log.txt", "progress.txt")  # of ours, in a format of records
+_OF_A_RUN = ("answer.txt", "learned.txt", "log.txt", "progress.txt", "test.csv", "test.mat")
+"""Names of ours, in a format of records."""
+
 _LONGEST = 255  # bytes of a file's name
 _UPLOAD = "upload-"
 
@@ -61,6 +63,7 @@ class Limits:
         seconds: after which an identification is stopped.
         reading: seconds after which the reading of a record is stopped.
         form: seconds after which that of a joint file, or of a form, is.
+        planning: seconds that the search for the next test takes.
         idle: seconds after which a request that stands still on its way in is ended.
         arriving: bytes of all files on their way in together, as they are declared.
     """
@@ -71,6 +74,7 @@ class Limits:
     seconds: float = 3600.0
     reading: float = 300.0
     form: float = 20.0
+    planning: float = 60.0
     idle: float = 20.0
     arriving: int = 2**30
 
@@ -88,9 +92,10 @@ class Run:
 
     @property
     def status(self) -> dict[str, Any]:
-        """State ("running", "done", "refused", "failed", "cancelled"), sentence, and when it started and ended.
+        """State, sentence, and when it started and ended, in seconds since the epoch.
 
-        The times are seconds since the epoch.
+        The state is "running", "done", "refused", "failed", "cancelled", or "planning" while the next test is planned
+        after it; `unplanned` is then the sentence on why there is none, and `before` the state that comes back.
         """
         return read_json(self.folder / "run.json") or {
             "state": "gone",
@@ -99,8 +104,12 @@ class Run:
 
     @property
     def active(self) -> bool:
-        """Whether it has not ended."""
-        return bool(self.status["state"] == "running")
+        """Whether it, or what is planned after it, has not ended."""
+        return self.status["state"] in ("running", "planning")
+
+    def end_planning(self, sentence: str = "") -> None:
+        """Go back to how the identification ended; the sentence says why there is no test."""
+        self.update(state=self.status.get("before", "done"), unplanned=sentence)
 
     @property
     def answered(self) -> bool:
@@ -113,6 +122,11 @@ class Run:
         return {
             name: _stamp(self.folder / file) for name, file in (("answer", "answer.json"), ("report", "report.html"))
         }
+
+    @property
+    def plan_stamp(self) -> str:
+        """What tells each plan of the next test from those before."""
+        return _stamp(self.folder / "plan.json")
 
     @property
     def seconds(self) -> float:
@@ -246,7 +260,9 @@ class Folder:
             if not (kept and path.name.startswith(kept)):
                 path.unlink(missing_ok=True)
         for run in self.runs:
-            if run.active:
+            if run.status["state"] == "planning":
+                run.end_planning("The page was stopped before a test was planned.")
+            elif run.active:
                 sentence = "The page was stopped before this had ended; press Identify again."
                 run.update(state="failed", sentence=sentence, ended=time.time())
 

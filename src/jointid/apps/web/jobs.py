@@ -59,12 +59,18 @@ class Jobs:
         """Start an identification."""
         self._run, self._task = run, asyncio.create_task(self._identify(run))
 
+    def start_planning(self, run: Run) -> None:
+        """Start planning the next test after an identification."""
+        self._run, self._task = run, asyncio.create_task(self._plan(run))
+
     async def cancel(self, run: Run, sentence: str = "You cancelled it.") -> None:
         """Cancel an identification; one that has ended stays as it is."""
         if self._task is not None and self._run == run:
             self._task.cancel()
             await asyncio.wait([self._task])
-            if self._task.cancelled():
+            if self._task.cancelled() and run.status["state"] == "planning":
+                run.end_planning(sentence)
+            elif self._task.cancelled():
                 run.update(state="cancelled", sentence=sentence, ended=time.time())
 
     async def close(self) -> None:
@@ -125,6 +131,16 @@ class Jobs:
             state = "failed"
             sentence = FULL if is_full(error) else f"Its process could not be started ({error.strerror or error})."
         run.update(state=state, sentence=sentence, ended=time.time())
+
+    async def _plan(self, run: Run) -> None:
+        sentence = ""
+        try:
+            await self._work("plan", run.folder, self._limits.seconds, "Planning the next test")
+        except (PageError, JointFileError) as error:
+            sentence = str(error)
+        except OSError as error:
+            sentence = FULL if is_full(error) else f"Its process could not be started ({error.strerror or error})."
+        run.end_planning(sentence)
 
     async def _work(self, action: str, folder: Path, seconds: float, subject: str) -> None:
         """Run a worker to its end; what leaves this early, as a cancellation does, ends it."""

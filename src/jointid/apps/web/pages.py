@@ -95,17 +95,25 @@ class AppState:
         finally:
             self._arriving -= size
 
-    async def save_form(self, request: Request) -> dict[str, str]:
-        """Keep the entries of a form without a file, and return the draft with them.
+    async def read_form(self, request: Request) -> list[tuple[str, str]]:
+        """Return the entries of a form without a file.
 
         Raises:
             PageError: the form is too large, or damaged.
         """
         try:
             async with bound_body(request, _FORM, "The form is larger than any of this page.").form() as sent:
-                entries = clean_entries((name, value) for name, value in sent.multi_items() if isinstance(value, str))
+                return [(name, value) for name, value in sent.multi_items() if isinstance(value, str)]
         except _DAMAGED:
             raise PageError("The form did not arrive whole; load the page again, and send it once more.") from None
+
+    async def save_form(self, request: Request) -> dict[str, str]:
+        """Keep the entries of a form without a file, and return the draft with them.
+
+        Raises:
+            PageError: see `read_form`.
+        """
+        entries = clean_entries(await self.read_form(request))
         draft = {**self.folder.draft, **entries}
         self.folder.save_draft(draft)
         return draft
@@ -216,11 +224,21 @@ def show_run(state: AppState, run: Run) -> Response:
     texts = {name: run.folder / f"{name}.txt" for name in ("answer", "learned")}
     return _render(
         "run", state, step=4 if answer is None else 5, run=run, status=status, lines=run.read_progress(), answer=answer,
-        elapsed=round(run.seconds), stamps=run.stamps, rows=[] if answer is None else _build_rows(answer),
+        plan=read_json(run.folder / "plan.json"), goals=_list_goals(answer), elapsed=round(run.seconds),
+        stamps=run.stamps, rows=[] if answer is None else _build_rows(answer),
         checks=[] if answer is None else _build_checks(answer),
         runs=[(one, one.status) for one in state.folder.runs],
         texts={name: path.read_text(encoding="utf-8") if path.is_file() else "" for name, path in texts.items()},
     )  # fmt: skip
+
+
+def _list_goals(answer: Mapping[str, Any] | None) -> list[tuple[str, str]]:
+    """Return what a next test may be planned for, each with its words; nothing where none can be planned."""
+    if answer is None or answer["method"] != "didim":
+        return []
+    free = {name: p["symbol"] for name, p in answer["parameters"].items() if p["free"]}
+    named = [(name, f"{name.replace('_', ' ')} {symbol}") for name, symbol in free.items()]
+    return [("all", "all parameters alike"), ("weakest", "what is known worst"), *named]
 
 
 def show_message(state: AppState, code: int, title: str, sentences: str) -> Response:

@@ -36,6 +36,10 @@ FILES = {
     "answer.json": "application/json",
     "answer.txt": "text/plain; charset=utf-8",
     "report.html": "text/html; charset=utf-8",
+    "test.csv": "text/csv; charset=utf-8",
+    "test.mat": "application/octet-stream",
+    "test.png": "image/png",
+    "how-to-run.md": "text/markdown; charset=utf-8",
 }
 """The files of an answer that can be downloaded, beside all of it with the record."""
 
@@ -46,6 +50,7 @@ REPORT_POLICY = (
 """A report brings its own scripts: they run in a sandbox that reaches neither the page nor the network."""
 
 BUNDLE = "all.zip"
+_GOAL = 200  # characters
 _LINE = re.compile(r"[0-9]{1,9}")
 
 _Action: TypeAlias = Callable[[Request, AppState], Awaitable[Response]]
@@ -236,6 +241,22 @@ async def cancel_run(request: Request) -> Response:
     return state.redirect(f"/runs/{run.number}")
 
 
+async def plan_test(request: Request) -> Response:
+    """Start planning the next test after an identification."""
+    state, run = AppState.of(request), _find_run(request)
+    goal = dict(await state.read_form(request)).get("goal", "all")
+    async with state.files:
+        if not run.answered or run.active:
+            raise PageError(f"Identification {run.number} has no whole answer yet; plan the next test when it has.")
+        await state.jobs.require_idle()
+        work = read_json(run.folder / "work.json") or {}
+        asked = {"goal": goal[:_GOAL], "seconds": state.limits.planning}
+        write_json(run.folder / "work.json", work | asked)
+        run.update(state="planning", before=run.status["state"], unplanned="")
+    state.jobs.start_planning(run)
+    return state.redirect(f"/runs/{run.number}#plan")
+
+
 async def send_file(request: Request) -> Response:
     """Send one of the files of an answer."""
     run, name = _find_run(request), request.path_params["name"]
@@ -271,7 +292,7 @@ async def _events(run: Run, begin: int) -> AsyncIterator[str]:
         for number in range(sent, len(lines)):
             yield f"id: {number}\ndata: {json.dumps(lines[number])}\n\n"
         sent, looks = max(sent, len(lines)), looks + 1
-        if status["state"] != "running":
+        if status["state"] not in ("running", "planning"):
             yield f"event: end\ndata: {json.dumps(status['state'])}\n\n"
             return
         if looks % _ALIVE == 0:

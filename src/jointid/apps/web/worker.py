@@ -173,6 +173,31 @@ def learn(folder: Path, work: dict[str, Any]) -> None:
     write_whole(folder / "learned.txt", f"{learned}\n")
 
 
+def plan(folder: Path) -> None:
+    """Plan the next test of an axis that was identified, for the goal of `work.json`: tables, a figure, `plan.json`."""
+    from jointid.common.document import Facts, Table
+    from jointid.config import load
+    from jointid.output.figures.matplotlib_backend import png
+    from jointid.planning.design import plan_from_estimate
+    from jointid.simulation import sensitivities
+
+    work = _read_work(folder)
+    file = load(folder / "joint.toml")
+    record = file.record(folder / work["file"])
+    sensitivities.warm_up()
+    _tell("identifying again")
+    estimate = file.identify(record, _tell)
+    asked = {"goal": work["goal"], "seconds": work["seconds"], "limits": file.limits}
+    found = plan_from_estimate(estimate, record, progress=_tell, **asked)
+    for name, content in {**found.files(), "test.png": png(found.chart())}.items():
+        write_whole(folder / name, content)
+    table, facts = found.document().blocks
+    assert isinstance(table, Table)
+    assert isinstance(facts, Facts)
+    told = {"sentence": found.sentence, "header": table.header, "rows": table.rows, "facts": facts.pairs}
+    write_whole(folder / "plan.json", json.dumps(told))
+
+
 def _read_work(folder: Path) -> dict[str, Any]:
     found: dict[str, Any] = json.loads((folder / "work.json").read_text(encoding="utf-8"))
     return found
@@ -192,6 +217,7 @@ ACTIONS: dict[str, Callable[[Path], None]] = {
     "order": order,
     "prepare": prepare,
     "identify": identify,
+    "plan": plan,
 }
 
 

@@ -32,11 +32,16 @@ from jointid.output.report.page import page
 from jointid.output.report.pictures import draw_charts
 from jointid.output.report.sections import report_blocks
 from jointid.output.report.summary import report_title
+from jointid.planning.design import Design
 from jointid.tuning.tuned import Tuned
 
 _TUNING = (
     "The joint's response, the loop cut open at the torque, and its Nyquist plot; the bands are the estimate's "
     "interval, the circle about -1 the distance that was asked."
+)
+_TEST = (
+    "What is to be played, the torque that is foretold, and its spectrum beside the modes of the joint as it was "
+    "identified."
 )
 _CREATED = re.compile(rb"Created on: \w{3} (\w{3} +\d+ \d\d:\d\d:\d\d \d{4})")  # of the header of a .mat file
 _BLOCK = 1 << 20  # bytes that are read at once
@@ -135,12 +140,14 @@ class Report:
         name: of the joint; that of the record when empty.
         repetition: what it takes to do it again.
         tuned: what to set in the drive; None where that was not asked for.
+        design: the next test; likewise.
     """
 
     dossier: ReportData
     name: str = ""
     repetition: Repetition = field(default_factory=Repetition)
     tuned: Tuned | None = None
+    design: Design | None = None
 
     @classmethod
     def of(
@@ -197,7 +204,11 @@ class Report:
     def charts(self) -> dict[str, Chart]:
         """Its figures by name."""
         drawn = draw_charts(self.dossier)
-        return drawn if self.tuned is None else drawn | {"tuning": replace(self.tuned.chart(), caption=_TUNING)}
+        if self.tuned is not None:
+            drawn["tuning"] = replace(self.tuned.chart(), caption=_TUNING)
+        if self.design is not None:
+            drawn["test"] = replace(self.design.chart(), caption=_TEST)
+        return drawn
 
     def __repr__(self) -> str:
         return f"Report({report_title(self.estimate, self.name, self.repetition.date)!r})"
@@ -270,6 +281,7 @@ class Report:
                     "revealing": given.stiffness_test,
                     "parabolic": given.parabolic,
                     "tuning": None if self.tuned is None else _without_responses(plain(self.tuned)),
+                    "design": self.design,
                     "absent": given.absent,
                     "record_file": repeated.record_name or None,
                     "record_date": repeated.date or None,
@@ -282,7 +294,9 @@ class Report:
         )
 
     def _document(self, *, interactive: bool) -> Document:
-        told = report_blocks(self.dossier, self.charts, self.repetition, self.tuned, interactive=interactive)
+        told = report_blocks(
+            self.dossier, self.charts, self.repetition, self.tuned, self.design, interactive=interactive
+        )
         title = report_title(self.estimate, self.name, self.repetition.date)
         return Document(title, tuple(map(typeset_block, told)), self.answer() if interactive else "")
 

@@ -35,6 +35,7 @@ from jointid.output.figures.bokeh_backend import plot
 from jointid.output.figures.matplotlib_backend import svg
 from jointid.output.report.summary import summary_blocks, verdicts_in_full
 from jointid.output.report.wording import say_suspects, sentence, suspect
+from jointid.planning.design import Design
 from jointid.tuning.tuned import Tuned
 
 if TYPE_CHECKING:
@@ -42,7 +43,13 @@ if TYPE_CHECKING:
 
 
 def report_blocks(
-    given: ReportData, charts: dict[str, Chart], repetition: Repetition, tuned: Tuned | None, *, interactive: bool
+    given: ReportData,
+    charts: dict[str, Chart],
+    repetition: Repetition,
+    tuned: Tuned | None,
+    design: Design | None,
+    *,
+    interactive: bool,
 ) -> tuple[Block, ...]:
     """Return the whole report; where it is interactive its figures are plots, too, for a page.
 
@@ -64,7 +71,7 @@ def report_blocks(
         return [Picture(f"{name}.svg", drawn[name], chart.caption, plots.get(name, ""), not narrow)]
 
     return (
-        *summary_blocks(given, tuned, picture),
+        *summary_blocks(given, tuned, design, picture),
         Heading("Appendix"),
         Paragraph("What stands behind the summary: every check, picture and setting, and how to repeat it."),
         *_checks(given, picture),
@@ -77,6 +84,11 @@ def report_blocks(
         *_loop(given),
         *_tests(given),
         *([] if tuned is None else _tuning(tuned, picture)),
+        *(
+            []
+            if design is None
+            else [Heading("The next test in full"), *design.document().blocks[1:], *picture("test")]
+        ),
         *_repeated(given, repetition),
     )
 

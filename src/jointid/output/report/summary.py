@@ -14,6 +14,7 @@ from jointid.estimation.result.consequence import consequence
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.summary import parameters_table
 from jointid.output.report.wording import say_suspects, sentence
+from jointid.planning.design import Design
 from jointid.tuning.tuned import Tuned
 
 _TONES: dict[Trust, Tone] = {
@@ -31,12 +32,15 @@ def report_title(estimate: Estimate, name: str = "", date: str = "") -> str:
     return f"{name or estimate.data.record}{f', {date}' if date else ''}"
 
 
-def summary_blocks(given: ReportData, tuned: Tuned | None, picture: Callable[[str], list[Block]]) -> Iterator[Block]:
+def summary_blocks(
+    given: ReportData, tuned: Tuned | None, design: Design | None, picture: Callable[[str], list[Block]]
+) -> Iterator[Block]:
     """Yield the summary.
 
     Args:
         given: what is reported.
         tuned: what to set in the drive; None where that is not known.
+        design: the next test; None where none was asked for.
         picture: returns the blocks of a picture by its name.
     """
     estimate = given.estimate
@@ -55,6 +59,10 @@ def summary_blocks(given: ReportData, tuned: Tuned | None, picture: Callable[[st
         yield Heading("Tuning")
         yield Paragraph(tuned.sentence)
         yield from tuned.proposal()
+    if design is not None:
+        yield Heading("The next test")
+        yield Paragraph(design.sentence)
+        yield design.document().blocks[0]
 
 
 def _source(estimate: Estimate) -> str:

@@ -153,7 +153,7 @@ if (run) {
   source.addEventListener("answer", (event) => { if (JSON.parse(event.data) !== run.dataset.answer) leave(); });
   source.addEventListener("report", (event) => { if (run.dataset.answer) showReport(JSON.parse(event.data)); });
   source.addEventListener("end", (event) => {
-    if (!run.dataset.answer || JSON.parse(event.data) !== "done") leave();
+    if (!run.dataset.answer || run.dataset.again || JSON.parse(event.data) !== "done") leave();
     source.close();
     run.remove();
   });
