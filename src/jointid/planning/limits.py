@@ -29,7 +29,7 @@ class AxisLimits:
     """
 
     stroke: float | None = setting(None, "of the position, from one end to the other", unit="m or rad", above=0)
-    speed: float | None = setting(None, "largest", unit="m/s or rad/s", above=0)
+    speed: float | None = setting(None, "largest, of motor and load", unit="m/s or rad/s", above=0)
     acceleration: float | None = setting(None, "largest of the reference", unit="m/s2 or rad/s2", above=0)
     jerk: float | None = setting(None, "largest of the reference", unit="m/s3 or rad/s3", above=0)
     torque: float | None = setting(None, "largest, with what is injected", unit="N or N m", above=0)

@@ -27,7 +27,7 @@ class Limits:
         stroke: of the position, from one end to the other; without a limit that of the record.
         torque: the largest, with what is injected; without a limit that of the record.
         rms_torque: root mean square over the test; without a limit that of the record.
-        speed: the largest; without a limit up to twice that of the record is tried.
+        speed: the largest, of motor and load; without a limit up to twice that of the record is tried.
         acceleration: the largest of the reference, likewise.
         jerk: the largest of the reference.
         windup: the largest of the spring, in which it rings.
