@@ -14,9 +14,10 @@ import pytest
 
 import jointid as ji
 from jointid.apps.cli import main
-from jointid.common.errors import MethodError
+from jointid.common.errors import MethodError, RecordError
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.output.json.documents import to_dict
+from jointid.output.json.reading import read_covariance
 from jointid.paper.twin import JOINT_FILE, SAMPLE_TIME, twin
 from jointid.planning import design as design_module
 from jointid.planning.bound import least_deviation
@@ -40,6 +41,8 @@ from jointid.records.record import Tap
 from jointid.records.signals.filtering import Filtering
 from jointid.records.writing import write
 from jointid.simulation import excitation
+from jointid.simulation.synthesis import simulated_record
+from tests.text import unwrapped
 
 AXIS = twin("L19", noise="white")
 NOISE = Noise(log=AXIS.noise)
@@ -268,6 +271,105 @@ def test_the_command_plans_from_a_record(tmp_path: Path, capsys: pytest.CaptureF
     own = json.loads((tmp_path / "own.json").read_text())
     told, again = (one["tests"]["proposed"]["std"]["stiffness"] for one in (answer, own))
     assert again == pytest.approx(told, rel=1e-6)  # the same test, read back
+
+
+ROUGH = """
+[joint]
+kind = "revolute"
+[record.channels]
+torque = { column = "torque" }
+reference = { column = "reference" }
+[controller]
+law = "cascade"
+position_gain = 40.0
+velocity_gain = 2.0
+integral_gain = 30.0
+[limits]
+stroke = "120 deg"
+speed = 3.0
+acceleration = 20.0
+torque = 2.0
+"""
+KNOWN = """
+[parameters]
+inertia = { start = 0.04 }
+viscous = { start = 0.05 }
+coulomb = { start = 0.1 }
+offset = 0.0
+"""
+
+
+def planned(tmp_path: Path, text: str, *words: str) -> int:
+    """Run the command on a joint file of that text, and return its exit code."""
+    (tmp_path / "rough.toml").write_text(text)
+    with pytest.raises(SystemExit) as ended:
+        main(["design", str(tmp_path / "rough.toml"), "-q", "--seconds", "1", *words])
+    return int(str(ended.value.code))
+
+
+def test_the_command_plans_from_rough_values_without_a_record(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    told = tmp_path / "told.json"
+    without = ["--noise-log", "0.02", "--duration", "4", "--sample-time", "0.001"]
+    assert planned(tmp_path, ROUGH + KNOWN, *without, "--within", "20", "--goal", "inertia", "--json", str(told)) == 0
+    answer = json.loads(told.read_text())
+    assert "The proposed test tells inertia to" in capsys.readouterr().out
+    assert answer["tests"]["proposed"]["values"] == {
+        "inertia": 0.04,
+        "viscous": 0.05,
+        "coulomb": 0.1,
+    }  # offset is fixed
+    assert answer["limits"]["stroke"] == pytest.approx(math.radians(120))
+    assert not answer["passed"]
+    for words, said in (
+        (["--within", "20"], "--within counts where nothing is identified from a record"),
+        (["--noise-log", "0.02", "--duration", "4"], "A test has a duration and a sample time"),
+        (["--noise-log", "-1"], "Noise has a standard deviation of 0 or more"),
+    ):
+        assert planned(tmp_path, ROUGH + KNOWN, *words) == 2
+        assert said in unwrapped(capsys.readouterr().err)
+    assert planned(tmp_path, ROUGH, *without) == 2
+    assert "inertia, viscous, coulomb, offset have none" in unwrapped(capsys.readouterr().err)
+
+
+def test_an_earlier_answer_says_what_is_roughly_known(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    loop = ClosedLoop(RigidJoint("revolute"), ji.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0))
+    truth = {"inertia": 0.04, "viscous": 0.05, "coulomb": 0.1, "offset": 0.02}
+    reference = excitation.trapezoids((0.5, 1.0, 2.0), 8.0, 2.0, 1e-3, duration=6.0)
+    noise = 0.02 * np.random.default_rng(5).standard_normal(reference.size)
+    record = simulated_record(loop, reference, truth, sample_time=1e-3, torque_noise=noise)
+    write(replace(record, motor_position=None), tmp_path / "record.csv")
+    (tmp_path / "rough.toml").write_text(ROUGH)
+    with pytest.raises(SystemExit):
+        main([
+            "identify", str(tmp_path / "rough.toml"), "--record", str(tmp_path / "record.csv"), "-q", "--json",
+            str(tmp_path / "answer.json"),
+        ])  # fmt: skip
+    answer = json.loads((tmp_path / "answer.json").read_text())
+    free = ["inertia", "viscous", "coulomb", "offset"]
+    found = read_covariance(tmp_path / "answer.json", free)
+    assert np.sqrt(np.diag(found)) == pytest.approx([answer["parameters"][name]["std"] for name in free])
+    assert abs(found[1, 2]) > 0.3 * math.sqrt(found[1, 1] * found[2, 2])  # viscous and Coulomb friction are not apart
+    words = [
+        "--record",
+        str(tmp_path / "record.csv"),
+        "--estimate",
+        str(tmp_path / "answer.json"),
+        "--noise-log",
+        "0.02",
+    ]
+    assert planned(tmp_path, ROUGH, *words, "--json", str(tmp_path / "told.json")) == 0
+    tests = json.loads((tmp_path / "told.json").read_text())["tests"]
+    assert tests["present"]["values"]["inertia"] == answer["parameters"]["inertia"]["value"]
+    reported = answer["parameters"]["inertia"]["std"]  # the larger of two, where foretold is what they scatter by
+    assert 0.4 * reported < tests["present"]["std"]["inertia"] < 1.2 * reported
+    with pytest.raises(RecordError, match="has no interval of each of stiffness"):
+        read_covariance(tmp_path / "answer.json", ["stiffness"])
+    answer["parameters"]["inertia"]["std"] = None
+    (tmp_path / "answer.json").write_text(json.dumps(answer))
+    assert planned(tmp_path, ROUGH, *words) == 2
+    assert "has no interval of each of inertia" in unwrapped(capsys.readouterr().err)
 
 
 @pytest.mark.slow

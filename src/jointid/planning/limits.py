@@ -68,7 +68,9 @@ def reached(run: Simulation, reference: FloatArray, torque: FloatArray, sample_t
     acceleration = np.diff(reference, 2) / sample_time**2
     jerk = np.diff(acceleration) / sample_time
     low, high = (f([f(one) for one in (*positions, reference)]) for f in (np.min, np.max))
-    windup = 0.0 if run.load_position is None else float(np.max(np.abs(run.load_position - run.motor_position)))
+    windup = {}
+    if run.load_position is not None:
+        windup["windup"] = float(np.max(np.abs(run.load_position - run.motor_position)))
     return {
         "stroke": float(high - low),
         "speed": max(float(np.max(np.abs(one))) for one in velocities),
@@ -76,7 +78,7 @@ def reached(run: Simulation, reference: FloatArray, torque: FloatArray, sample_t
         "jerk": float(np.max(np.abs(jerk), initial=0.0)),
         "torque": float(np.max(np.abs(torque))),
         "rms_torque": math.sqrt(float(np.mean(torque**2))),
-        "windup": windup,
+        **windup,
     }
 
 

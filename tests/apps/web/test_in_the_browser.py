@@ -128,6 +128,20 @@ def fill_in_controller(visit: Visit) -> None:
         visit.field(f"controller.{key}").fill(value)
 
 
+def plan(visit: Visit) -> None:
+    """Have the next test planned, and cancel that; then ask for one of which there is none."""
+    page = visit.page
+    page.get_by_role("button", name="Plan it").click(timeout=PATIENCE)  # the report is whole
+    page.wait_for_selector("#plan:has-text('identifying again')", timeout=PATIENCE)
+    visit.looked_at("8-planning")
+    page.locator("#plan").get_by_role("button", name="Cancel").click()
+    page.wait_for_selector("#plan:has-text('You cancelled it')")
+    page.evaluate("document.querySelector('#goal option').value = 'stiffness'")
+    page.get_by_role("button", name="Plan it").click()
+    page.wait_for_selector("#plan:has-text('which is no free parameter of this joint')", timeout=PATIENCE)
+    visit.looked_at("9-refused")
+
+
 @pytest.mark.parametrize(("width", "height"), [(1280, 800), (390, 844)])
 def test_emps_end_to_end(browser: Any, address: str, emps_path: Path, tmp_path: Path, width: int, height: int) -> None:
     visit = Visit(browser, address, width, height)
@@ -187,6 +201,7 @@ def test_emps_end_to_end(browser: Any, address: str, emps_path: Path, tmp_path: 
     again = json.loads((tmp_path / "again.json").read_text(encoding="utf-8"))
     answer = page.context.request.get(f"{address}runs/1/answer.json").json()
     assert again["parameters"] == answer["parameters"]
+    plan(visit)
     assert visit.complaints == []
     assert visit.elsewhere == []
 

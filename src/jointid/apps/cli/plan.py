@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from cyclopts import Parameter
 
 from jointid.apps.cli.console import DEFAULTS, Options, deliver, show
 from jointid.apps.cli.places import Outputs
-from jointid.common.errors import RecordError
+from jointid.common.errors import MethodError, RecordError
 
 if TYPE_CHECKING:
     from jointid import AxisLimits, Record
+    from jointid.common.arrays import FloatArray
     from jointid.config import JointFile
+    from jointid.planning.design import Design
 
 
 @Parameter(name="*")
@@ -54,12 +57,98 @@ class Limits:
 NO_LIMITS = Limits()
 
 
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rough:
+    """What is known of a joint, and of what will disturb a test, where it is not identified from a record.
+
+    Attributes:
+        noise_log: standard deviation of white noise on each logged torque, N or N m.
+        noise_force: that of a white force on the motor, held over each period of the controller.
+        estimate: what identify --json wrote: values and intervals; without it the values of [parameters], all of them.
+        within: percent of each value, by which it may be off; 2 sigma. Without it the intervals of the estimate, or 0.
+        sample_time: of the test's log, s; without it that of the record.
+    """
+
+    noise_log: float = 0.0
+    noise_force: float = 0.0
+    estimate: Path | None = None
+    within: float | None = None
+    sample_time: float | None = None
+
+    @property
+    def stated(self) -> bool:
+        """Whether nothing is to be identified.
+
+        Raises:
+            MethodError: something is given that only counts then.
+        """
+        if self.noise_log or self.noise_force:
+            return True
+        beside = {"--estimate": self.estimate, "--within": self.within, "--sample-time": self.sample_time}
+        if given := [name for name, value in beside.items() if value is not None]:
+            raise MethodError(
+                f"{given[0]} counts where nothing is identified from a record; add --noise-log or --noise-force, or "
+                "leave it out."
+            )
+        return False
+
+    def plan(self, file: JointFile, record: Path | None, asked: Mapping[str, Any]) -> Design:
+        """Plan a test from what is stated; of a record only the motion is read.
+
+        Raises:
+            JointidError: a value or a limit is missing, or no test could be simulated.
+        """
+        import numpy as np
+
+        from jointid import Noise, design_test
+
+        loop = file.loop
+        if loop is None:
+            raise MethodError(
+                "A test is planned for the joint under its controller; add [controller] to the joint file."
+            )
+        free = [p.name for p in loop.joint.parameters if file.parameters.get(p.name, p).free]
+        values, covariance = self._values(file, free)
+        if self.within is not None:
+            deviations = np.array([0.005 * self.within * abs(values[name]) for name in free])
+            covariance = np.diag(deviations**2)
+        named = record is not None or file.source.file is not None
+        present = file.record(record) if named else None
+        fixed = {p.name: p.fixed(values[p.name]) for p in loop.joint.parameters if p.name not in free}
+        return design_test(
+            loop, values, Noise(log=self.noise_log, force=self.noise_force), present=present, covariance=covariance,
+            sample_time=self.sample_time, filtering=file.filtering, parameters=fixed, record=file.name or "", **asked,
+        )  # fmt: skip
+
+    def _values(self, file: JointFile, free: Sequence[str]) -> tuple[dict[str, float], FloatArray | None]:
+        """Return the value of every parameter, and the covariance of the free ones where it is known."""
+        from jointid.output.json import reading
+
+        if self.estimate is not None:
+            identified = reading.read_identified(self.estimate, file.joint, file.loop)
+            return identified.values, reading.read_covariance(self.estimate, free)
+        stated = {name: p.start for name, p in file.parameters.items() if p.start is not None}
+        missing = [p.name for p in file.joint.parameters if p.name not in stated]
+        if missing:
+            raise MethodError(
+                f"A test that is planned without a record needs a value of every parameter; {', '.join(missing)} "
+                f"{'have' if len(missing) > 1 else 'has'} none: give them in [parameters], or name an answer by "
+                "--estimate."
+            )
+        return stated, None
+
+
+NOTHING_ROUGH = Rough()
+
+
 def design(
     joint: Path,
     /,
     *,
     options: Options = DEFAULTS,
     limits: Limits = NO_LIMITS,
+    rough: Rough = NOTHING_ROUGH,
     goal: str = "all",
     duration: float | None = None,
     seconds: float = 60.0,
@@ -70,12 +159,15 @@ def design(
     """Plan the next test from a first record: the one that tells most of the joint within what its axis may do.
 
     The joint is identified from the record by didim; tests that a drive can play are then looked for, at the joint as
-    it was found and at others of its interval. Ctrl-C ends the search and keeps the best test there is.
+    it was found and at others of its interval. Ctrl-C ends the search and keeps the best test there is. With
+    --noise-log or --noise-force nothing is identified, and no record is needed: the joint is as an earlier answer, or
+    [parameters], says.
 
     Args:
         joint: the joint file (TOML); its method is didim.
         options: those that most commands have.
         limits: of the axis, in the place of those that [limits] of the joint file states.
+        rough: what is known of the joint and of the noise, where it is not identified from a record.
         goal: what the test is to tell: a parameter, a sum or a difference as "motor_viscous - load_viscous", "weakest"
             (what is known worst) or "all".
         duration: of the test, in s; without it that of the record.
@@ -91,19 +183,21 @@ def design(
 
     outputs = Outputs({"--json": options.json}, {"--figure": figure}, {"--out": out})
     outputs.spare("--motion", motion)
+    outputs.spare("--estimate", rough.estimate)
     file = options.load(joint, outputs, method="didim")
-    allowed = limits.beside(file.limits)
-    record, estimate = options.identify(file)
-    found = plan_from_estimate(
-        estimate,
-        record,
-        goal=goal,
-        limits=allowed,
-        duration=duration,
-        seconds=seconds,
-        motion=None if motion is None else _read(motion, file),
-        progress=options.progress,
-    )
+    asked: dict[str, Any] = {
+        "goal": goal,
+        "limits": limits.beside(file.limits),
+        "duration": duration,
+        "seconds": seconds,
+        "motion": None if motion is None else _read(motion, file),
+        "progress": options.progress,
+    }
+    if rough.stated:
+        found = rough.plan(file, options.record, asked)
+    else:
+        record, estimate = options.identify(file)
+        found = plan_from_estimate(estimate, record, **asked)
     deliver(found, options.json, (figure, figures.draw))
     if out is not None:
         paths = found.write(out)

@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from jointid.common.errors import MethodError
 from jointid.estimation.result.estimate import Estimate, law_fingerprint
 from jointid.estimation.result.parts import bounds_on_other_side, known_on_other_side, on_other_side
@@ -170,6 +172,10 @@ _OF_ONE_RECORD: Shape = {
     },
     "channels": "data.channels",
     "parameters": named("params"),
+    "free": "params.names",
+    "correlation": lambda estimate: (
+        estimate.params.correlation if np.all(np.isfinite(estimate.params.correlation)) else None
+    ),
     "other_side": _all_of_other_side,
     "relative_error_percent": percent("fit.relative_error"),
     "filtered_error_percent": percent("fit.filtered_error"),

@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from jointid import ClosedLoop, Filtering
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
 from jointid.diagnostics.compare_estimates import ReportedEstimate, ReportedQuantity
 from jointid.estimation.methods.registry import METHODS, method_of
@@ -51,6 +54,29 @@ def read_identified(path: str | Path, joint: Joint, loop: ClosedLoop | None) -> 
             f"{path} is no estimate of schema {ESTIMATE_SCHEMA} for a {joint.kind} {joint.model} joint with these "
             "parameters in these units; identify with this joint file first."
         ) from None
+
+
+def read_covariance(path: str | Path, names: Sequence[str]) -> FloatArray:
+    """Return the covariance of the errors of parameters in the JSON of an estimate, (names, names).
+
+    Of an answer that has no correlation the errors are taken for independent.
+
+    Raises:
+        RecordError: the file is no estimate, or one of the parameters has no interval in it.
+    """
+    answer = read_answer(path)
+    try:
+        std = np.array([float(answer["parameters"][name]["std"]) for name in names])
+        order, correlation = answer.get("free"), answer.get("correlation")
+        together = np.eye(len(names))
+        if order is not None and correlation is not None:
+            at = [order.index(name) for name in names]
+            together = np.asarray(correlation, dtype=np.float64)[np.ix_(at, at)]
+        if not np.all(np.isfinite(std)) or not np.all(np.isfinite(together)):
+            raise ValueError
+    except (KeyError, TypeError, ValueError, IndexError):
+        raise RecordError(f"{path} has no interval of each of {', '.join(names)}; {_REMEDY}.") from None
+    return np.asarray(together * np.outer(std, std))
 
 
 def _refused(answer: Json, joint: Joint) -> list[str]:

@@ -156,6 +156,7 @@ if (run) {
     if (!run.dataset.answer || run.dataset.again || JSON.parse(event.data) !== "done") leave();
     source.close();
     run.remove();
+    for (const one of all("[data-later]")) one.hidden = false;
   });
   window.addEventListener("pagehide", () => source.close());
 }
