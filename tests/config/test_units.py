@@ -455,6 +455,17 @@ def test_limits_of_the_axis_are_given_with_units_of_its_own_motion() -> None:
     assert fault == "limits.highest: The highest frequency is above the lowest; received 0.05 and 0.1 Hz."
 
 
+def test_a_torque_is_limited_in_the_unit_in_which_it_is_identified() -> None:
+    assert loads(f'{TURNING}[limits]\ntorque = "5 N m"').limits.torque == 5.0
+    per_ampere = changed(('torque_constant = "0.72 N m/A"\n', ""))
+    assert loads(f'{per_ampere}[limits]\ntorque = "500 mA"').limits.torque == pytest.approx(0.5)
+    for text, torque in ((TURNING, "5 A"), (per_ampere, "5 N m"), (TURNING, "5 N")):
+        (fault,) = faults(f'{text}[limits]\nrms_torque = "{torque}"')
+        assert fault.startswith(f'limits.rms_torque is "{torque}"; expected a number in ')
+    (fault,) = faults(f"{TURNING}[limits]\nwindup = 0.01")
+    assert fault == "limits.windup is that of a spring, and a rigid joint has none: leave it out."
+
+
 @pytest.mark.parametrize(("side", "unit"), [("motor", "rad"), ("load", "m")])
 def test_limits_are_those_of_the_side_that_is_reported(side: str, unit: str) -> None:
     screw = changed(('kind = "revolute"', 'kind = "prismatic"'))

@@ -34,6 +34,7 @@ from jointid.planning.plans import (
     TorqueLines,
     TorqueSines,
     Trapezoids,
+    families_in,
     room_of,
 )
 from jointid.planning.search import Asked, search, try_plan
@@ -47,6 +48,7 @@ from tests.text import unwrapped
 AXIS = twin("L19", noise="white")
 NOISE = Noise(log=AXIS.noise)
 SHORT = 6000  # samples
+T = 1e-3
 
 
 def short_record() -> ji.Record:
@@ -81,6 +83,8 @@ def test_it_tells_more_than_the_one_there_is_and_keeps_the_limits(designed: Desi
     assert designed.longer is not None and designed.with_encoder is not None
     assert designed.longer.std["stiffness"] < told.std["stiffness"]
     assert designed.with_encoder.std["stiffness"] < told.std["stiffness"]
+    assert designed.with_motor_encoder is not None  # the noise is of the log, which an encoder does not read
+    assert designed.with_motor_encoder.std["stiffness"] < 0.5 * told.std["stiffness"]
     assert told.reference[-1] == pytest.approx(told.reference[-2], abs=1e-8)  # it ends at rest
 
 
@@ -111,6 +115,11 @@ def test_ctrl_c_keeps_the_best_there_is(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(design_module, "search", interrupted)
     designed = design_test(AXIS.loop, AXIS.truth, NOISE, goal="stiffness", present=short_record(), seconds=60.0)
     assert designed.interrupted
+    forced = design_test(
+        AXIS.loop, AXIS.truth, Noise(force=AXIS.noise), goal="stiffness", present=short_record(), seconds=60.0
+    )
+    assert forced.with_motor_encoder is None  # what a force does the torque shows, too
+    assert forced.with_encoder is not None
     assert "interrupted; this is the best" in str(designed)
 
 
@@ -236,6 +245,14 @@ def test_every_generator_plays_what_it_says() -> None:
     series = excitation.fourier_series(samples, T, 4.0, (0.1, 0.0), (0.0, 0.2))
     assert series == pytest.approx(0.1 * (np.cos(0.5 * math.pi * time) - 1) + 0.2 * np.sin(math.pi * time))
     assert Family("trapezoids", "pulses").size == 9
+    size = {"stroke": 1.0, "speed": 1.0, "acceleration": 1.0, "torque": 1.0}
+    room = room_of(size, size, 20.0, 60.0, 30.0, ((30.0, 1.0),))
+    for family in families_in(room):
+        for share in (0.0, 0.5, 1.0):
+            added = family.plan([share] * family.size, room).added
+            band = getattr(added, "frequencies", (getattr(added, "lowest", 20.0), getattr(added, "highest", 60.0)))
+            assert min(band) >= 20.0 and max(band) <= 60.0, (family, share)
+            assert family.added != "pair" or len(set(band)) == 2
     with pytest.raises(MethodError, match="half of the sampling frequency"):
         excitation.chirp(100, T, 1.0, 2.0, 600.0)
     with pytest.raises(MethodError, match="as many cosines as sines"):
@@ -254,7 +271,7 @@ def test_the_command_plans_from_a_record(tmp_path: Path, capsys: pytest.CaptureF
         ])  # fmt: skip
     assert ended.value.code == 0
     printed = capsys.readouterr().out
-    assert "The proposed test tells stiffness" in printed
+    assert "tells stiffness to +-" in printed
     assert "windup" in printed
     assert (tmp_path / "next" / "test.csv").exists()
     answer = json.loads((tmp_path / "next.json").read_text())
@@ -322,6 +339,14 @@ def test_the_command_plans_from_rough_values_without_a_record(
     }  # offset is fixed
     assert answer["limits"]["stroke"] == pytest.approx(math.radians(120))
     assert not answer["passed"]
+    out = tmp_path / "out"
+    assert planned(tmp_path, ROUGH + KNOWN, *without, "--out", str(out)) == 0
+    own = ["--motion", str(out / "test.csv"), "--json", str(told)]
+    assert planned(tmp_path, ROUGH + KNOWN, *without, *own) == 0  # a table of a revolute joint is in rad
+    assert json.loads(told.read_text())["reached"]["stroke"] < 2.1
+    (tmp_path / "other.csv").write_text("t,ref\n0,0\n0.001,0\n")
+    assert planned(tmp_path, ROUGH + KNOWN, *without, "--motion", str(tmp_path / "other.csv")) == 2
+    assert "a test of your own has the columns t, reference" in unwrapped(capsys.readouterr().err)
     for words, said in (
         (["--within", "20"], "--within counts where nothing is identified from a record"),
         (["--noise-log", "0.02", "--duration", "4"], "A test has a duration and a sample time"),
@@ -428,6 +453,54 @@ def test_bad_input_is_refused_in_a_sentence() -> None:
             design_test(AXIS.loop, AXIS.truth, NOISE, **given)  # type: ignore[arg-type]
     with pytest.raises(MethodError, match="The highest frequency is above the lowest"):
         AxisLimits(lowest=200.0, highest=30.0)
-    slow = planned_record(AXIS.loop, np.zeros(2000), 2e-3)
-    with pytest.raises(MethodError, match="a value every 1 ms; received one every 2 ms"):
-        design_test(AXIS.loop, AXIS.truth, NOISE, present=short_record(), motion=slow)
+    one_way = planned_record(AXIS.loop, np.arange(4000) * 2e-5, 1e-3)
+    with pytest.raises(MethodError, match="does not tell"):
+        design_test(AXIS.loop, AXIS.truth, NOISE, present=short_record(), motion=one_way)
+
+
+def test_a_record_of_another_rate_is_foretold_as_it_was_logged() -> None:
+    """Its reference every 4 ms beside a torque every 1 ms, and beside it the same at 1 ms: nearly one motion."""
+    reference = excitation.trapezoids((0.05, 0.1), 1.0, 0.15, 4e-3, duration=6.0)
+    fine = np.interp(np.arange(6000) * 1e-3, np.arange(reference.size) * 4e-3, reference)
+    torque = ji.Channel(np.zeros(6000), "N", 1e-3)
+    coarse = replace(planned_record(AXIS.loop, reference, 4e-3), torque=torque)
+    told, same = (
+        design_test(AXIS.loop, AXIS.truth, NOISE, present=short_record(), motion=motion)
+        for motion in (coarse, planned_record(AXIS.loop, fine, 1e-3))
+    )
+    assert told.longer is None and told.floor is None
+    assert told.proposed.std["motor_inertia"] == pytest.approx(same.proposed.std["motor_inertia"], rel=0.5)
+    assert told.reached["speed"] == pytest.approx(same.reached["speed"], rel=0.2)
+    assert not told.limits  # those of the present test are not those of another
+
+
+def test_a_present_test_beyond_the_limits_or_that_tells_little_is_said() -> None:
+    limits = AxisLimits(stroke=0.05)
+    found = design_test(
+        AXIS.loop, AXIS.truth, NOISE, present=short_record(), limits=limits, goal="weakest", seconds=2.0
+    )
+    assert not found.passed
+    assert found.present_passes[0].startswith("it passes a limit, stroke 0.")
+    assert "Of the present test: it passes a limit, stroke" in found.sentence
+    assert found.from_present == ("torque", "rms_torque")
+    assert "which the present test reaches" in str(found)
+    one_way = planned_record(AXIS.loop, np.arange(4000) * 2e-5, 1e-3)
+    wide = AxisLimits(stroke=0.2, speed=0.2, acceleration=2.0, torque=200.0)
+    found = design_test(AXIS.loop, AXIS.truth, NOISE, present=one_way, limits=wide, seconds=3.0)
+    assert found.present is None  # it does not tell everything, and what it reaches is known all the same
+    assert found.proposed.std["stiffness"] > 0
+
+
+def test_behind_a_gear_the_page_says_whose_numbers_they_are(tmp_path: Path) -> None:
+    gear = ji.Transmission(load="revolute", ratio=100.0)
+    law = ji.Cascade(position_gain=40.0, velocity_gain=2.0, ratio=gear.torque("motor"))
+    loop = ClosedLoop(RigidJoint("revolute", transmission=gear), law)
+    values = {"inertia": 400.0, "viscous": 500.0, "coulomb": 10.0, "offset": 2.0}
+    reference = excitation.trapezoids((0.02, 0.05), 0.3, 0.02, T, duration=4.0)
+    added = 5.0 * np.sign(np.sin(np.arange(4000) * 0.05))
+    motion = planned_record(loop, reference, T, added)
+    found = design_test(loop, values, Noise(log=2.0), present=motion, motion=motion)
+    found.write(tmp_path)
+    page = (tmp_path / "how-to-run.md").read_text()
+    assert "All numbers are of the load side: on the motor side positions are 100 times, torques 0.01 times" in page
+    assert 'side = "load" }' in page

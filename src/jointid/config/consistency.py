@@ -358,17 +358,20 @@ def _misfit(channel: str, unit: str, known: Collection[str], kinds: Collection[K
 
 
 def limit_faults(draft: Draft) -> Iterator[str]:
-    """Yield limits in units of the other kind of motion than that of the side they are of."""
+    """Yield limits in units that the side they are of does not have, and one of a spring that is not there."""
     if draft.limits is None or len(draft.kinds) > 1 or (draft.geared and draft.transmission is None):
         return
     gear, (kind,) = draft.transmission, draft.kinds
     turning = gear is not None and gear.lead is not None and gear.side == "motor"
+    moving: Kind = "revolute" if turning else kind
+    torque = torque_unit(draft, kind) or TORQUE_UNIT[moving]
     for one in settings_of(AxisLimits):
         number = getattr(draft.limits, one.name)
-        if isinstance(number, Stated) and (
-            fault := misfit(number.text, one.setting.unit, "revolute" if turning else kind)
-        ):
+        declared = torque if "torque" in one.name else one.setting.unit
+        if isinstance(number, Stated) and (fault := misfit(number.text, declared, moving)):
             yield f"limits.{one.name}{fault}"
+    if draft.model == "rigid" and draft.limits.windup is not None:
+        yield "limits.windup is that of a spring, and a rigid joint has none: leave it out."
 
 
 def transmission_faults(draft: Draft) -> Iterator[str]:

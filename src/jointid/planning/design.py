@@ -21,7 +21,7 @@ from jointid.common.charts import LOAD, MEASURED, SIMULATED, Chart, Charted, Lin
 from jointid.common.document import Block, Document, Documented, Facts, Table, common_facts
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.files import write_folder
-from jointid.common.messages import Progress, silent
+from jointid.common.messages import Progress, Work, silent
 from jointid.common.parameters import POSITION_UNIT, Parameter, Quantity
 from jointid.common.text import number
 from jointid.common.transmission import Transmission
@@ -29,13 +29,13 @@ from jointid.diagnostics.other_experiments import choose_encoder_steps
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.planning.bound import Floor, least_deviation
-from jointid.planning.foretell import Foretold, Noise, foretell, foretell_roughly
+from jointid.planning.foretell import Foretold, Noise, foretell, foretell_roughly, reach
 from jointid.planning.goals import WEAKEST, Goal, goal_named
 from jointid.planning.limits import AxisLimits, describe_passed, units_of_limits
 from jointid.planning.plans import Plan, TorqueTable, room_of
 from jointid.planning.plans import Table as Played
 from jointid.planning.search import Asked, Tried, search, try_plan
-from jointid.records.record import InjectionPoint, Record, Tap
+from jointid.records.record import Channel, InjectionPoint, Record, Tap, Timing
 from jointid.records.signals.filtering import Filtering
 from jointid.records.writing import write
 
@@ -46,7 +46,7 @@ _TRIES = 12
 _CANDIDATES = 6  # of a search, that are simulated at more joints
 _FEWEST = 200  # samples of a test
 _LEAST = 0.2  # of an inertia or a stiffness that is drawn: less is no joint that was identified
-_OF_STROKE = 1e-6  # the step assumed of a load encoder
+_TELLS_MORE = 0.95  # of a deviation
 _LINE = 0.6
 
 
@@ -59,12 +59,16 @@ class Design(Charted, Documented):
         loop: joint and controller.
         goal: what the test is to tell.
         description: of the test, in words.
-        present: the test there is already, foretold; None where there is none, or it cannot be simulated.
+        present: the test there is already, foretold; None where there is none, or it does not tell every parameter.
+        present_passes: clauses on limits that the present test passes.
         proposed: the new one.
         test: the same as a record without a torque yet.
-        with_encoder: the new one with a load encoder beside; None of a rigid joint.
-        longer: the new one for twice the time.
+        with_motor_encoder: the new one with an encoder on the motor beside; None where that tells nothing new, as where
+            forces in the loop disturb the axis: the torque shows all that the loop does.
+        with_encoder: with one on the load; None of a rigid joint.
+        longer: the new one for twice the time; None of a test of one's own.
         reached, limits: of each quantity, the largest over the joints that it was simulated at, and what is allowed.
+        from_present: names of the limits that are those of the present test.
         passed: clauses on limits that are passed; none as a rule.
         floor: standard deviation of the goal below which no motion comes; None where it is not known.
         modes: Hz, of the joint as it is roughly known, by name; none of a rigid one.
@@ -76,12 +80,15 @@ class Design(Charted, Documented):
     goal: Goal
     description: str
     present: Foretold | None
+    present_passes: tuple[str, ...]
     proposed: Foretold
     test: Record
+    with_motor_encoder: Foretold | None
     with_encoder: Foretold | None
     longer: Foretold | None
     reached: Mapping[str, float]
     limits: Mapping[str, float]
+    from_present: tuple[str, ...]
     passed: tuple[str, ...]
     floor: float | None
     modes: Mapping[str, float] = field(default_factory=dict)
@@ -111,17 +118,20 @@ class Design(Charted, Documented):
     @property
     def _told(self) -> str:
         better = self.present is None or self._score(self.proposed) < self._score(self.present)
-        none = "" if better else "No better test than the present one was found: "
-        test = "The proposed test" if better else "the best other one"
+        over = "; ".join(self.present_passes)
+        if over:
+            first = f"Of the present test: {over}. The best test found within the limits"
+        else:
+            first = "The proposed test" if better else "No better test than the present one was found: the best one"
         if not self.goal.weights:
             if self.present is None:
-                return f"{none}{test} is the best found for the goal {self.goal.name}"
+                return f"{first} is the best found for the goal {self.goal.name}"
             ratio = number(100 * math.exp(self._score(self.proposed) - self._score(self.present)), 3)
             what = "worst known direction" if self.goal.name == WEAKEST else "intervals, on the geometric mean,"
-            return f"{none}{test} brings the {what} to {ratio} % of the width that the present one gives"
+            return f"{first} brings the {what} to {ratio} % of the width that the present one gives"
         unit = self.proposed.units[next(iter(self.goal.weights))]
         width = number(2 * self.proposed.std_of(self.goal.weights), 2)
-        told = f"{none}{test} tells {self.goal.name.replace('_', ' ')} to +- {width} {unit}"
+        told = f"{first} tells {self.goal.name.replace('_', ' ')} to +- {width} {unit}"
         if self.present is None:
             return told
         return f"{told}, the present one to +- {number(2 * self.present.std_of(self.goal.weights), 2)} {unit}"
@@ -135,6 +145,7 @@ class Design(Charted, Documented):
         found = {
             "present": self.present,
             "proposed": self.proposed,
+            "with motor encoder": self.with_motor_encoder,
             "with load encoder": self.with_encoder,
             "twice the time": self.longer,
         }
@@ -164,6 +175,7 @@ class Design(Charted, Documented):
         for name, size in self.reached.items():
             allowed = (
                 f"of {number(self.limits[name], 3)} {units[name]}"
+                f"{', which the present test reaches' if name in self.from_present else ''}"
                 if name in self.limits
                 else f"{units[name]}, not limited"
             )
@@ -226,8 +238,16 @@ class Design(Charted, Documented):
         if injected is not None:
             where = "before the controller's limit" if injected.at is InjectionPoint.BEFORE_LIMIT else "after its limit"
             added = f", and the signal to add to the controller's output, {where}, in {u}"
+        gear = self.transmission
+        side, sided = "", ""
+        if gear is not None:
+            far, sided = gear.torque(gear.other), f', side = "{gear.side}"'
+            side = (
+                f" All numbers are of the {gear.side} side: on the {gear.other} side positions are {far:g} "
+                f"times, torques {1 / far:g} times as large."
+            )
         steps = [
-            f"`test.csv` and `test.mat` hold the reference in {q}{added}, a row every {every} ms, {length} s.",
+            f"`test.csv` and `test.mat` hold the reference in {q}{added}, a row every {every} ms, {length} s.{side}",
             f"It begins at {start} {q} and stays between {low} and {high} {q}: bring the axis there first.",
             "Begin slowly, with half of the speed" + (" and a tenth of the added signal" if injected else "") + ".",
             "Log torque and reference, and the motor's position where the drive can: it checks the controller, too.",
@@ -236,7 +256,7 @@ class Design(Charted, Documented):
             inside = "true" if injected.in_torque else "false"
             steps.append(
                 "Log the added signal with the same clock, and declare it in the joint file: `injected = { column = "
-                f'"injected", unit = "{u}", at = "{injected.at}", in_torque = {inside} }}`.'
+                f'"injected", unit = "{u}", at = "{injected.at}", in_torque = {inside}{sided} }}`.'
             )
         steps.append(
             "Then `jointid doctor joint.toml --record RECORD`, and `jointid identify joint.toml --record RECORD`."
@@ -260,7 +280,7 @@ def design_test(
     tap: Tap | str = Tap.COMMAND,
     filtering: Filtering | None = None,
     parameters: Mapping[str, Parameter] | None = None,
-    load_encoder: float | None = None,
+    encoder: float | None = None,
     seconds: float = 60.0,
     seed: int = 0,
     record: str = "",
@@ -278,14 +298,16 @@ def design_test(
             are not given.
         present: the test there is already, as a record; its torque is not read. Needed where a limit of stroke, speed,
             acceleration or torque is not given.
-        motion: a test of your own, at the sample time of the present one: it is foretold, and none is looked for.
+        motion: a test of your own, or a past record: it is foretold, within the limits that are given, and none is
+            looked for.
         covariance: (free, free) of the joint's free parameters, in their order: other joints are drawn from it.
         duration: of the test, s; that of the present one when None.
         sample_time: of its log, s; likewise.
         tap: where its torque will be logged.
         filtering: of the identification; see `Filtering`.
         parameters: changes to the joint's parameters by name, as for `identify`.
-        load_encoder: steps of the encoder that is foretold beside it, m or rad; a millionth of the stroke when None.
+        encoder: steps of the encoders that are foretold beside it, m or rad; those of the present test's when None, or
+            a millionth of the stroke.
         seconds: that the search may take. An interrupt ends it and keeps the best there is.
         seed: of its draws.
         record: name of what is roughly known.
@@ -302,7 +324,7 @@ def design_test(
         >>> found = design_test(
         ...     axis.loop, axis.truth, noise, goal="stiffness", present=axis.record, duration=4.0, seconds=1.0
         ... )
-        >>> found.proposed.std["stiffness"] < found.present.std["stiffness"]
+        >>> found.floor < found.proposed.std["stiffness"]
         True
     """
     filtering, parameters = filtering or Filtering(), parameters or {}
@@ -325,60 +347,149 @@ def design_test(
     unknown = {p.name: parameters.get(p.name, p) for p in loop.joint.parameters}
     free = [name for name, p in unknown.items() if p.free]
     wanted = goal_named(goal, {name: loop.joint.unit(unknown[name]) for name in free})
-    asked_limits, begin, found = _complete(
-        loop, values, noise, limits or AxisLimits(), present, T, filtering, parameters
-    )
-    resolved = filtering.resolved(T, loop.joint.model)
-    assert resolved.cutoff is not None
-    highest = min(asked_limits.highest or resolved.cutoff, resolved.cutoff)
-    floor = _floor(loop, values, noise, wanted, asked_limits, samples, T, highest)
-    modes = FlexibleJoint.frequencies(values) if isinstance(loop.joint, FlexibleJoint) else {}
-    mode = modes.get("free_free", 0.5 * highest)
-    positions = np.zeros(1) if present is None or present.reference is None else present.reference.values
-    lines = () if floor is None else floor.lines
-    lowest = min(asked_limits.lowest, highest)
-    low = 0.5 * float(positions.min() + positions.max() - asked_limits.given["stroke"])
-    room = room_of(asked_limits.given, found, lowest, highest, mode, lines, low)
     draws = _draw(values, [unknown[name] for name in free], covariance, _MORE_JOINTS, seed)
-    added = None if present is None else present.injected
-    how = (InjectionPoint.AFTER_LIMIT, True) if added is None else (added.at, added.in_torque)
-    # A test of one's own may do what the present one does not: only what is stated limits it.
-    allowed = asked_limits if motion is None else limits or AxisLimits()
-    asked = Asked(
-        loop, (dict(values), *draws[:_JOINTS]), noise, wanted, allowed, room, samples, T, tap, filtering, parameters,
-        *how,
-    )  # fmt: skip
-    everywhere = replace(asked, joints=(dict(values), *draws))
-    if motion is not None:
-        plan = _given(motion, T)
-        if math.isinf(try_plan(asked, plan).over):
-            raise MethodError("The loop cannot be simulated along this test; check its units, and what it begins with.")
-        best, interrupted = try_plan(everywhere, plan, margin=1.0), False
+    told_limits = limits or AxisLimits()
+    about = _About(loop, (dict(values), *draws), noise, wanted, samples, T, tap, filtering, parameters)
+    if motion is None:
+        before = None if present is None else reach(loop, values, present, noise, filtering, parameters)
+        chosen = _search(about, told_limits, present, before, seconds, seed, progress)
     else:
-        looked, interrupted = _look(asked, begin, seconds, seed, progress)
-        best = _choose(everywhere, looked)
-    told = _foretell(asked, values, best.plan, samples)
-    step = load_encoder
-    if step is None:
-        step = _OF_STROKE * best.reached["stroke"] if present is None else choose_encoder_steps(present, None)[1]
+        before = None
+        chosen = _take(about, told_limits, motion)
+    told = about.foretell(chosen.test)
+    steps = choose_encoder_steps(chosen.test if present is None else present, encoder)
+    on_motor = about.foretell(chosen.test, motor_encoder=steps[0])
     flexible = isinstance(loop.joint, FlexibleJoint)
+    units = units_of_limits(loop)
     return Design(
         record,
         loop,
         wanted,
-        best.plan.describe(POSITION_UNIT[loop.joint.kind], loop.joint.force_unit),
-        None if present is None else _foretell_present(asked, values, present),
+        chosen.description,
+        None if present is None else _foretell_present(about, present),
+        () if before is None else tuple(describe_passed(told_limits, before, units)),
         told,
-        asked.record(best.plan),
-        _foretell(asked, values, best.plan, samples, load_encoder=step) if flexible else None,
-        _foretell(asked, values, best.plan, 2 * samples),
-        best.reached,
-        allowed.given,
-        _passed(allowed, best, units_of_limits(loop)),
-        None if floor is None or math.isnan(floor.deviation) else floor.deviation,
-        modes,
-        interrupted,
+        chosen.test,
+        on_motor if any(on_motor.std[name] < _TELLS_MORE * std for name, std in told.std.items()) else None,
+        about.foretell(chosen.test, load_encoder=steps[1]) if flexible else None,
+        None if chosen.longer is None else about.foretell(chosen.longer),
+        chosen.reached,
+        chosen.limits.given,
+        tuple(name for name in chosen.limits.given if name not in told_limits.given),
+        (*chosen.beware, *describe_passed(chosen.limits, chosen.reached, units)),
+        chosen.floor,
+        FlexibleJoint.frequencies(values) if flexible else {},
+        chosen.interrupted,
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _About:
+    """What a test is planned for: see `design_test`; the first of the joints is the one that is roughly known."""
+
+    loop: ClosedLoop
+    joints: tuple[Mapping[str, float], ...]
+    noise: Noise
+    goal: Goal
+    samples: int
+    sample_time: float
+    tap: Tap
+    filtering: Filtering
+    parameters: Mapping[str, Parameter]
+
+    def foretell(self, test: Record, **encoders: float | None) -> Foretold:
+        """Return what a test tells of the joint that is roughly known."""
+        return foretell(
+            self.loop, self.joints[0], test, self.noise, filtering=self.filtering, parameters=self.parameters,
+            motor_encoder=encoders.get("motor_encoder"), load_encoder=encoders.get("load_encoder"),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Chosen:
+    """A test: in words and as a record, what it reaches, and what it is held to.
+
+    `beware` is what is to be known of it beside the limits that it passes.
+    """
+
+    description: str
+    test: Record
+    longer: Record | None
+    reached: Mapping[str, float]
+    limits: AxisLimits
+    beware: tuple[str, ...] = ()
+    floor: float | None = None
+    interrupted: bool = False
+
+
+def _search(
+    about: _About,
+    limits: AxisLimits,
+    present: Record | None,
+    before: Mapping[str, float] | None,
+    seconds: float,
+    seed: int,
+    progress: Progress,
+) -> _Chosen:
+    """Look for the test that tells most, within the limits and those that the present test adds by what it reaches."""
+    loop, values, T = about.loop, about.joints[0], about.sample_time
+    limits, found = _complete(limits, before)
+    resolved = about.filtering.resolved(T, loop.joint.model)
+    assert resolved.cutoff is not None
+    highest = min(limits.highest or resolved.cutoff, resolved.cutoff)
+    floor = _floor(loop, values, about.noise, about.goal, limits, about.samples, T, highest)
+    flexible = isinstance(loop.joint, FlexibleJoint)
+    mode = FlexibleJoint.frequencies(values)["free_free"] if flexible else 0.5 * highest
+    positions = np.zeros(1) if present is None or present.reference is None else present.reference.values
+    lines = () if floor is None else floor.lines
+    lowest = min(limits.lowest, highest)
+    low = 0.5 * float(positions.min() + positions.max() - limits.given["stroke"])
+    room = room_of(limits.given, found, lowest, highest, mode, lines, low)
+    added = None if present is None else present.injected
+    how = (InjectionPoint.AFTER_LIMIT, True) if added is None else (added.at, added.in_torque)
+    asked = Asked(
+        loop, about.joints[: 1 + _JOINTS], about.noise, about.goal, limits, room, about.samples, T, about.tap,
+        about.filtering, about.parameters, *how,
+    )  # fmt: skip
+    begin = () if present is None else _as_plan(present, T)
+    looked, interrupted = _look(asked, begin, seconds, seed, progress)
+    best, ended = _choose(replace(asked, joints=about.joints), looked, progress)
+    where = "at some joints of the interval it cannot be simulated, or tells nothing of a parameter"
+    return _Chosen(
+        best.plan.describe(POSITION_UNIT[loop.joint.kind], loop.joint.force_unit),
+        asked.record(best.plan),
+        asked.record(best.plan, 2 * about.samples),
+        best.reached,
+        limits,
+        (where,) if math.isinf(best.over) else (),
+        None if floor is None or math.isnan(floor.deviation) else floor.deviation,
+        interrupted or ended,
+    )
+
+
+def _take(about: _About, limits: AxisLimits, motion: Record) -> _Chosen:
+    """Return a test of the user's own, or a past record: only what is stated limits it.
+
+    Raises:
+        MethodError: it cannot be simulated, or does not tell a parameter.
+    """
+    reference = motion.reference
+    if reference is None:
+        raise MethodError("A test of your own has a reference; give the position that the axis is to follow.")
+    test = motion
+    if motion.torque is None:
+        zeros = np.zeros(about.samples)
+        test = replace(motion, torque=Channel(zeros, about.loop.joint.force_unit, about.sample_time, Timing.HELD))
+    most = dict[str, float]()
+    for told in foretell_roughly(
+        about.loop, about.joints, test, about.noise, filtering=about.filtering, parameters=about.parameters
+    ):
+        most = {name: max(size, most.get(name, 0.0)) for name, size in told.reached.items()}
+    q, u = POSITION_UNIT[about.loop.joint.kind], about.loop.joint.force_unit
+    words = Played(reference.values).describe(q)
+    if motion.injected is not None:
+        words = f"{words}; {TorqueTable(motion.injected.channel.values).describe(u)}"
+    return _Chosen(words, test, None, most, limits)
 
 
 def plan_from_estimate(
@@ -410,38 +521,30 @@ def plan_from_estimate(
     return design_test(loop, estimate.values, disturbed, progress=progress, **{**settings, **asked})  # type: ignore[arg-type]
 
 
-def _complete(
-    loop: ClosedLoop,
-    values: Mapping[str, float],
-    noise: Noise,
-    limits: AxisLimits,
-    present: Record | None,
-    sample_time: float,
-    filtering: Filtering,
-    parameters: Mapping[str, Parameter],
-) -> tuple[AxisLimits, tuple[Plan, ...], dict[str, float]]:
-    """Return the limits with those of the present test, that test to begin with, and what it reaches."""
+def _complete(limits: AxisLimits, before: Mapping[str, float] | None) -> tuple[AxisLimits, dict[str, float]]:
+    """Return the limits with those that the present test adds, and the largest of each quantity to begin from."""
     needed = ("stroke", "speed", "acceleration", "torque")
-    if present is None:
+    if before is None:
         missing = [name for name in needed if name not in limits.given]
         if missing:
             raise MethodError(
                 f"Without a test there is already, a search needs limits of {', '.join(needed)}; "
                 f"{', '.join(missing)} {'are' if len(missing) > 1 else 'is'} missing: give them."
             )
-        return limits, (), {name: limits.given[name] for name in needed}
+        return limits, {name: limits.given[name] for name in needed}
+    taken = {name: before[name] for name in ("stroke", "torque", "rms_torque") if name not in limits.given}
+    return replace(limits, **taken), dict(before)
+
+
+def _as_plan(present: Record, sample_time: float) -> tuple[Plan, ...]:
+    """Return the present test as the first that is tried; none where it is not played at the sample time of the log."""
     assert present.reference is not None
-    (told,) = foretell_roughly(loop, [values], present, noise, filtering=filtering, parameters=parameters)
-    found = dict(told.reached)
-    taken = {name: found[name] for name in ("stroke", "torque", "rms_torque") if name not in limits.given}
-    begin: tuple[Plan, ...] = ()
     injected = present.injected
     rates = {present.reference.sample_time, *([] if injected is None else [injected.channel.sample_time])}
-    if rates == {sample_time}:
-        begin = (
-            Plan(Played(present.reference.values), None if injected is None else TorqueTable(injected.channel.values)),
-        )
-    return replace(limits, **taken), begin, found
+    if rates != {sample_time}:
+        return ()
+    added = None if injected is None else TorqueTable(injected.channel.values)
+    return (Plan(Played(present.reference.values), added),)
 
 
 def _floor(
@@ -480,26 +583,6 @@ def _draw(
     return drawn
 
 
-def _passed(limits: AxisLimits, best: Tried, units: Mapping[str, str]) -> tuple[str, ...]:
-    """Return the limits that a test passes at some joint of the interval, or that it cannot be simulated there."""
-    where = "at some joints of the interval it cannot be simulated, or tells nothing of a parameter"
-    lost = (where,) if math.isinf(best.over) else ()
-    return (*lost, *describe_passed(limits, best.reached, units))
-
-
-def _given(motion: Record, sample_time: float) -> Plan:
-    """Return a test of the user's own as a plan."""
-    rates = [channel.sample_time for name, channel in motion.items() if name in ("reference", "injected")]
-    if motion.reference is None or any(not math.isclose(rate, sample_time, rel_tol=1e-6) for rate in rates):
-        every = " and ".join(f"one every {1e3 * rate:g} ms" for rate in rates) or "none"
-        raise MethodError(
-            "A test of your own has a reference at the sample time of the log, a value every "
-            f"{1e3 * sample_time:g} ms; received {every}: resample it."
-        )
-    added = None if motion.injected is None else TorqueTable(motion.injected.channel.values)
-    return Plan(Played(motion.reference.values), added)
-
-
 def _look(
     asked: Asked, begin: Sequence[Plan], seconds: float, seed: int, progress: Progress
 ) -> tuple[list[Tried], bool]:
@@ -520,40 +603,40 @@ def _look(
     return found, interrupted
 
 
-def _choose(asked: Asked, found: Sequence[Tried]) -> Tried:
-    """Return the best test that keeps the limits at all joints; where none of the last few does, what comes nearest."""
+def _choose(asked: Asked, found: Sequence[Tried], progress: Progress) -> tuple[Tried, bool]:
+    """Return the best test at all joints of the last that were found, and whether it was interrupted.
+
+    Where a test has to be made smaller to keep the limits everywhere, the one before it may tell more.
+    """
     kept: list[Tried] = []
-    for tried in reversed(found[-_CANDIDATES:]):
-        kept.append(_keep_within(asked, tried))
-        if kept[-1].over <= 1.0:
-            return kept[-1]
-    return min(kept, key=lambda tried: tried.rank)
+    last = found[-_CANDIDATES:]
+    work = Work(progress, "trying the best of them at other joints of the interval", float(len(last)), "tests")
+    try:
+        for tried in reversed(last):
+            kept.append(_keep_within(asked, tried))
+            work.reach(float(len(kept)))
+            if kept[-1].plan is tried.plan and kept[-1].over <= 1.0:
+                break
+    except KeyboardInterrupt:
+        return min(kept or [found[-1]], key=lambda tried: tried.rank), True
+    return min(kept, key=lambda tried: tried.rank), False
 
 
 def _keep_within(asked: Asked, best: Tried) -> Tried:
     """Return a test that keeps the limits at all joints: its added signal and its speed are lowered until it does."""
     tried = try_plan(asked, best.plan, margin=1.0)
     for _ in range(_TRIES):
-        if tried.over <= 1.0 or math.isinf(tried.over):
+        smaller = tried.plan.scaled(_SHRINKS)
+        same = smaller.motion is tried.plan.motion and smaller.added is tried.plan.added
+        if tried.over <= 1.0 or math.isinf(tried.over) or same:
             break
-        tried = try_plan(asked, tried.plan.scaled(_SHRINKS), margin=1.0)
+        tried = try_plan(asked, smaller, margin=1.0)
     return tried
 
 
-def _foretell(
-    asked: Asked, values: Mapping[str, float], plan: Plan, samples: int, load_encoder: float | None = None
-) -> Foretold:
-    return foretell(
-        asked.loop, values, asked.record(plan, samples), asked.noise, filtering=asked.filtering,
-        parameters=asked.parameters, load_encoder=load_encoder,
-    )  # fmt: skip
-
-
-def _foretell_present(asked: Asked, values: Mapping[str, float], present: Record) -> Foretold | None:
+def _foretell_present(about: _About, present: Record) -> Foretold | None:
     try:
-        return foretell(
-            asked.loop, values, present, asked.noise, filtering=asked.filtering, parameters=asked.parameters
-        )
+        return about.foretell(present)
     except JointidError:
         return None
 

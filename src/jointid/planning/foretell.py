@@ -175,6 +175,7 @@ def foretell(
     *,
     filtering: Filtering | None = None,
     parameters: Mapping[str, Parameter] | None = None,
+    motor_encoder: float | None = None,
     load_encoder: float | None = None,
     runs: int = RUNS,
     seed: int = 0,
@@ -188,7 +189,8 @@ def foretell(
         noise: what will disturb it.
         filtering: of the identification; see `Filtering`.
         parameters: changes to the joint's parameters by name, as for `identify`: those that are fixed.
-        load_encoder: steps of an encoder on the load, m or rad, read beside the torque.
+        motor_encoder: steps of an encoder on the motor, m or rad, read beside the torque.
+        load_encoder: of one on the load.
         runs: of the loop with noise.
         seed: of them.
 
@@ -206,11 +208,14 @@ def foretell(
     J = problem.filtered(columns)
     _require_told(problem, J)
     matrix = _scatter(problem, x, J, noise, runs, seed)
-    if load_encoder is not None:
+    steps = [step for step in (motor_encoder, load_encoder) if step is not None]
+    if steps:
         disturbed = _with_error(problem, x, noise, seed)
         source = find_noise_source(test) if noise.left is not None else "log" if noise.log > noise.force else "loop"
-        _, load = compute_encoder_information(disturbed, x, source, load_encoder, load_encoder)
-        matrix = matrix if load is None else add_information(matrix, load)
+        motor, load = compute_encoder_information(disturbed, x, source, steps[0], steps[-1])
+        read = (motor if motor_encoder is not None else None, load if load_encoder is not None else None)
+        for information in read:
+            matrix = matrix if information is None else add_information(matrix, information)
     own = len(problem.free_joint)
     names = tuple(p.name for p in problem.free_joint)
     assert test.reference is not None
@@ -277,10 +282,37 @@ def foretell_roughly(
             (error,) = _errors(problem, x, noise, 1, seed)
             matrix += stationary(J, J, problem.filtered(error)).matrix
             size += float(np.mean(error**2))
-        torque = run.torque + _PEAKS * math.sqrt(size) * np.sign(run.torque)
-        found = reached(run, test.reference.values, torque, test.reference.sample_time)
-        found["rms_torque"] = math.sqrt(float(np.mean(run.torque**2)) + size)
-        yield RoughlyForetold(tuple(p.name for p in problem.free_joint), matrix[:own, :own], found)
+        names = tuple(p.name for p in problem.free_joint)
+        yield RoughlyForetold(names, matrix[:own, :own], _reached(run, test.reference, size))
+
+
+def reach(
+    loop: ClosedLoop,
+    values: Mapping[str, float],
+    test: Record,
+    noise: Noise,
+    filtering: Filtering,
+    parameters: Mapping[str, Parameter],
+) -> dict[str, float]:
+    """Return what a test reaches of each quantity that may be limited, whether or not it tells anything.
+
+    Args and errors are those of `foretell`.
+    """
+    problem = _pose(loop, test, filtering, parameters)
+    x = _place(problem, values)
+    size = 0.0 if noise.left is None else float(np.mean(noise.left**2))
+    if noise.log or noise.force:
+        size += float(np.mean(_errors(problem, x, noise, 1, 0)[0] ** 2))
+    assert test.reference is not None
+    return _reached(require_finished(problem.simulate(x)), test.reference, size)
+
+
+def _reached(run: Simulation, reference: Channel, size: float) -> dict[str, float]:
+    """Return what a run reaches with noise whose mean square is `size` on top of its torque."""
+    torque = run.torque + _PEAKS * math.sqrt(size) * np.sign(run.torque)
+    found = reached(run, reference.values, torque, reference.sample_time)
+    found["rms_torque"] = math.sqrt(float(np.mean(run.torque**2)) + size)
+    return found
 
 
 def _pose(

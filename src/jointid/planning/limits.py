@@ -24,6 +24,8 @@ _SLACK = 1e-9  # relative: what rounding passes a limit by
 class AxisLimits:
     """What an axis may do in a test, on the side and in the units of the joint; what is not given is not limited.
 
+    A torque is in A or V where the joint is identified per ampere or volt.
+
     Raises:
         MethodError: a limit is not positive.
     """
@@ -32,8 +34,10 @@ class AxisLimits:
     speed: float | None = setting(None, "largest, of motor and load", unit="m/s or rad/s", above=0)
     acceleration: float | None = setting(None, "largest of the reference", unit="m/s2 or rad/s2", above=0)
     jerk: float | None = setting(None, "largest of the reference", unit="m/s3 or rad/s3", above=0)
-    torque: float | None = setting(None, "largest, with what is injected", unit="N or N m", above=0)
-    rms_torque: float | None = setting(None, "root mean square of the torque over the test", unit="N or N m", above=0)
+    torque: float | None = setting(None, "largest, with what is injected", unit="N, N m, A or V", above=0)
+    rms_torque: float | None = setting(
+        None, "root mean square of the torque over the test", unit="N, N m, A or V", above=0
+    )
     windup: float | None = setting(None, "largest wind-up of the spring, in which it rings", unit="m or rad", above=0)
     lowest: float = setting(0.1, "frequency that a chirp or a multisine may have", unit="Hz", above=0)
     highest: float | None = setting(

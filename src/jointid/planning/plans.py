@@ -22,6 +22,7 @@ _SPEEDS = 3  # of the trapezoids of one cycle
 _REST = 0.4  # s before each way at most
 _INSIDE = 0.985  # of the stroke, that a reference takes at most: the motor passes where it was asked to stop
 _LINES = 24  # of a sum of sines
+_APART = 1.02  # of two sines, at least: the ratio of their frequencies
 
 
 @dataclass(frozen=True, slots=True)
@@ -309,8 +310,8 @@ def _torque_lines(u: Sequence[float], room: Room) -> TorqueLines:
 
 
 def _pair_of_sines(u: Sequence[float], room: Room) -> TorqueLines:
-    lowest, highest = _log(0.3, 1.2, u[1]) * room.mode, room.highest
-    frequencies = tuple(min(one, highest) for one in (lowest, lowest * _log(1.02, 2.5, u[2])))
+    first = min(max(_log(0.3, 1.2, u[1]) * room.mode, room.lowest), room.highest / _APART)
+    frequencies = (first, min(first * _log(_APART, 2.5, u[2]), room.highest))
     size = _log(0.02, 0.9, u[0]) * room.torque
     return TorqueLines(frequencies, (size * (1 - u[3]), size * u[3]))
 
@@ -335,7 +336,7 @@ class Family:
 
     Attributes:
         motion: "trapezoids" or "sines".
-        added: "nothing", "pulses", "sines", "chirp" or "lines".
+        added: "nothing", "pulses", "sines", "chirp", "lines" or "pair".
     """
 
     motion: str

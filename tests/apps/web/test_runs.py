@@ -136,10 +136,14 @@ def test_a_plan_that_is_refused_or_cancelled_leaves_the_answer(asker: Asker, log
     running(run, "identifying again")
     assert run.status["state"] == "planning"
     assert "It is being planned" in asker.get(f"/runs/{run.number}")
+    assert "is still at work" in asker.post(f"/runs/{run.number}/plan", {"goal": "all"})[1]
     assert "You cancelled it" in asker.post(f"/runs/{run.number}/cancel")[1]
     assert run.status["state"] == "done"
     assert not run.has("plan.json")
     assert "Open the report" in asker.get(f"/runs/{run.number}")
+    asker.post(f"/runs/{run.number}/cancel")  # from another tab
+    assert run.status["state"] == "done"
+    assert 'value="initial_position"' not in asker.get(f"/runs/{run.number}")  # is no goal
     run.update(state="planning", before="done")
     asker.folder.close_interrupted()  # an earlier page was killed
     assert run.status["state"] == "done"

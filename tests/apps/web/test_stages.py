@@ -59,7 +59,7 @@ def identified(tmp_path: Path, log: bytes, monkeypatch: pytest.MonkeyPatch) -> t
         return check_and_count
 
     monkeypatch.setattr(Path, "replace", replace_and_keep)
-    monkeypatch.setattr(check_loop, "check_loop", count(check_loop.check_loop))
+    monkeypatch.setattr(check_loop, "_check", count(check_loop._check))
     monkeypatch.setattr(parallel.Aside, "is_done", lambda aside, within=0.0: False)
     worker.identify(tmp_path)
     return Run(tmp_path), kept

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -205,8 +204,12 @@ def design(
 
 
 def _read(motion: Path, file: JointFile) -> Record:
-    """Read a test of the user's own, or a past record."""
-    from jointid import Column, read
+    """Read a test of the user's own, or a past record: one of a drive has other columns beside those of a test.
+
+    Raises:
+        RecordError: it is neither.
+    """
+    from jointid import Column, inspect, read
     from jointid.common.parameters import POSITION_UNIT
 
     joint = file.joint
@@ -214,9 +217,13 @@ def _read(motion: Path, file: JointFile) -> Record:
         "reference": Column("reference", POSITION_UNIT[joint.kind]),
         "injected": Column("injected", joint.force_unit, optional=True),
     }
+    found = {one.name for one in inspect(motion).channels}
+    if {"t", "reference"} <= found <= {"t", *columns}:
+        return read(motion, columns, time="t", kind=joint.kind)
     try:
-        return read(motion, columns, time="t")
-    except RecordError:
-        with contextlib.suppress(RecordError):
-            return file.record(motion)
-        raise
+        return file.record(motion)
+    except RecordError as error:
+        raise RecordError(
+            f"{error} It was read as a past record, as the joint file says; a test of your own has the columns t, "
+            "reference and, if a signal is added, injected, and no others."
+        ) from None

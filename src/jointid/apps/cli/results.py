@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from jointid.apps.cli.console import (
     DEFAULTS,
@@ -18,9 +18,12 @@ from jointid.apps.cli.console import (
     show,
 )
 from jointid.apps.cli.places import Outputs
-from jointid.common.errors import JointidError
+from jointid.common.errors import JointidError, MethodError
 from jointid.common.parallel import Aside
 from jointid.estimation.methods.registry import MethodName
+
+if TYPE_CHECKING:
+    from jointid.config import JointFile
 
 Language = Literal["joint-file", "state-space", "matlab", "mjcf", "urdf", "modelica"]
 
@@ -55,6 +58,8 @@ def report(
         no_tuning: leave out margins and gains, which a controller with a limit otherwise has.
         plan: also plan the next test, for a goal as of design, within [limits] of the joint file; it takes a minute.
     """
+    from numpy.linalg import LinAlgError
+
     from jointid import Report
     from jointid.output.report import repetition, require_page, tune_to_limit
     from jointid.output.report.page import require_extra
@@ -69,6 +74,8 @@ def report(
     file = options.load(joint, outputs, **choices)
     source = Path(file.record_path(options.record))
     asked = {**choices, "plan": plan}
+    if plan is not None:
+        _require_goal(file, plan)
     again = repetition(joint, source, asked, options.changes, "report.html" if page is None else page.name)
     record, estimate = options.identify(file)
     tuning = None if no_tuning else Aside(partial(tune_to_limit, estimate, file.drive, file.declared_numbers))
@@ -85,7 +92,8 @@ def report(
         try:
             found = plan_from_estimate(estimate, record, goal=plan, limits=file.limits, progress=options.progress)
             told = replace(told, design=found)
-        except JointidError as error:
+        except (JointidError, LinAlgError) as error:
+            told.dossier.absent["design"] = str(error)
             show(f"Without a next test: {error}")
     written = [] if page is None else [told.save(page)]
     written += [] if markdown is None else [told.save_markdown(markdown)[0]]
@@ -93,6 +101,19 @@ def report(
     written += [] if options.json is None else [options.json]
     deliver(told.estimate, options.json)
     show("\nWritten: " + ", ".join(map(str, written)))
+
+
+def _require_goal(file: JointFile, plan: str) -> None:
+    """Raise a `MethodError` if no test can be planned for this goal, before the record is read."""
+    from jointid.planning.goals import goal_named
+
+    if file.method.name != "didim":
+        raise MethodError(
+            f"A test is planned from an answer of didim, and this joint is identified by {file.method.name}; add "
+            "--method didim, or leave --plan out."
+        )
+    own = [file.parameters.get(p.name, p) for p in file.joint.parameters]
+    goal_named(plan, {p.name: file.joint.unit(p) for p in own if p.free})
 
 
 def validate(

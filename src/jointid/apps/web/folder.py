@@ -107,6 +107,11 @@ class Run:
         """Whether it, or what is planned after it, has not ended."""
         return self.status["state"] in ("running", "planning")
 
+    @property
+    def keeps_names(self) -> bool:
+        """Whether its record has a name that is ours, as one of an earlier version may have."""
+        return (read_json(self.folder / "work.json") or {}).get("file", "") in _OF_A_RUN
+
     def end_planning(self, sentence: str = "") -> None:
         """Go back to how the identification ended; the sentence says why there is no test."""
         self.update(state=self.status.get("before", "done"), unplanned=sentence)

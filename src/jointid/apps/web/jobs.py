@@ -44,11 +44,18 @@ class Jobs:
         if self._preparing is None:
             self._preparing = asyncio.create_task(self._prepare())
 
-    async def require_idle(self) -> None:
-        """Raise a `PageError` while an identification is running; one that only lacks its report gives way."""
+    async def require_idle(self, *, yields: bool = True) -> None:
+        """Raise a `PageError` while an identification is running.
+
+        One that only lacks its report, or a plan, gives way where that is allowed.
+        """
         if self._run is not None and self._task is not None and not self._task.done():
+            if self._run.answered and not yields:
+                raise PageError(f"Identification {self._run.number} is still at work; wait for its end.")
             if self._run.answered:
-                await self.cancel(self._run, "Another identification was started before its report was written.")
+                planning = self._run.status["state"] == "planning"
+                what = "a test was planned" if planning else "its report was written"
+                await self.cancel(self._run, f"Another identification was started before {what}.")
                 return
             raise PageError(
                 f"Identification {self._run.number} is still running; wait for its end or cancel it in step 4, then "
@@ -64,19 +71,22 @@ class Jobs:
         self._run, self._task = run, asyncio.create_task(self._plan(run))
 
     async def cancel(self, run: Run, sentence: str = "You cancelled it.") -> None:
-        """Cancel an identification; one that has ended stays as it is."""
-        if self._task is not None and self._run == run:
+        """Cancel an identification, or what is planned after it; one that has ended stays as it is."""
+        if self._task is not None and self._run == run and not self._task.done():
             self._task.cancel()
             await asyncio.wait([self._task])
-            if self._task.cancelled() and run.status["state"] == "planning":
+            state = run.status["state"]  # somebody else may have waited for the same, and said so
+            if self._task.cancelled() and state == "planning":
                 run.end_planning(sentence)
-            elif self._task.cancelled():
+            elif self._task.cancelled() and state == "running":
                 run.update(state="cancelled", sentence=sentence, ended=time.time())
 
     async def close(self) -> None:
         """Cancel what is running, as the page ends."""
         if self._run is not None:
-            await self.cancel(self._run, "The page was stopped before this had ended; press Identify again.")
+            planning = self._run.status["state"] == "planning"
+            what = "a test was planned" if planning else "this had ended; press Identify again"
+            await self.cancel(self._run, f"The page was stopped before {what}.")
         if self._preparing is not None:
             self._preparing.cancel()
             await asyncio.wait([self._preparing])

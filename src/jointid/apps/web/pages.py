@@ -29,11 +29,14 @@ from jointid.apps.web.folder import Folder, Limits, PageError, Run, read_json
 from jointid.apps.web.form import clean_entries, place_faults
 from jointid.apps.web.jobs import Jobs
 from jointid.common.messages import Message
+from jointid.common.settings import settings_of
 from jointid.common.text import interval, number, signed
 from jointid.common.typography import typeset
 from jointid.common.units import COUNTS, SHARE, units_of
+from jointid.estimation.problems.base import DRIVE_AND_LOG, INITIAL
 from jointid.estimation.result.answer import is_another_law, sum_changes
 from jointid.estimation.result.legend import SHOWN_SHIFT
+from jointid.models.controllers import LAWS
 from jointid.records.formats import FORMATS
 from jointid.uncertainty.verdict import Subject
 
@@ -43,6 +46,10 @@ if TYPE_CHECKING:
 _FORM = 512 * 2**10  # bytes of a form without a file
 _AROUND = 2**16  # bytes of a form around its file
 _LONGEST = 80  # characters of a name
+_LAWS: tuple[Any, ...] = tuple(LAWS.values())  # mypy does not take a type for something with a hash
+_OF_LOOP = {*DRIVE_AND_LOG, *(one.name for law in _LAWS for one in settings_of(law))}
+"""What of a loop may be free beside the joint, but for numbers of its filters."""
+
 _ORDER = ["failed", "unknown", "passed"]  # of the checks, on the page
 _DAMAGED = (HTTPException, FormParserError)  # of a form that cannot be parsed; older versions of Starlette pass it on
 _OTHER = re.compile(r"[^\w .()+-]")
@@ -224,8 +231,8 @@ def show_run(state: AppState, run: Run) -> Response:
     texts = {name: run.folder / f"{name}.txt" for name in ("answer", "learned")}
     return _render(
         "run", state, step=4 if answer is None else 5, run=run, status=status, lines=run.read_progress(), answer=answer,
-        plan=read_json(run.folder / "plan.json"), goals=_list_goals(answer), elapsed=round(run.seconds),
-        stamps=run.stamps, rows=[] if answer is None else _build_rows(answer),
+        plan=read_json(run.folder / "plan.json"), goals=_list_goals(answer), no_goal=_say_no_goal(answer),
+        elapsed=round(run.seconds), stamps=run.stamps, rows=[] if answer is None else _build_rows(answer),
         checks=[] if answer is None else _build_checks(answer),
         runs=[(one, one.status) for one in state.folder.runs],
         texts={name: path.read_text(encoding="utf-8") if path.is_file() else "" for name, path in texts.items()},
@@ -234,11 +241,26 @@ def show_run(state: AppState, run: Run) -> Response:
 
 def _list_goals(answer: Mapping[str, Any] | None) -> list[tuple[str, str]]:
     """Return what a next test may be planned for, each with its words; nothing where none can be planned."""
-    if answer is None or answer["method"] != "didim":
+    if answer is None or answer["method"] != "didim" or _say_no_goal(answer):
         return []
-    free = {name: p["symbol"] for name, p in answer["parameters"].items() if p["free"]}
+    free = {name: p["symbol"] for name, p in answer["parameters"].items() if p["free"] and name not in INITIAL}
     named = [(name, f"{name.replace('_', ' ')} {symbol}") for name, symbol in free.items()]
     return [("all", "all parameters alike"), ("weakest", "what is known worst"), *named]
+
+
+def _say_no_goal(answer: Mapping[str, Any] | None) -> str:
+    """Return why no test can be planned from an answer; nothing where one can, or where none is offered."""
+    if answer is None or answer["method"] != "didim":
+        return ""
+    every = {name: p for name, p in answer["parameters"].items() if p["free"] and name not in INITIAL}
+    if refused := [name.replace("_", " ") for name, p in every.items() if p["value"] is None]:
+        return (
+            f"This record does not tell {', '.join(refused)}, so no test can be planned from it; the report says which "
+            "test would."
+        )
+    if freed := [name for name in every if name in _OF_LOOP or "." in name]:
+        return f"A test is planned from an answer with {', '.join(freed)} fixed; fix it in step 3, and identify again."
+    return ""
 
 
 def show_message(state: AppState, code: int, title: str, sentences: str) -> Response:

@@ -247,8 +247,13 @@ async def plan_test(request: Request) -> Response:
     goal = dict(await state.read_form(request)).get("goal", "all")
     async with state.files:
         if not run.answered or run.active:
-            raise PageError(f"Identification {run.number} has no whole answer yet; plan the next test when it has.")
-        await state.jobs.require_idle()
+            raise PageError(f"Identification {run.number} is still at work; plan the next test when it has ended.")
+        if run.keeps_names:
+            raise PageError(
+                "This record has the name of a file that a plan writes; press Identify again, then plan it."
+            )
+        await state.jobs.require_idle(yields=False)
+        (run.folder / "progress.txt").unlink(missing_ok=True)
         work = read_json(run.folder / "work.json") or {}
         asked = {"goal": goal[:_GOAL], "seconds": state.limits.planning}
         write_json(run.folder / "work.json", work | asked)

@@ -194,7 +194,13 @@ def plan(folder: Path) -> None:
     table, facts = found.document().blocks
     assert isinstance(table, Table)
     assert isinstance(facts, Facts)
-    told = {"sentence": found.sentence, "header": table.header, "rows": table.rows, "facts": facts.pairs}
+    told = {
+        "goal": found.goal.name,
+        "sentence": found.sentence,
+        "header": table.header,
+        "rows": table.rows,
+        "facts": facts.pairs,
+    }
     write_whole(folder / "plan.json", json.dumps(told))
 
 

@@ -171,7 +171,7 @@ SHAPES: Mapping[str, Shape] = {
     "Design": {
         "schema": always("jointid.design/1"),
         **same("record", "goal", "sentence", "description", "transmission", "tests", "reached", "limits", "passed"),
-        **same("floor", "modes", "interrupted"),
+        **same("present_passes", "from_present", "floor", "modes", "interrupted"),
     },
     "Goal": same("name", "weights"),
     "Foretold": {**same("name", "values", "std", "units"), "correlation": "covariance.correlation"},

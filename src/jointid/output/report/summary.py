@@ -59,6 +59,9 @@ def summary_blocks(
         yield Heading("Tuning")
         yield Paragraph(tuned.sentence)
         yield from tuned.proposal()
+    if (why := given.absent.get("design")) is not None:
+        yield Heading("The next test")
+        yield Paragraph(f"None was planned. {why}")
     if design is not None:
         yield Heading("The next test")
         yield Paragraph(design.sentence)
