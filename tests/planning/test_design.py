@@ -14,6 +14,7 @@ import pytest
 
 import jointid as ji
 from jointid.apps.cli import main
+from jointid.common.charts import Line
 from jointid.common.errors import MethodError, RecordError
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.output.json.documents import to_dict
@@ -458,7 +459,7 @@ def test_bad_input_is_refused_in_a_sentence() -> None:
         design_test(AXIS.loop, AXIS.truth, NOISE, present=short_record(), motion=one_way)
 
 
-def test_a_record_of_another_rate_is_foretold_as_it_was_logged() -> None:
+def test_a_record_of_another_rate_is_foretold_as_it_was_logged(tmp_path: Path) -> None:
     """Its reference every 4 ms beside a torque every 1 ms, and beside it the same at 1 ms: nearly one motion."""
     reference = excitation.trapezoids((0.05, 0.1), 1.0, 0.15, 4e-3, duration=6.0)
     fine = np.interp(np.arange(6000) * 1e-3, np.arange(reference.size) * 4e-3, reference)
@@ -472,6 +473,11 @@ def test_a_record_of_another_rate_is_foretold_as_it_was_logged() -> None:
     assert told.proposed.std["motor_inertia"] == pytest.approx(same.proposed.std["motor_inertia"], rel=0.5)
     assert told.reached["speed"] == pytest.approx(same.reached["speed"], rel=0.2)
     assert not told.limits  # those of the present test are not those of another
+    drawn = [line for panel in told.chart().panels[:2] for line in panel.items if isinstance(line, Line)]
+    assert [line.x[-1] for line in drawn] == pytest.approx([6.0, 6.0], abs=0.01)
+    told.write(tmp_path)
+    assert "a row every 4" in (tmp_path / "how-to-run.md").read_text()
+    assert "torque" not in (tmp_path / "test.csv").read_text().splitlines()[0]  # there is none yet
 
 
 def test_a_present_test_beyond_the_limits_or_that_tells_little_is_said() -> None:

@@ -190,20 +190,22 @@ class Design(Charted, Documented):
 
     def chart(self) -> Chart:
         """Return the reference, the torque that is foretold, and the spectrum of both beside the modes."""
-        told, T = self.proposed, self.proposed.sample_time
-        time = np.asarray(np.arange(told.reference.size) * T, dtype=np.float64)
-        torque = told.motion.torque
+        torque, T = self.proposed.motion.torque, self.proposed.sample_time
         q, u = self.position_unit, self.torque_unit
-        lines = [Line(time, torque, SIMULATED, "torque", width=_LINE)]
-        if told.injected is not None:
-            lines.append(Line(time, told.injected, LOAD, "of it injected", width=_LINE))
+        lines = [Line(_times(torque.size, T), torque, SIMULATED, "torque", width=_LINE)]
+        if (injected := self.test.injected) is not None:
+            added = injected.channel
+            lines.append(Line(_times(len(added), added.sample_time), added.values, LOAD, "of it injected", width=_LINE))
+        reference = self.test.reference
+        assert reference is not None
+        motion = Line(_times(len(reference), reference.sample_time), reference.values, MEASURED)
         hertz = np.asarray(np.fft.rfftfreq(torque.size, T)[1:], dtype=np.float64)
         size = np.abs(np.fft.rfft(torque - torque.mean()))[1:] * 2 / torque.size
         kept = hertz <= 4 * max([*self.modes.values(), 25.0])
         marks = tuple(Mark(f, name.replace("_", " "), row) for row, (name, f) in enumerate(self.modes.items()))
         spectrum = Line(hertz[kept], size[kept], SIMULATED, width=_LINE)
         panels = (
-            Panel("time [s]", f"reference [{q}]", (Line(time, told.reference, MEASURED),), height=170, group="time"),
+            Panel("time [s]", f"reference [{q}]", (motion,), height=170, group="time"),
             Panel("time [s]", f"torque [{u}]", tuple(lines), height=170, group="time"),
             Panel("frequency [Hz]", f"torque [{u}]", (spectrum, *marks), height=170),
         )
@@ -219,7 +221,7 @@ class Design(Charted, Documented):
 
     def files(self) -> dict[str, bytes]:
         """Return what `write` writes, by name."""
-        record = replace(self.test, name="test")
+        record = replace(self.test, name="test", torque=None, motor_position=None, load_position=None)
         files: dict[str, bytes] = {}
         with tempfile.TemporaryDirectory() as place:
             for name in ("test.csv", "test.mat"):
@@ -229,11 +231,11 @@ class Design(Charted, Documented):
         return files
 
     def _page(self) -> str:
-        told, u, q = self.proposed, self.torque_unit, self.position_unit
-        every, length = number(1e3 * told.sample_time, 6), number(told.reference.size * told.sample_time, 4)
-        start, low, high = (
-            number(float(one), 4) for one in (told.reference[0], told.reference.min(), told.reference.max())
-        )
+        u, q, reference = self.torque_unit, self.position_unit, self.test.reference
+        assert reference is not None
+        every, length = number(1e3 * reference.sample_time, 6), number(len(reference) * reference.sample_time, 4)
+        played = reference.values
+        start, low, high = (number(float(one), 4) for one in (played[0], played.min(), played.max()))
         added, injected = "", self.test.injected
         if injected is not None:
             where = "before the controller's limit" if injected.at is InjectionPoint.BEFORE_LIMIT else "after its limit"
@@ -639,6 +641,10 @@ def _foretell_present(about: _About, present: Record) -> Foretold | None:
         return about.foretell(present)
     except JointidError:
         return None
+
+
+def _times(samples: int, sample_time: float) -> FloatArray:
+    return np.asarray(np.arange(samples) * sample_time, dtype=np.float64)
 
 
 def _pairs(names: Sequence[str]) -> list[tuple[str, str]]:

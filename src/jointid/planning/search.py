@@ -3,9 +3,9 @@
 A test is a family and some numbers between 0 and 1 (`plans`). Each is simulated at several joints, the one that is
 roughly known and others drawn from its interval, with noise: what it tells is the mean over them, and what it reaches
 the largest of them. A test that passes a limit is worse than any that keeps them all, and the worse the farther it
-passes. A few tests of every family are drawn; the best of each is moved a few times, and then the best of all, by steps
+passes. A few tests of every family are drawn; the best of each is moved a few times, then the best of these, by steps
 that grow where they help and shrink where they do not, as an evolution strategy does (I. Rechenberg's rule of one
-success in five).
+success in five). While there is time others are drawn, and the best of all is moved on in between.
 """
 
 from __future__ import annotations
