@@ -38,7 +38,7 @@ from jointid.planning.plans import (
     families_in,
     room_of,
 )
-from jointid.planning.search import Asked, search, try_plan
+from jointid.planning.search import Asked, Purpose, search, try_plan
 from jointid.records.record import Tap
 from jointid.records.signals.filtering import Filtering
 from jointid.records.writing import write
@@ -207,7 +207,8 @@ def test_a_limit_that_is_passed_counts_before_anything_else() -> None:
     limits = AxisLimits(stroke=0.1, torque=300.0)
     room = room_of(limits.given, found, 0.1, 60.0, 29.5)
     goal = goal_named("all", own.units)
-    asked = Asked(AXIS.loop, (AXIS.truth,), NOISE, goal, limits, room, SHORT, SAMPLE_TIME, Tap.COMMAND, Filtering(), {})
+    purpose = Purpose(AXIS.loop, (AXIS.truth,), NOISE, goal, SHORT, SAMPLE_TIME, Tap.COMMAND, Filtering(), {})
+    asked = Asked(purpose, limits, room)
     wide = try_plan(asked, Plan(Trapezoids((0.1,), 1.0, 0.15), Pulses(150.0, 0.02, 0.4)))
     narrow = try_plan(asked, Plan(Trapezoids((0.1,), 1.0, 0.05)))
     assert wide.over == pytest.approx(1.5 / 0.97, rel=0.01)

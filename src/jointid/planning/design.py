@@ -29,12 +29,12 @@ from jointid.diagnostics.other_experiments import choose_encoder_steps
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.planning.bound import Floor, least_deviation
-from jointid.planning.foretell import Foretold, Noise, foretell, foretell_roughly, reach
+from jointid.planning.foretell import Foretold, Noise, reach
 from jointid.planning.goals import WEAKEST, Goal, goal_named
 from jointid.planning.limits import AxisLimits, describe_passed, units_of_limits
 from jointid.planning.plans import Plan, TorqueTable, room_of
 from jointid.planning.plans import Table as Played
-from jointid.planning.search import Asked, Tried, search, try_plan
+from jointid.planning.search import Asked, Purpose, Tried, search, try_plan
 from jointid.records.record import Channel, InjectionPoint, Record, Tap, Timing
 from jointid.records.signals.filtering import Filtering
 from jointid.records.writing import write
@@ -351,16 +351,16 @@ def design_test(
     wanted = goal_named(goal, {name: loop.joint.unit(unknown[name]) for name in free})
     draws = _draw(values, [unknown[name] for name in free], covariance, _MORE_JOINTS, seed)
     told_limits = limits or AxisLimits()
-    about = _About(loop, (dict(values), *draws), noise, wanted, samples, T, tap, filtering, parameters)
+    purpose = Purpose(loop, (dict(values), *draws), noise, wanted, samples, T, tap, filtering, parameters)
     if motion is None:
         before = None if present is None else reach(loop, values, present, noise, filtering, parameters)
-        chosen = _search(about, told_limits, present, before, seconds, seed, progress)
+        chosen = _search(purpose, told_limits, present, before, seconds, seed, progress)
     else:
         before = None
-        chosen = _take(about, told_limits, motion)
-    told = about.foretell(chosen.test)
+        chosen = _take(purpose, told_limits, motion)
+    told = purpose.foretell(chosen.test)
     steps = choose_encoder_steps(chosen.test if present is None else present, encoder)
-    on_motor = about.foretell(chosen.test, motor_encoder=steps[0])
+    on_motor = purpose.foretell(chosen.test, motor_encoder=steps[0])
     flexible = isinstance(loop.joint, FlexibleJoint)
     units = units_of_limits(loop)
     return Design(
@@ -368,13 +368,13 @@ def design_test(
         loop,
         wanted,
         chosen.description,
-        None if present is None else _foretell_present(about, present),
+        None if present is None else _foretell_present(purpose, present),
         () if before is None else tuple(describe_passed(told_limits, before, units)),
         told,
         chosen.test,
         on_motor if any(on_motor.std[name] < _TELLS_MORE * std for name, std in told.std.items()) else None,
-        about.foretell(chosen.test, load_encoder=steps[1]) if flexible else None,
-        None if chosen.longer is None else about.foretell(chosen.longer),
+        purpose.foretell(chosen.test, load_encoder=steps[1]) if flexible else None,
+        None if chosen.longer is None else purpose.foretell(chosen.longer),
         chosen.reached,
         chosen.limits.given,
         tuple(name for name in chosen.limits.given if name not in told_limits.given),
@@ -383,28 +383,6 @@ def design_test(
         FlexibleJoint.frequencies(values) if flexible else {},
         chosen.interrupted,
     )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _About:
-    """What a test is planned for: see `design_test`; the first of the joints is the one that is roughly known."""
-
-    loop: ClosedLoop
-    joints: tuple[Mapping[str, float], ...]
-    noise: Noise
-    goal: Goal
-    samples: int
-    sample_time: float
-    tap: Tap
-    filtering: Filtering
-    parameters: Mapping[str, Parameter]
-
-    def foretell(self, test: Record, **encoders: float | None) -> Foretold:
-        """Return what a test tells of the joint that is roughly known."""
-        return foretell(
-            self.loop, self.joints[0], test, self.noise, filtering=self.filtering, parameters=self.parameters,
-            motor_encoder=encoders.get("motor_encoder"), load_encoder=encoders.get("load_encoder"),
-        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -425,7 +403,7 @@ class _Chosen:
 
 
 def _search(
-    about: _About,
+    purpose: Purpose,
     limits: AxisLimits,
     present: Record | None,
     before: Mapping[str, float] | None,
@@ -434,12 +412,12 @@ def _search(
     progress: Progress,
 ) -> _Chosen:
     """Look for the test that tells most, within the limits and those that the present test adds by what it reaches."""
-    loop, values, T = about.loop, about.joints[0], about.sample_time
+    loop, values, T = purpose.loop, purpose.joints[0], purpose.sample_time
     limits, found = _complete(limits, before)
-    resolved = about.filtering.resolved(T, loop.joint.model)
+    resolved = purpose.filtering.resolved(T, loop.joint.model)
     assert resolved.cutoff is not None
     highest = min(limits.highest or resolved.cutoff, resolved.cutoff)
-    floor = _floor(loop, values, about.noise, about.goal, limits, about.samples, T, highest)
+    floor = _floor(loop, values, purpose.noise, purpose.goal, limits, purpose.samples, T, highest)
     flexible = isinstance(loop.joint, FlexibleJoint)
     mode = FlexibleJoint.frequencies(values)["free_free"] if flexible else 0.5 * highest
     positions = np.zeros(1) if present is None or present.reference is None else present.reference.values
@@ -449,18 +427,15 @@ def _search(
     room = room_of(limits.given, found, lowest, highest, mode, lines, low)
     added = None if present is None else present.injected
     how = (InjectionPoint.AFTER_LIMIT, True) if added is None else (added.at, added.in_torque)
-    asked = Asked(
-        loop, about.joints[: 1 + _JOINTS], about.noise, about.goal, limits, room, about.samples, T, about.tap,
-        about.filtering, about.parameters, *how,
-    )  # fmt: skip
+    asked = Asked(replace(purpose, joints=purpose.joints[: 1 + _JOINTS]), limits, room, *how)
     begin = () if present is None else _as_plan(present, T)
     looked, interrupted = _look(asked, begin, seconds, seed, progress)
-    best, ended = _choose(replace(asked, joints=about.joints), looked, progress)
+    best, ended = _choose(replace(asked, purpose=purpose), looked, progress)
     where = "at some joints of the interval it cannot be simulated, or tells nothing of a parameter"
     return _Chosen(
         best.plan.describe(POSITION_UNIT[loop.joint.kind], loop.joint.force_unit),
         asked.record(best.plan),
-        asked.record(best.plan, 2 * about.samples),
+        asked.record(best.plan, 2 * purpose.samples),
         best.reached,
         limits,
         (where,) if math.isinf(best.over) else (),
@@ -469,7 +444,7 @@ def _search(
     )
 
 
-def _take(about: _About, limits: AxisLimits, motion: Record) -> _Chosen:
+def _take(purpose: Purpose, limits: AxisLimits, motion: Record) -> _Chosen:
     """Return a test of the user's own, or a past record: only what is stated limits it.
 
     Raises:
@@ -480,14 +455,12 @@ def _take(about: _About, limits: AxisLimits, motion: Record) -> _Chosen:
         raise MethodError("A test of your own has a reference; give the position that the axis is to follow.")
     test = motion
     if motion.torque is None:
-        zeros = np.zeros(about.samples)
-        test = replace(motion, torque=Channel(zeros, about.loop.joint.force_unit, about.sample_time, Timing.HELD))
+        zeros = np.zeros(purpose.samples)
+        test = replace(motion, torque=Channel(zeros, purpose.loop.joint.force_unit, purpose.sample_time, Timing.HELD))
     most = dict[str, float]()
-    for told in foretell_roughly(
-        about.loop, about.joints, test, about.noise, filtering=about.filtering, parameters=about.parameters
-    ):
+    for told in purpose.foretell_roughly(test):
         most = {name: max(size, most.get(name, 0.0)) for name, size in told.reached.items()}
-    q, u = POSITION_UNIT[about.loop.joint.kind], about.loop.joint.force_unit
+    q, u = POSITION_UNIT[purpose.loop.joint.kind], purpose.loop.joint.force_unit
     words = Played(reference.values).describe(q)
     if motion.injected is not None:
         words = f"{words}; {TorqueTable(motion.injected.channel.values).describe(u)}"
@@ -636,9 +609,9 @@ def _keep_within(asked: Asked, best: Tried) -> Tried:
     return tried
 
 
-def _foretell_present(about: _About, present: Record) -> Foretold | None:
+def _foretell_present(purpose: Purpose, present: Record) -> Foretold | None:
     try:
-        return about.foretell(present)
+        return purpose.foretell(present)
     except JointidError:
         return None
 

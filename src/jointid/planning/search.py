@@ -22,7 +22,14 @@ from jointid.common.errors import JointidError
 from jointid.common.messages import Progress, Work
 from jointid.common.parameters import Parameter
 from jointid.models.joints import ClosedLoop
-from jointid.planning.foretell import Noise, foretell_roughly, planned_record
+from jointid.planning.foretell import (
+    Foretold,
+    Noise,
+    RoughlyForetold,
+    foretell,
+    foretell_roughly,
+    planned_record,
+)
 from jointid.planning.goals import Goal
 from jointid.planning.limits import AxisLimits, passed
 from jointid.planning.plans import Family, Plan, Room, families_in
@@ -41,42 +48,69 @@ _SMALLEST, _LONGEST = 2e-3, 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Asked:
-    """What a search is for.
+class Purpose:
+    """What a test is planned for.
 
     Attributes:
         loop: joint and controller.
-        joints: values of every parameter, one mapping a joint that it may be.
+        joints: values of every parameter, one mapping a joint that it may be; first the one that is roughly known.
         noise: that will disturb the test.
         goal: what the test is to tell.
-        limits: what the axis may do.
-        room: between what is looked.
         samples, sample_time: of the test.
         tap: where its torque will be logged.
         filtering, parameters: of the identification.
-        at, in_torque: where a signal is added, and whether the log contains it, see `Injection`.
     """
 
     loop: ClosedLoop
     joints: tuple[Mapping[str, float], ...]
     noise: Noise
     goal: Goal
-    limits: AxisLimits
-    room: Room
     samples: int
     sample_time: float
     tap: Tap
     filtering: Filtering
     parameters: Mapping[str, Parameter]
+
+    def foretell(
+        self, test: Record, *, motor_encoder: float | None = None, load_encoder: float | None = None
+    ) -> Foretold:
+        """Return what a test tells of the joint that is roughly known; see `foretell`."""
+        return foretell(
+            self.loop, self.joints[0], test, self.noise, filtering=self.filtering, parameters=self.parameters,
+            motor_encoder=motor_encoder, load_encoder=load_encoder,
+        )  # fmt: skip
+
+    def foretell_roughly(self, test: Record) -> Iterator[RoughlyForetold]:
+        """Yield for each joint what a test tells and reaches; see `foretell_roughly`."""
+        return foretell_roughly(
+            self.loop, self.joints, test, self.noise, filtering=self.filtering, parameters=self.parameters
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Asked:
+    """What a search is for.
+
+    Attributes:
+        purpose: what the test is planned for.
+        limits: what the axis may do.
+        room: between what is looked.
+        at, in_torque: where a signal is added, and whether the log contains it, see `Injection`.
+    """
+
+    purpose: Purpose
+    limits: AxisLimits
+    room: Room
     at: InjectionPoint = InjectionPoint.AFTER_LIMIT
     in_torque: bool = True
 
     def record(self, plan: Plan, samples: int | None = None) -> Record:
         """Return a test as a drive is to play it, of as many samples as are asked for."""
-        reference, injected = plan.play(samples or self.samples, self.sample_time)
+        reference, injected = plan.play(samples or self.purpose.samples, self.purpose.sample_time)
         return planned_record(
-            self.loop, reference, self.sample_time, injected, at=self.at, in_torque=self.in_torque, tap=self.tap
-        )
+            self.purpose.loop, reference, self.purpose.sample_time, injected, at=self.at, in_torque=self.in_torque,
+            tap=self.purpose.tap,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,16 +147,14 @@ def try_plan(asked: Asked, plan: Plan, *, margin: float = _MARGIN, than: Tried |
     test = asked.record(plan)
     scores, most = [], dict[str, float]()
     tried = Tried(plan, _ASTRAY, most, math.inf)
-    told = foretell_roughly(
-        asked.loop, asked.joints, test, asked.noise, filtering=asked.filtering, parameters=asked.parameters
-    )
-    for values in asked.joints:
+    told = asked.purpose.foretell_roughly(test)
+    for values in asked.purpose.joints:
         try:
             with np.errstate(all="ignore"):
                 one = next(told)
         except (JointidError, np.linalg.LinAlgError):
             return replace(tried, score=_ASTRAY, over=math.inf)
-        scores.append(asked.goal.score(one.covariance, one.names, values))
+        scores.append(asked.purpose.goal.score(one.covariance, one.names, values))
         for name, size in one.reached.items():
             most[name] = max(most.get(name, 0.0), size)
         factors = passed(asked.limits, {name: size / margin for name, size in most.items()})
