@@ -51,7 +51,7 @@ def test_no_cookie_is_ever_set(client: TestClient, asker: Asker, log: bytes) -> 
 
 
 @pytest.mark.parametrize("site", ["cross-site", "same-site"])
-@pytest.mark.parametrize("path", ["/record", "/example", "/draft", "/joint", "/runs/1/cancel"])
+@pytest.mark.parametrize("path", ["/record", "/example", "/draft", "/joint", "/runs/1/cancel", "/runs/1/plan"])
 def test_other_sites_cannot_have_a_browser_send_forms(client: TestClient, path: str, site: str) -> None:
     answer = client.post(path, headers={"sec-fetch-site": site})
     assert answer.status_code == 403

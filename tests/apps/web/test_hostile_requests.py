@@ -221,7 +221,9 @@ def attacks() -> Iterator[bytes]:
         yield request("POST", f"/{token}/record", body=parts(b"1,2\n"), kind=MULTIPART)
     for host in ("evil.example", "", "[", "127.0.0.1@evil.example", "a" * 5000, "\x00", f"{HOST}:99999999"):
         yield request("GET", f"{root}/", host=host)
-    for site, path in itertools.product(("cross-site", "same-site"), ("/record", "/joint", "/draft", "/runs/1/cancel")):
+    for site, path in itertools.product(
+        ("cross-site", "same-site"), ("/record", "/joint", "/draft", "/runs/1/cancel", "/runs/1/plan")
+    ):
         yield request("POST", root + path, f"sec-fetch-site: {site}")
     for body, path in itertools.product(BODIES, ("/record", "/jointfile", "/draft", "/again", "/channels")):
         yield request("POST", root + path, body=body, kind=MULTIPART)
