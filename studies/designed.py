@@ -66,7 +66,7 @@ def made(
         over = max(passed(limits, found).values(), default=0.0)
         problem = torque_problem(test, axis.loop, filtering, axis.loop.joint.parameters)
         problem = problem.keeping({"initial_velocity": 0.0})
-        start = problem.vector({**truth, "initial_position": 0.0})
+        start = problem.vector({**truth, "initial_position": float(told.reference[0])})
         x = refined_least_squares(problem, start, _ENOUGH)[0]
         return [float(x[k]) - truth[name] for k, name in enumerate(own)], over
 

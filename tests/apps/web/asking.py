@@ -74,7 +74,7 @@ class Asker:
         return {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
 
 
-def ended(run: Run, most: float = 180.0) -> str:
+def ended(run: Run, most: float = 400.0) -> str:
     """Wait for the end of an identification, and return its state."""
     for _ in range(int(most / 0.1)):
         if not run.active:
