@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from jointid.simulation.kernels import drive as kernels
+from jointid.simulation.kernels import stepped_drive
 from tests.simulation.oracle import Law, Plant
 
 
@@ -68,8 +69,9 @@ def run(
     before: float,
     x0: np.ndarray,
     far: float = math.inf,
+    beyond: np.ndarray | None = None,
 ) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
-    """Return status, torque (n,), states at the controller's instants (n, 4) and counts."""
+    """Return status, torque (n,), states at the controller's instants (n, 4) and counts; in steps with laws `beyond`."""
     late = delay / T
     whole = math.floor(late + 1e-9)
     fraction = late - whole
@@ -80,28 +82,38 @@ def run(
     x = np.zeros(4)
     x[: len(x0)] = x0
     u, states, counts = np.empty(len(w)), np.empty((len(w) * len(lengths), 4)), np.zeros(4, dtype=np.int64)
-    status = kernels.run(
-        drive(plant),
+    feedback = kernels.Feedback(
+        np.array(law.A, dtype=float).reshape(1, nz, nz),
+        np.array(law.Bq, dtype=float).reshape(1, nz),
+        np.array(law.Be, dtype=float).reshape(1, nz, 1),
+        np.array(law.C, dtype=float).reshape(1, 1, nz),
+        np.array([[law.D]], dtype=float),
+        np.zeros((1, 1, 1)),
+        np.array([law.limit], dtype=float),
+        np.array([-1]),
+        np.zeros((0, nz)),
+        0,
+        0,
+    )
+    loop = (
         np.array(lengths),
         np.array(lags),
         np.array(law.z0, dtype=float).reshape(nz).copy(),
-        kernels.Feedback(
-            np.array(law.A, dtype=float).reshape(1, nz, nz),
-            np.array(law.Bq, dtype=float).reshape(1, nz),
-            np.array(law.Be, dtype=float).reshape(1, nz, 1),
-            np.array(law.C, dtype=float).reshape(1, 1, nz),
-            np.array([[law.D]], dtype=float),
-            np.zeros((1, 1, 1)),
-            np.array([law.limit], dtype=float),
-            np.array([-1]),
-            np.zeros((0, nz)),
-            0,
-            0,
-        ),
+        feedback,
         np.ascontiguousarray(w, dtype=float)[np.newaxis],
         np.ascontiguousarray(post, dtype=float),
         float(before),
         x,
+    )
+    if beyond is not None:
+        pushed = np.empty((len(states), 2))
+        status = stepped_drive.run(
+            drive(plant), beyond, *loop, float(np.sign(x[1])), far, u, np.empty(0), states, pushed, counts
+        )
+        return status, u, states[:: len(lengths)], counts
+    status = kernels.run(
+        drive(plant),
+        *loop,
         far,
         u,
         np.empty(0),

@@ -1,5 +1,7 @@
 """The cache of compiled kernels on disk: one that is damaged, empty or cannot be written never ends a command.
 
+A kernel is compiled anew where a file of its folder has changed, as Numba itself looks at that of the kernel alone.
+
 What Numba reads back is machine code, and it looks at nothing before it runs it. Here it is kept behind its checksum.
 What does not fit, or cannot be read, is compiled again; what cannot be written is compiled in every process. Either way
 a warning names the folder.
@@ -11,6 +13,7 @@ import hashlib
 import pickle
 import warnings
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 from numba.core.caching import FunctionCache, IndexDataCacheFile
@@ -29,7 +32,8 @@ class KernelCache(FunctionCache):
     def __init__(self, function: Any) -> None:
         super().__init__(function)
         kept = self._cache_file
-        self._cache_file = _CheckedFile(kept._cache_path, self._impl.filename_base, kept._source_stamp)
+        stamp = kept._source_stamp, *_stamps_beside(function.__code__.co_filename)
+        self._cache_file = _CheckedFile(kept._cache_path, self._impl.filename_base, stamp)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return a compiled kernel, None where there is none that can be trusted."""
@@ -47,6 +51,15 @@ class KernelCache(FunctionCache):
             super().save_overload(sig, data)
         except Exception as error:
             _warn_of_place(self.cache_path, getattr(error, "strerror", None) or type(error).__name__)
+
+
+def _stamps_beside(source: str) -> list[tuple[str, int, int]]:
+    """Return name, time and size of the files in a kernel's folder: it may have compiled in what one of them says."""
+    try:
+        found = [(file.name, file.stat()) for file in sorted(Path(source).parent.glob("*.py"))]
+    except OSError:  # such as in an archive
+        return []
+    return [(name, about.st_mtime_ns, about.st_size) for name, about in found]
 
 
 class _CheckedFile(IndexDataCacheFile):

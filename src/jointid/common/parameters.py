@@ -25,6 +25,7 @@ class Quantity(StrEnum):
     VISCOUS = "viscous friction"
     FORCE = "force"
     STIFFNESS = "stiffness"
+    CUBIC_STIFFNESS = "stiffness per position squared"
     FORCE_RATE = "force per position"
     COMPLIANCE = "compliance"
     FORCE_DRIFT = "force per time"
@@ -34,6 +35,10 @@ class Quantity(StrEnum):
     TIME = "time"
     RATIO = "ratio"
     GAIN = "gain"
+
+
+ADDED = (Quantity.INERTIA, Quantity.VISCOUS, Quantity.FORCE, Quantity.VISCOUS_DRIFT)
+"""Quantities of which a joint without a spring has the sum of both sides."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +79,7 @@ def unit_of(quantity: Quantity, kind: Kind, torque_unit: str) -> str:
         Quantity.VISCOUS: f"{torque_unit} s/{position}",
         Quantity.FORCE: torque_unit,
         Quantity.STIFFNESS: f"{torque_unit}/{position}",
+        Quantity.CUBIC_STIFFNESS: f"{torque_unit}/{position}3",
         Quantity.FORCE_RATE: f"{torque_unit}/{position}",
         Quantity.COMPLIANCE: f"{position}/({torque_unit})" if " " in torque_unit else f"{position}/{torque_unit}",
         Quantity.FORCE_DRIFT: f"{torque_unit}/s",

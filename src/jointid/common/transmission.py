@@ -40,6 +40,7 @@ _POWERS: Mapping[Quantity, int] = {
     Quantity.VISCOUS: 2,
     Quantity.VISCOUS_DRIFT: 2,
     Quantity.STIFFNESS: 2,
+    Quantity.CUBIC_STIFFNESS: 4,
     Quantity.FORCE_RATE: 2,
     Quantity.COMPLIANCE: -2,
     Quantity.FORCE: 1,

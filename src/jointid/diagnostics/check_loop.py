@@ -55,8 +55,7 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.controllers.drive_numbers import DriveNumber
-from jointid.models.friction import FRICTIONS
-from jointid.models.joints import FlexibleJoint, Joint
+from jointid.models.joints import FlexibleJoint, Joint, frictions_beside
 from jointid.records.record import Record
 from jointid.uncertainty.covariance import robust
 from jointid.uncertainty.position_dependent_error import Cells, cells, widened
@@ -326,12 +325,10 @@ def _predict_rest(state: _State) -> PredictedResidual | None:
 
 
 def _frictions_to_try(joint: Joint) -> tuple[str, ...]:
-    """Return the names of the laws of friction in pieces that a joint may have, with all that it has now."""
-    if joint.gravity is not None and joint.gravity.varies:
-        return ()
+    """Return the names of the laws of friction beyond lines that a joint may have, with all that it has now."""
     even = joint.friction.offset_identifiable
-    laws = [name for name, law in FRICTIONS.items() if not law().linear]
-    return tuple(name for name in laws if even or not FRICTIONS[name]().offset_identifiable)
+    laws = [law for law in frictions_beside(joint) if not law.linear and law != joint.friction]
+    return tuple(law.name for law in laws if even or not law.offset_identifiable)
 
 
 def _run_tests(state: _State, settings: LoopTests) -> _TestResults:

@@ -25,8 +25,8 @@ from jointid.estimation.methods.registry import Task
 from jointid.estimation.methods.search import History, Solved, free_more, least_squares
 from jointid.estimation.methods.search_in_pieces import from_linear_laws
 from jointid.estimation.problems.closed_loop import torque_problem
-from jointid.models.friction import FRICTIONS, Friction, SymmetricFriction
-from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
+from jointid.models.friction import Friction, SymmetricFriction
+from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, frictions_beside
 from jointid.records.checks import check_record
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -110,7 +110,7 @@ def compare_frictions(
         solved = free_more(solved.problem, solved.solution.x, settings.free, tolerance, history)
     parts = parts_of(solved.problem, "frictions")
     found: list[tuple[JudgedLaw, FloatArray | None]] = []
-    for law in sorted((law() for law in FRICTIONS.values()), key=lambda law: len(law.parameters())):
+    for law in sorted(frictions_beside(joint), key=lambda law: len(law.parameters())):
         progress(f"fitting {law.name} friction")
         of_law = _parameters(joint, law)
         try:

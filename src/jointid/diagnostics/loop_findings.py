@@ -21,7 +21,14 @@ from jointid.diagnostics.mechanics_faults import (
 from jointid.diagnostics.number_words import call, show_times_beside, tell_difference, tell_difference_in_drive
 from jointid.diagnostics.other_laws import PERIOD, OtherLaw
 from jointid.models.controllers.drive_numbers import DriveNumber
-from jointid.models.springs import Backlash, ThreePieceSpring
+from jointid.models.friction import (
+    AsymmetricStribeckFriction,
+    DriftingFriction,
+    LoadDependentFriction,
+    PreslidingFriction,
+    StribeckFriction,
+)
+from jointid.models.springs import Backlash, CubicSpring, ThreePieceSpring
 from jointid.uncertainty.verdict import Reason, Status
 
 _NAMES = {
@@ -36,7 +43,12 @@ _SMALLEST_SHIFT = 0.5  # of a deviation: a smaller change of a parameter is not 
 _MICROSECOND = 1e-6  # s: a shorter time is not said in ms
 _LISTED = 3  # parameters in a sentence, at most
 _RATIOS = ("log_gain", INJECTED_GAIN)
-_SPRINGS = {CUBIC_SPRING: ThreePieceSpring.name, BACKLASH: Backlash.name}  # that have what the test found
+_SPRINGS = {CUBIC_SPRING: (ThreePieceSpring.name, CubicSpring.name), BACKLASH: (Backlash.name,)}  # have what was found
+_AT_LOW_SPEED = (StribeckFriction.name, AsymmetricStribeckFriction.name)
+_FRICTIONS = {
+    STRIBECK: _AT_LOW_SPEED, PRESLIDING: (PreslidingFriction.name, *_AT_LOW_SPEED),
+    LOAD_DEPENDENT_FRICTION: (LoadDependentFriction.name,), CHANGING_FRICTION: (DriftingFriction.name,),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +97,7 @@ class LoopCheck(Documented):
             a parameter would move out of its interval.
         law: the controller's numbers as they are declared.
         shown: how the drive shows those that the joint file declares, by the law's names.
-        frictions: names of the laws in pieces that the joint's friction may be instead.
+        frictions: names of the laws beyond lines that the joint's friction may be instead.
     """
 
     findings: tuple[Finding, ...]
@@ -175,19 +187,27 @@ class LoopCheck(Documented):
         if finding.rivals:
             said += f"; {' or '.join(map(self._called, finding.rivals))} would explain nearly as much"
         said += self._describe_changes(finding, "correcting it changes")
-        if s.name in _SPRINGS:
-            named = [name for name in (s.name, *s.alike, *finding.rivals) if name in _SPRINGS]
-            tried = " or ".join(f'"{_SPRINGS[name]}"' for name in dict.fromkeys(named))
-            said += f"; to identify it, set joint.spring = {tried}, as jointid diagnose springs tells"
-        if s.name in (STRIBECK, PRESLIDING) and self.frictions:
-            tried = " or ".join(f'"{name}"' for name in self.frictions)
-            said += f"; to identify it, set joint.friction = {tried}, as jointid diagnose friction tells"
+        said += self._say_what_to_declare(finding)
         values = {"suspect": s.name, "alike": list(s.alike), "more_than_declared": s.size, "std": s.std}
         values |= {"p_value": s.p_value, "changes": {name: change.by for name, change in finding.changes.items()}}
         clause = self._describe_fault(finding, spread=False)
         clause += f", {self._also(s, alike)}" if s.alike else ""
         code = Reason.SPRING_NOT_LINEAR if s.name in _SPRINGS else Reason.LOOP_NOT_AS_DECLARED
         return Message(code, said, values, clause)
+
+    def _say_what_to_declare(self, finding: Finding) -> str:
+        """Return which law of spring or friction has what was found, as the end of a sentence; "" where none has."""
+        named = (finding.test.name, *finding.test.alike, *finding.rivals)
+        springs = [law for name in named for law in _SPRINGS.get(name, ())]
+        frictions = [law for name in named for law in _FRICTIONS.get(name, ()) if law in self.frictions]
+        if finding.test.name == CHANGING_FRICTION and finding.test.shape == COULOMB:
+            frictions = []
+        told = ("spring", springs, "springs") if finding.test.name in _SPRINGS else ("friction", frictions, "friction")
+        key, laws, verb = told
+        if not laws or not (finding.test.name in _SPRINGS or finding.test.name in _FRICTIONS):
+            return ""
+        tried = " or ".join(f'"{name}"' for name in dict.fromkeys(laws))
+        return f"; to identify it, set joint.{key} = {tried}, as jointid diagnose {verb} tells"
 
     def _describe_fault(self, finding: Finding, *, spread: bool = True) -> str:
         """Return a fault in words; `spread` says whether to give the interval of its size."""

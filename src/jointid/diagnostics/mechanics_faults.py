@@ -27,7 +27,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.diagnostics.fault_signature import FaultSignature
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.models.friction import PARTS, Part
+from jointid.models.friction import DriftingFriction, LoadDependentFriction, Part
 from jointid.models.joints import FlexibleJoint
 from jointid.records.record import Tap
 from jointid.simulation.closed_loop import Simulation
@@ -78,9 +78,13 @@ def _forces(
     for share in _GAPS if spring.linear else ():
         missing = values["stiffness"] * np.clip(windup, -share * largest, share * largest)
         yield BACKLASH, share * largest, missing, -missing
-    yield LOAD_DEPENDENT_FRICTION, None, np.zeros_like(torque), -np.abs(torque) * np.sign(run.load_velocity)
+    if not isinstance(joint.friction, LoadDependentFriction):
+        yield LOAD_DEPENDENT_FRICTION, None, np.zeros_like(torque), -np.abs(torque) * np.sign(run.load_velocity)
     late, speeds = run.time / run.time[-1], (run.motor_velocity, run.load_velocity)
-    for part, shape in zip(PARTS, (VISCOUS, COULOMB), strict=True):
+    shapes: dict[Part, float] = {"viscous": VISCOUS, "coulomb": COULOMB}
+    if isinstance(joint.friction, DriftingFriction):
+        del shapes["viscous"]
+    for part, shape in shapes.items():
         motor, load = (
             late * _friction(joint, values, f"{side}_", part, speed) for side, speed in zip(_SIDES, speeds, strict=True)
         )

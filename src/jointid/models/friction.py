@@ -5,7 +5,8 @@ being linear in its parameters lets a regression estimate them (`columns`). At s
 any force within its bounds keeps the mass at rest.
 
 A law states which parameters its coefficients are (`coefficients`); everything else follows from that table. One in
-pieces has other lines at low speed (`bands`), of parameters that no regression takes. To add one, write its class
+pieces has other lines at low speed (`bands`), of parameters that no regression takes. One that is no line at any speed
+says so (`stepped`) and what it has beside its lines (`extras`): it is simulated in steps. To add one, write its class
 below, and its name in `FRICTIONS`.
 """
 
@@ -42,6 +43,11 @@ _KNOTS = (
 )  # fmt: skip
 _SLOWEST = 1e-12  # of a Stribeck speed, in the joint's unit
 _SPEEDS = (0.02, 0.08)  # of the largest speed: where a search for a Stribeck speed begins
+_CHANGE = 0.3  # of the Coulomb friction: what a change of it towards standstill begins with
+_SHORTEST = 1e-12  # displacement over which friction winds up, in the joint's unit
+_DISTANCES = (3e-4, 3e-3)  # of the travel: where a search for that begins
+_LOSS = 0.03  # of the torque through the spring: where a search for a friction that grows with it begins
+_WARMED = 0.2  # of the viscous friction, lost at the end: where a search for a change with time begins
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +75,24 @@ class Band(NamedTuple):
     low: float
     high: float
     directions: Directions
+
+
+@dataclass(frozen=True, slots=True)
+class MotionSize:
+    """How large a motion is in which a law of friction is looked for.
+
+    Attributes:
+        speed: the largest, m/s or rad/s.
+        travel: between the ends, m or rad.
+        duration: s.
+        viscous, coulomb: the lines of the friction that fit it best, means over the directions.
+    """
+
+    speed: float
+    travel: float
+    duration: float
+    viscous: float
+    coulomb: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +158,24 @@ class Friction:
         """True if the law is one line in each direction, and so linear in its parameters."""
         return self.lines == self
 
+    @property
+    def stepped(self) -> bool:
+        """True if it is in no pieces either, so that the simulation goes in steps of a stated error."""
+        return False
+
+    @property
+    def of_whole(self) -> Friction:
+        """The law of a joint without a spring that has this one where it has a spring."""
+        return self
+
+    def extras(self, values: Mapping[str, float], prefix: str = "") -> dict[str, float]:
+        """Return what the law has beside its lines, as `models.beyond` names it."""
+        return {}
+
+    def drag(self, values: Mapping[str, float], velocity: float, prefix: str = "") -> float:
+        """Return the friction of steady motion of a mass that the spring drives alone; 0 at rest."""
+        return float(self.force(values, np.array(velocity), prefix))
+
     def bands(self, values: Mapping[str, float], prefix: str = "") -> tuple[Band, ...]:
         """Return the law by the speed, the slowest band first, without a gap; the last has no end."""
         return (Band(0.0, math.inf, self.directions(values, prefix)),)
@@ -147,14 +189,8 @@ class Friction:
         held = np.sign(velocity) * np.where(forwards, coulomb, coulomb_back)
         return np.asarray(np.where(forwards, viscous, viscous_back) * velocity + held)
 
-    def starts(self, speed: float, torque: float, prefix: str = "") -> Iterator[dict[str, float]]:
-        """Yield values, from which a search may begin, of what a law in pieces has beside its lines.
-
-        Args:
-            speed: the largest of the joint's motion.
-            torque: a friction that the record would show.
-            prefix: of the names.
-        """
+    def starts(self, motion: MotionSize, prefix: str = "") -> Iterator[dict[str, float]]:
+        """Yield values, from which a search may begin, of what a law has beside its lines."""
         yield {}
 
     def mean(self, part: Part, prefix: str = "") -> dict[str, float]:
@@ -251,11 +287,12 @@ class StribeckFriction(Friction):
             found.append(Band(low * speed, high * speed, line))
         return (*found, Band(found[-1].high, math.inf, (viscous, viscous_back, coulomb, coulomb_back)))
 
-    def starts(self, speed: float, torque: float, prefix: str = "") -> Iterator[dict[str, float]]:
+    def starts(self, motion: MotionSize, prefix: str = "") -> Iterator[dict[str, float]]:
         """Yield a rise and a fall below a few speeds."""
+        change = _CHANGE * motion.coulomb
         for share in _SPEEDS:
             for sign in (1.0, -1.0):
-                yield {f"{prefix}stribeck_force": sign * torque, f"{prefix}stribeck_speed": share * speed}
+                yield {f"{prefix}stribeck_force": sign * change, f"{prefix}stribeck_speed": share * motion.speed}
 
 
 @dataclass(frozen=True, slots=True)
@@ -273,9 +310,118 @@ class AsymmetricStribeckFriction(StribeckFriction):
         return AsymmetricFriction()
 
 
+@dataclass(frozen=True, slots=True)
+class _SteppedFriction(Friction):
+    """Common base of symmetric frictions that have more than their lines, and are simulated in steps."""
+
+    coefficients: ClassVar[tuple[Coefficient, ...]] = SymmetricFriction.coefficients
+    contrast: ClassVar[str] = "symmetric"
+
+    @property
+    def lines(self) -> Friction:
+        """Viscous and Coulomb friction, as they are without what is added."""
+        return SymmetricFriction()
+
+    @property
+    def stepped(self) -> bool:
+        """True: it is in no pieces."""
+        return True
+
+
+@dataclass(frozen=True, slots=True)
+class PreslidingFriction(_SteppedFriction):
+    """Symmetric friction whose Coulomb force winds up over a displacement after each reversal, as P. R. Dahl's.
+
+    ``dF/dx = (Fc / s) (1 - F sign(v) / Fc)``, Solid friction damping of mechanical vibrations, AIAA Journal 14, 1976:
+    a spring of ``Fc / s`` near a reversal, Coulomb's force a few ``s`` behind it. Nothing sticks: a joint that stands
+    under a load creeps until the spring carries it.
+    """
+
+    name = "presliding"
+    label = "the same, wound up at reversals"
+
+    def parameters(self, prefix: str = "", index: str = "") -> tuple[Parameter, ...]:
+        """Return Fv and Fc, then the displacement over which Fc winds up."""
+        distance = Parameter(f"{prefix}presliding_distance", f"s{index}", Quantity.POSITION, lower=_SHORTEST)
+        return (*Friction.parameters(self, prefix, index), distance)
+
+    def extras(self, values: Mapping[str, float], prefix: str = "") -> dict[str, float]:
+        """Return the displacement."""
+        return {"presliding": values[f"{prefix}presliding_distance"]}
+
+    def starts(self, motion: MotionSize, prefix: str = "") -> Iterator[dict[str, float]]:
+        """Yield a few parts of the travel."""
+        for share in _DISTANCES:
+            yield {f"{prefix}presliding_distance": share * motion.travel}
+
+
+@dataclass(frozen=True, slots=True)
+class LoadDependentFriction(_SteppedFriction):
+    """Symmetric friction, that of the load larger by a share of the torque through the spring: ``Fc2 + mu |T12|``.
+
+    A gear loses so the more, the more torque goes through it; T12 is the torque of spring and damper. Valid where the
+    share is well below 1.
+    """
+
+    name = "load-dependent"
+    label = "the same, more under load"
+
+    @property
+    def of_whole(self) -> Friction:
+        """Its lines: without a spring nothing says which torque passes through the gear."""
+        return SymmetricFriction()
+
+    def parameters(self, prefix: str = "", index: str = "") -> tuple[Parameter, ...]:
+        """Return Fv and Fc, on the load side then the share of the spring's torque."""
+        own = Friction.parameters(self, prefix, index)
+        share = Parameter(f"{prefix}friction_per_torque", f"mu{index}", Quantity.RATIO, lower=0.0, upper=1.0)
+        return own if prefix == "motor_" else (*own, share)
+
+    def extras(self, values: Mapping[str, float], prefix: str = "") -> dict[str, float]:
+        """Return the share, on the load side."""
+        return {} if prefix == "motor_" else {"per_torque": values[f"{prefix}friction_per_torque"]}
+
+    def drag(self, values: Mapping[str, float], velocity: float, prefix: str = "") -> float:
+        """Return the friction that is in balance with the torque it grows with."""
+        own = float(self.force(values, np.array(velocity), prefix))
+        return own if prefix == "motor_" else own / (1.0 - values[f"{prefix}friction_per_torque"])
+
+    def starts(self, motion: MotionSize, prefix: str = "") -> Iterator[dict[str, float]]:
+        """Yield a small share."""
+        yield {} if prefix == "motor_" else {f"{prefix}friction_per_torque": _LOSS}
+
+
+@dataclass(frozen=True, slots=True)
+class DriftingFriction(_SteppedFriction):
+    """Symmetric friction whose viscous coefficient changes steadily with time, as oil grows warm: ``(Fv + dFv t) v``.
+
+    The time counts from the first sample. A change that goes on for much longer than a record is nearly steady in it.
+    """
+
+    name = "drifting"
+    label = "the same, changing with time"
+
+    def parameters(self, prefix: str = "", index: str = "") -> tuple[Parameter, ...]:
+        """Return Fv and Fc, then by how much Fv grows per second."""
+        drift = Parameter(f"{prefix}viscous_drift", f"dFv{index}", Quantity.VISCOUS_DRIFT)
+        return (*Friction.parameters(self, prefix, index), drift)
+
+    def extras(self, values: Mapping[str, float], prefix: str = "") -> dict[str, float]:
+        """Return the change per second."""
+        return {"drift": values[f"{prefix}viscous_drift"]}
+
+    def starts(self, motion: MotionSize, prefix: str = "") -> Iterator[dict[str, float]]:
+        """Yield a fall by a part of the viscous friction."""
+        yield {f"{prefix}viscous_drift": -_WARMED * motion.viscous / motion.duration}
+
+
 FRICTIONS: Mapping[str, type[Friction]] = {
-    law.name: law for law in (SymmetricFriction, AsymmetricFriction, StribeckFriction, AsymmetricStribeckFriction)
-}
+    law.name: law
+    for law in (
+        SymmetricFriction, AsymmetricFriction, StribeckFriction, AsymmetricStribeckFriction, PreslidingFriction,
+        LoadDependentFriction, DriftingFriction,
+    )
+}  # fmt: skip
 """Every friction law by its name in the joint file."""
 
 
@@ -283,11 +429,8 @@ def friction_named(name: str) -> Friction:
     """Return the friction law of that name.
 
     Raises:
-        MethodError: the law is not piecewise linear in velocity, or not known.
+        MethodError: the law is not known.
     """
     if name not in FRICTIONS:
-        raise MethodError(
-            f'Friction "{name}" cannot be simulated exactly: only laws that are piecewise linear in velocity can; '
-            f"use {', '.join(FRICTIONS)}."
-        )
+        raise MethodError(f'Friction "{name}" is not known; use {", ".join(FRICTIONS)}.')
     return FRICTIONS[name]()

@@ -24,13 +24,14 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT, Parameter, Quantity, unit_of
+from jointid.common.parameters import ADDED, POSITION_UNIT, TORQUE_UNIT, Parameter, Quantity, unit_of
 from jointid.common.transmission import Transmission
 from jointid.common.units import Kind
+from jointid.models.beyond import beyond_pieces
 from jointid.models.controllers import Controller
-from jointid.models.friction import Band, Friction, SymmetricFriction
+from jointid.models.friction import FRICTIONS, Band, Friction, SymmetricFriction
 from jointid.models.gravity import Gravity
-from jointid.models.springs import LinearSpring, Spring
+from jointid.models.springs import SPRINGS, LinearSpring, Spring
 
 MODE_DAMPING = 0.02
 """Damping ratio that is assumed of a mode whose stiffness is not identified."""
@@ -73,6 +74,11 @@ class _JointBase:
         if self.gravity is not None:
             self.gravity.require(self.kind if gear is None else gear.load, self.friction)
 
+        if self.model == "rigid" and self.friction.of_whole != self.friction:
+            raise MethodError(
+                f"{self.friction.name.capitalize()} friction follows the torque through a spring; received a rigid "
+                'joint, which has none: use a flexible one, or friction = "symmetric".'
+            )
         if not self.friction.linear and self.gravity is not None and self.gravity.varies:
             raise MethodError(
                 f"{self.friction.name.capitalize()} friction is not simulated beside gravity that follows the "
@@ -83,6 +89,11 @@ class _JointBase:
     def spring_name(self) -> str | None:
         """Name of the spring's law; None where it has none."""
         return None
+
+    @property
+    def stepped(self) -> bool:
+        """True if one of its laws is in no pieces, so that its simulation goes in steps of a stated error."""
+        return self.friction.stepped
 
     def require_linear(self, taker: str, instead: str = _BY_DIDIM) -> None:
         """Raise a `MethodError` if a law is not linear.
@@ -171,9 +182,13 @@ class RigidJoint(_JointBase):
         offset = values["offset"] + self._gravity_constant(values)
         return np.array([values["inertia"], 1.0, 0.0, 0.0, *friction, 0.0, 0.0, 0.0, 0.0, offset, 0.0])
 
+    def beyond(self, values: Mapping[str, float]) -> FloatArray | None:
+        """Return what its laws have beyond pieces, as `models.beyond` has it; None where they have nothing."""
+        return beyond_pieces({}, self.friction.extras(values), {}) if self.stepped else None
+
     def segments(self, values: Mapping[str, float]) -> FloatArray | None:
         """Return a friction in pieces for the simulation, (segments, 23); None of one that is not."""
-        if self.friction.linear:
+        if self.friction.linear or self.stepped:
             return None
         drive = self.coefficients(values)
         return _segments(drive, (_NO_SPRING,), self.friction.bands(values), _NO_FRICTION)
@@ -198,7 +213,7 @@ class FlexibleJoint(_JointBase):
         torque_unit: the torque's unit when it is not the kind's own: "A" or "V"; stiffness is then in A/rad, ...
         transmission: between motor and load; all numbers, and `kind`, are then those of its `side`.
         gravity: of the load; a constant load takes the place of the offset, which is then fixed at 0.
-        spring: the law of the spring, linear unless said; in pieces it is not simulated beside gravity that follows the
+        spring: the law of the spring, linear unless said; another is not simulated beside gravity that follows the
             position.
     """
 
@@ -208,6 +223,13 @@ class FlexibleJoint(_JointBase):
 
     def __post_init__(self) -> None:
         _JointBase.__post_init__(self)
+        in_pieces = [law.name for law in (self.friction, self.spring) if not (law.linear or law.stepped)]
+        if self.stepped and in_pieces:
+            beside = next(law.name for law in (self.friction, self.spring) if law.stepped)
+            raise MethodError(
+                f'The laws "{in_pieces[0]}" and "{beside}" of spring and friction are not simulated beside each other: '
+                "one is in pieces, the other is not; use a linear spring, or symmetric friction, beside one of them."
+            )
         if not self.spring.linear and self.gravity is not None and self.gravity.varies:
             raise MethodError(
                 f"A {self.spring.name} spring is not simulated beside gravity that follows the position; expected a "
@@ -218,6 +240,18 @@ class FlexibleJoint(_JointBase):
     def spring_name(self) -> str:
         """Name of the spring's law."""
         return self.spring.name
+
+    @property
+    def stepped(self) -> bool:
+        """True if one of its laws is in no pieces, so that its simulation goes in steps of a stated error."""
+        return self.friction.stepped or self.spring.stepped
+
+    def beyond(self, values: Mapping[str, float]) -> FloatArray | None:
+        """Return what its laws have beyond pieces, as `models.beyond` has it; None where they have nothing."""
+        if not self.stepped:
+            return None
+        motor, load = (self.friction.extras(values, side) for side in ("motor_", "load_"))
+        return beyond_pieces(self.spring.extras(values), motor, load)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -234,7 +268,7 @@ class FlexibleJoint(_JointBase):
     @property
     def rigid(self) -> RigidJoint:
         """The joint whose spring does not give: what this one is far below its resonance."""
-        return RigidJoint(self.kind, self.friction, self.torque_unit, self.transmission, self.gravity)
+        return RigidJoint(self.kind, self.friction.of_whole, self.torque_unit, self.transmission, self.gravity)
 
     @property
     def linear(self) -> FlexibleJoint:
@@ -289,7 +323,7 @@ class FlexibleJoint(_JointBase):
         ends, and how many rows further the next segment of each is; what the spring's line has where it meets no
         deflection is among the constant forces of motor and load.
         """
-        if self.spring.linear and self.friction.linear:
+        if self.stepped or (self.spring.linear and self.friction.linear):
             return None
         pieces = self.spring.pieces(values)
         ends = [*(piece.deflection for piece in pieces[1:]), math.inf]
@@ -307,7 +341,7 @@ class FlexibleJoint(_JointBase):
 
         At rest the load's Coulomb force may carry any part of it up to its own size; it is taken to carry nothing.
         """
-        drag = float(self.friction.force(values, np.array(velocity), "load_"))
+        drag = self.friction.drag(values, velocity, "load_")
         deflection, stiffness = 0.0, values["stiffness"]
         if stiffness > 0.0 and self.gravity is not None:
             deflection = self.gravity.static_deflection(values, stiffness, position, drag)
@@ -381,6 +415,28 @@ def _rows(bands: Sequence[Band]) -> FloatArray:
 Joint: TypeAlias = RigidJoint | FlexibleJoint
 
 
+def frictions_beside(joint: Joint) -> tuple[Friction, ...]:
+    """Return the laws of friction that a joint may have, with all else that it has."""
+    found = []
+    for law in FRICTIONS.values():
+        try:
+            found.append(replace(joint, friction=law()).friction)
+        except MethodError:  # they are not simulated beside each other
+            continue
+    return tuple(found)
+
+
+def springs_beside(joint: FlexibleJoint) -> tuple[Spring, ...]:
+    """Return the springs that a joint may have, with all else that it has."""
+    found = []
+    for law in SPRINGS.values():
+        try:
+            found.append(replace(joint, spring=law()).spring)
+        except MethodError:  # they are not simulated beside each other
+            continue
+    return tuple(found)
+
+
 @dataclass(frozen=True, slots=True)
 class ClosedLoop:
     """A joint under its controller: from reference alone to torque."""
@@ -399,7 +455,7 @@ def of_whole(p: Parameter, values: Mapping[str, float]) -> float:
     if p.name in values:
         return values[p.name]
     sides = values[f"motor_{p.name}"], values[f"load_{p.name}"]
-    return sum(sides) / (len(sides) if p.quantity is Quantity.VELOCITY else 1)
+    return sum(sides) / (1 if p.quantity in ADDED else len(sides))
 
 
 def acts_on_whole(name: str) -> bool:

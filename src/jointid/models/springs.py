@@ -1,4 +1,4 @@
-"""Springs of a flexible joint: linear, or in pieces between which the torque goes on where it was.
+"""Springs of a flexible joint: linear, in pieces between which the torque goes on where it was, or smooth.
 
 A law states the pieces of one side of its torque over the deflection; the other side is the same, turned round::
 
@@ -6,8 +6,9 @@ A law states the pieces of one side of its torque over the deflection; the other
 
 Being affine in each piece lets the simulation be exact: between two edges the drive is linear (`simulation.kernels`).
 Makers of strain-wave gears state three: K1 up to the torque T1, K2 up to T2, then K3 (Harmonic Drive SE, Engineering
-data, torsional stiffness). Backlash is a first piece without any stiffness. To add a law, write its class below, and
-its name in `SPRINGS`.
+data, torsional stiffness). Backlash is a first piece without any stiffness. A spring in no pieces says so (`stepped`)
+and what it has beside its line (`extras`): it is simulated in steps. To add a law, write its class below, and its name
+in `SPRINGS`.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ from jointid.common.parameters import Parameter, Quantity
 
 _DAMPING = Parameter("damping", "F12", Quantity.VISCOUS, lower=0.0)
 _SHARES = (0.1, 0.3)  # of the largest wind-up, from which a search for half the gap begins
+_NEWTON = 50  # steps to the deflection of a smooth spring
+_LEAST = 1e-12  # torque at which a slider slips
 _SOFTER, _STIFFER = 0.7, 1.3  # first and last piece at the start of a search, over the linear spring's stiffness
 
 
@@ -87,6 +90,15 @@ class Spring:
             if size >= piece.torque:
                 found = piece.deflection + ((size - piece.torque) / piece.stiffness if piece.stiffness > 0.0 else 0.0)
         return math.copysign(found, torque)
+
+    @property
+    def stepped(self) -> bool:
+        """True if it is in no pieces, so that the simulation goes in steps of a stated error."""
+        return False
+
+    def extras(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return what the spring has beside its stiffness and damping, as `models.beyond` names it."""
+        return {}
 
     def torque(self, values: Mapping[str, float], deflection: FloatArray, velocity: FloatArray) -> FloatArray:
         """Return the torque of spring and damper, (samples,), at deflections and their rates, (samples,)."""
@@ -218,8 +230,108 @@ class Backlash(Spring):
         return f"{shown['stiffness']} behind a gap of {shown['gap']}"
 
 
+@dataclass(frozen=True, slots=True)
+class _SteppedSpring(Spring):
+    """Common base of springs in no pieces, which are simulated in steps."""
+
+    @property
+    def stepped(self) -> bool:
+        """True: it is in no pieces."""
+        return True
+
+    def pieces(self, values: Mapping[str, float]) -> tuple[Piece, ...]:
+        """Return its line: what it is for small deflections, or beside what it has more."""
+        return (Piece(0.0, 0.0, values["stiffness"], values["damping"]),)
+
+
+@dataclass(frozen=True, slots=True)
+class CubicSpring(_SteppedSpring):
+    """A spring that grows stiffer, or softer, smoothly: ``K12 e + K3 e^3`` (the spring of G. Duffing's oscillator).
+
+    A softening one pulls less and less beyond the deflection of ``(K12 / 3 |K3|)^0.5``: valid below that.
+    """
+
+    name = "cubic"
+    label = "stiffer as it winds up"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Stiffness without a deflection, cubic stiffness, damping."""
+        stiffness = Parameter("stiffness", "K12", Quantity.STIFFNESS, lower=0.0)
+        return (stiffness, Parameter("cubic_stiffness", "K3", Quantity.CUBIC_STIFFNESS), _DAMPING)
+
+    def extras(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return the cubic stiffness."""
+        return {"cubic": values["cubic_stiffness"]}
+
+    def starts(self, stiffness: float, windup: float) -> Iterator[dict[str, float]]:
+        """Yield a spring that is stiffer, and one that is softer, at the largest deflection."""
+        for first, last in ((_SOFTER, _STIFFER), (_STIFFER, _SOFTER)):
+            yield {"stiffness": first * stiffness, "cubic_stiffness": (last - first) * stiffness / windup**2}
+
+    def describe(self, shown: Mapping[str, str]) -> str:
+        """Return the stiffness and what it grows by."""
+        return f"{shown['stiffness']}, and {shown['cubic_stiffness']} times the cube of the deflection"
+
+    def deflection(self, values: Mapping[str, float], torque: float) -> float:
+        """Return the deflection under a constant torque: the smallest; of a softening spring none holds too much."""
+        stiffness, cubic, found = values["stiffness"], values["cubic_stiffness"], 0.0
+        for _ in range(_NEWTON):
+            slope = stiffness + 3.0 * cubic * found**2
+            found -= ((stiffness + cubic * found**2) * found - torque) / slope if slope > 0.0 else 0.0
+        return found
+
+    def torque(self, values: Mapping[str, float], deflection: FloatArray, velocity: FloatArray) -> FloatArray:
+        """Return the torque of spring and damper, (samples,), at deflections and their rates, (samples,)."""
+        rising = values["stiffness"] + values["cubic_stiffness"] * deflection**2
+        return np.asarray(rising * deflection + values["damping"] * velocity)
+
+
+@dataclass(frozen=True, slots=True)
+class HystereticSpring(_SteppedSpring):
+    """A linear spring beside one that slips: the torque on the way up is another than on the way down.
+
+    ``K12 e + h``, where h winds up from each reversal with the stiffness Kh to the limit Th, as friction inside a gear
+    does: ``dh/de = Kh (1 - h sign(e') / Th)``, P. R. Dahl's form of the slider of W. D. Iwan (A distributed-element
+    model for hysteresis, Journal of Applied Mechanics 33, 1966). The stiffness right behind a reversal is K12 + Kh.
+    """
+
+    name = "hysteretic"
+    label = "linear, with hysteresis"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Stiffness where the slider slips, stiffness and limit of the slider, damping."""
+        return (
+            Parameter("stiffness", "K12", Quantity.STIFFNESS, lower=0.0),
+            Parameter("hysteresis_stiffness", "Kh", Quantity.STIFFNESS, lower=0.0),
+            Parameter("hysteresis_torque", "Th", Quantity.FORCE, lower=_LEAST),
+            _DAMPING,
+        )
+
+    def extras(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return stiffness and limit of the slider."""
+        return {"slider": values["hysteresis_stiffness"], "slips": values["hysteresis_torque"]}
+
+    def starts(self, stiffness: float, windup: float) -> Iterator[dict[str, float]]:
+        """Yield sliders that slip at parts of the largest deflection."""
+        for share in _SHARES:
+            slider = (1.0 - _SOFTER) * stiffness
+            limit = share * slider * windup
+            yield {"stiffness": _SOFTER * stiffness, "hysteresis_stiffness": slider, "hysteresis_torque": limit}
+
+    def describe(self, shown: Mapping[str, str]) -> str:
+        """Return the stiffness, and the slider beside it."""
+        slider = f"{shown['hysteresis_stiffness']} that slips at {shown['hysteresis_torque']}"
+        return f"{shown['stiffness']}, beside {slider}"
+
+    def deflection(self, values: Mapping[str, float], torque: float) -> float:
+        """Return the deflection under a constant torque, the slider not wound up."""
+        return torque / values["stiffness"]
+
+
 SPRINGS: Mapping[str, type[Spring]] = {
-    law.name: law for law in (LinearSpring, TwoPieceSpring, ThreePieceSpring, Backlash)
+    law.name: law for law in (LinearSpring, TwoPieceSpring, ThreePieceSpring, Backlash, CubicSpring, HystereticSpring)
 }
 """Every law of a spring by its name in the joint file."""
 

@@ -42,18 +42,21 @@ _OUTCOMES = (Outcome.FINISHED, Outcome.DIVERGED, Outcome.TOO_STIFF, Outcome.CHAT
 
 
 _FRESH = Fresh()
+_HARDLY = 0.01  # of the reference's largest speed: at less a friction has not wound up before the first sample
 
 
 @dataclass(frozen=True, slots=True)
 class Initial:
     """Position and velocity of the motor at the first sample; None: on the reference, at rest.
 
-    `torque` is what a controller with an integral puts out there; None: its integral begins at 0.
+    `torque` is what a controller with an integral puts out there; None: its integral begins at 0. `wound_up` is 1 or -1
+    where a friction that winds up has done so in that direction, 0 where it has not; None: as the velocity says.
     """
 
     position: float | None = None
     velocity: float | None = None
     torque: float | None = None
+    wound_up: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,11 +113,14 @@ class ClosedLoopRun:
         drive: (14,) the joint's coefficients.
         gravity: (5,) those of its gravity, or None.
         segments: (segments, 23) those of its spring or its friction in pieces, or None.
+        beyond: those of laws in no pieces (`models.beyond`), with which it was simulated in steps; or None.
         position, velocity: of the motor at the first sample. torque: the controller's there, where that is said.
         before: torque that acted before it.
         command: (periods,) the controller's output. tapped: the same behind its limit, before what filters follow.
         excess: (periods, elements) what limits and gates took away, where it was kept and `command` does not say it.
-        states, modes, tape: see `kernels.run`; empty when they were not kept.
+        states, modes, tape: see `kernels.run`; empty when they were not kept. In steps there are no modes and no tape.
+        accelerations: (periods * parts, 2) of motor and load just after each torque begins to act, where the simulation
+            went in steps and kept its states.
         outcome: how it ended.
         counts: events, Taylor steps (rows of the tape), periods simulated, periods at the limit.
     """
@@ -125,6 +131,7 @@ class ClosedLoopRun:
     drive: FloatArray
     gravity: FloatArray | None
     segments: FloatArray | None
+    beyond: FloatArray | None
     position: float
     velocity: float
     torque: float | None
@@ -135,6 +142,7 @@ class ClosedLoopRun:
     states: FloatArray
     modes: NDArray[np.int16]
     tape: FloatArray
+    accelerations: FloatArray
     outcome: Outcome
     counts: NDArray[np.int64]
 
@@ -149,15 +157,19 @@ class ClosedLoopRun:
         experiment, response = self.experiment, self.response()
         flexible = self.loop.joint.model == "flexible"
         states, push = self.states[:, : 4 if flexible else 2], self.command + experiment.after_limit
+        accelerations = self.accelerations
         seen = begin = states.T.copy()
         if experiment.looked.size < len(states) or experiment.lengths.size > 1 or experiment.lags[0] > 0:
             seen, begin = (states[at].T.copy() for at in (experiment.looked, experiment.begun))
             push = push[experiment.looked // experiment.lengths.size]
+            accelerations = accelerations[experiment.begun] if self.beyond is not None else accelerations
 
         def motion(side: int) -> Motion:
-            possible = self.outcome is not Outcome.INVALID
-            drive = _drive_at(self, begin)
-            found = _acceleration(drive, self.gravity, begin, push, side) if possible else np.zeros(push.size)
+            found = np.zeros(push.size)
+            if self.outcome is not Outcome.INVALID and self.beyond is None:
+                found = _acceleration(_drive_at(self, begin), self.gravity, begin, push, side)
+            elif self.outcome is not Outcome.INVALID:
+                found = accelerations[:, side].copy()
             return Motion(begin[2 * side], begin[2 * side + 1], found)
 
         return Simulation(
@@ -188,6 +200,7 @@ def run(
 ) -> ClosedLoopRun:
     """Run one candidate; `keep` its states and modes, and so many rows of its tape, in fresh memory or in a room."""
     from jointid.simulation.kernels import drive as kernels
+    from jointid.simulation.kernels import stepped_drive
 
     initial = initial or Initial()
     law = experiment.law
@@ -195,7 +208,7 @@ def run(
     velocity = initial.velocity or 0.0
     try:
         drive, gravity = loop.joint.coefficients(values), loop.joint.gravity_coefficients(values)
-        segments = loop.joint.segments(values)
+        segments, beyond = loop.joint.segments(values), loop.joint.beyond(values)
     except KeyError:
         missing = ", ".join(p.name for p in loop.joint.parameters if p.name not in values)
         raise MethodError(f"A simulation needs a value for every parameter; {missing} has none: give one.") from None
@@ -206,30 +219,39 @@ def run(
     array = (room or _FRESH).array
     states, excess = array("states", (kept, 4)), array("excess", (periods if keep else 0, elements))
     modes, tape = array("modes", (kept,), np.int16), array("tape", (taped, kernels.TAPE))
+    accelerations = array("accelerations", (kept if beyond is not None else 0, 2))
     counts = np.zeros(4, dtype=np.int64)
     outcome, before = Outcome.INVALID, 0.0
-    if _possible(drive, gravity) and _ordered(segments) and math.isfinite(position) and math.isfinite(velocity):
+    possible = _possible(drive, gravity) and _ordered(segments) and _winding(beyond)
+    if possible and math.isfinite(position) and math.isfinite(velocity):
         state, first = first_state(experiment, position, velocity, initial.torque)
-        before = first + experiment.after_limit[0]
-        status = kernels.run(
-            drive, experiment.lengths, experiment.lags, state, experiment.kernel, experiment.feedforward,
-            experiment.after_limit, before, loop.joint.start(values, position, velocity),
-            experiment.far + abs(position), command, tapped, excess, states, modes, tape, counts,
-            gravity, segments,
-        )  # fmt: skip
+        before, start = first + experiment.after_limit[0], loop.joint.start(values, position, velocity)
+        common = experiment.lengths, experiment.lags, state, experiment.kernel, experiment.feedforward
+        beginning = experiment.after_limit, before, start
+        far = experiment.far + abs(position)
+        if beyond is None:
+            status = kernels.run(
+                drive, *common, *beginning, far, command, tapped, excess, states, modes, tape, counts, gravity, segments
+            )
+        else:
+            sliding = wound_up(experiment, velocity) if initial.wound_up is None else initial.wound_up
+            status = stepped_drive.run(
+                drive, beyond, *common, *beginning, sliding, far, command, tapped, states, accelerations, counts
+            )
         outcome = _OUTCOMES[status]
     done = int(counts[2])
     for output in (command, tapped):
         output[done:] = output[done - 1] if done and output.size else 0.0
     excess[done:] = 0.0
     states[done * parts :] = states[done * parts - 1] if done and keep else 0.0
+    accelerations[done * parts :] = 0.0
     if outcome is Outcome.DIVERGED:  # what diverges may do so beyond the largest number
         for signal in (command, tapped, excess, states):
             np.nan_to_num(signal, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     shown = tapped if tapped.size else command
     return ClosedLoopRun(
-        loop, experiment, values, drive, gravity, segments, position, velocity, initial.torque, before, command, shown,
-        excess, states, modes, tape, outcome, counts,
+        loop, experiment, values, drive, gravity, segments, beyond, position, velocity, initial.torque, before, command,
+        shown, excess, states, modes, tape, accelerations, outcome, counts,
     )  # fmt: skip
 
 
@@ -265,8 +287,9 @@ def simulate(
         values: every parameter of the joint by name.
         initial: where the motor is at the first sample.
 
-    Exact to rounding for held torques and friction that is piecewise linear in velocity; gravity that follows the
-    position is held over each part of a period, at an error of second order in it.
+    Exact to rounding for held torques and laws in pieces of lines; gravity that follows the position is held over each
+    part of a period, at an error of second order in it; with laws in no pieces (`Joint.stepped`) the motion is
+    integrated in steps, of which each leaves an error of 1e-9 of the largest velocity.
     """
     return run(loop, experiment, values, initial, keep=True).simulation()
 
@@ -293,6 +316,21 @@ def _ordered(segments: FloatArray | None) -> bool:
     at_rest = segments[(segments[:, 16] == 0.0) & (segments[:, 18] == 0.0)]
     cones = min(np.min(at_rest[:, 6] + at_rest[:, 7]), np.min(at_rest[:, 10] + at_rest[:, 11]))
     return bool(rising and np.min(segments[:, 2:4]) >= 0 and cones >= 0)
+
+
+def _winding(beyond: FloatArray | None) -> bool:
+    """True of laws in no pieces whose displacements, and the torque at which a slider slips, are not negative."""
+    if beyond is None:
+        return True
+    _, slider, slips, *distances = beyond[:5].tolist()
+    return bool(np.all(np.isfinite(beyond)) and slider >= 0 and (slips > 0 or slider == 0) and min(distances) >= 0)
+
+
+def wound_up(experiment: LoopInput, velocity: float) -> float:
+    """Return the direction of a motion that began before the first sample, 0 of one that is hardly any."""
+    reference = experiment.inputs[:, REFERENCE]
+    fastest = float(np.max(np.abs(np.diff(reference)), initial=0.0)) / experiment.law.period
+    return math.copysign(1.0, velocity) if abs(velocity) > _HARDLY * fastest else 0.0
 
 
 def _ends(segments: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

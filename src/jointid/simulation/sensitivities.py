@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray, Fresh, Room
-from jointid.common.errors import MethodError
 from jointid.models.controllers import POSITION, SampledLaw, number, respond, with_numbers
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
 from jointid.records.record import Tap, Timing
@@ -25,12 +24,13 @@ from jointid.simulation.closed_loop import (
     ClosedLoopRun,
     Initial,
     Outcome,
-    Response,
     Simulation,
     first_state,
     run,
+    simulate,
     smallest,
 )
+from jointid.simulation.differences import Sensitivities, differences, none, require_same_structure
 from jointid.simulation.loop_input import LoopInput, acting, as_logged, averages, seen_torque
 
 _STEP = 1e-4  # of a controller's number: its output is a low-order polynomial in it
@@ -45,23 +45,6 @@ _INITIAL = {
     "initial_velocity": (0.0, 1.0, 0.0),
     "initial_torque": (0.0, 0.0, 1.0),
 }
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Sensitivities:
-    """A run and its derivatives, in the order of the names asked for.
-
-    Attributes:
-        response: of the loop.
-        torque: (samples, names) of the torque as the log shows it.
-        motor_position, load_position: (samples, names); empty where positions were not asked for, the second also for a
-            rigid joint.
-    """
-
-    response: Response
-    torque: FloatArray
-    motor_position: FloatArray
-    load_position: FloatArray
 
 
 def simulate_sensitivities(
@@ -85,6 +68,8 @@ def simulate_sensitivities(
         initial: where the motor is at the first sample.
         positions: also return the derivatives of the positions.
 
+    Of a joint with laws in no pieces they are central differences (`differences`), else exact.
+
     Of a run that did not finish all derivatives are 0; so are those of an unstable loop that its torque's limit holds,
     where two neighbours part at once and a derivative says nothing (above 1e100). At a delay of a whole number of
     periods the derivative is that towards longer delays; for a motor at rest, that by its velocity is of a load that
@@ -93,6 +78,8 @@ def simulate_sensitivities(
     Raises:
         MethodError: a name is none of these, or of a part that is not there, as a `integral_gain` of 0.
     """
+    if loop.joint.stepped:
+        return differences(loop, experiment, values, names, initial, positions=positions)
     return _derived(_taped(loop, experiment, values, names, initial), names, positions)
 
 
@@ -104,6 +91,9 @@ def simulate_with_sensitivities(
     initial: Initial | None = None,
 ) -> tuple[Simulation, FloatArray]:
     """Return the result of `simulate` and the torque's derivatives of `simulate_sensitivities`, from one run."""
+    if loop.joint.stepped:
+        columns = differences(loop, experiment, values, names, initial).torque
+        return simulate(loop, experiment, values, initial), columns
     out = _taped(loop, experiment, values, names, initial)
     return out.simulation(), _derived(out, names, positions=False).torque
 
@@ -132,7 +122,7 @@ def _derived(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> Sensi
     experiment, response = out.experiment, out.response()
     flexible = out.loop.joint.model == "flexible"
     if out.outcome is not Outcome.FINISHED:
-        return _none(response, len(names), positions, flexible)
+        return none(response, len(names), positions, flexible)
     from jointid.simulation.kernels.drive_sensitivities import LANES
 
     # The law's own columns come last in a block.
@@ -149,7 +139,7 @@ def _derived(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> Sensi
     command, states = _joined(commands, order), _joined(moved, order)
     torque = as_logged(experiment, command)
     if torque.size and not (-_ASTRAY < torque.min() <= torque.max() < _ASTRAY):  # nor a NaN
-        return _none(response, len(names), positions, flexible)
+        return none(response, len(names), positions, flexible)
     if "delay" in names and experiment.tap is Tap.MEASURED and experiment.timing is Timing.AVERAGED:
         # An edge of the torque that moves takes its height from the mean over the sample time it stands in.
         edges = -np.diff(acting(experiment, seen_torque(experiment, out.command, out.tapped)), prepend=out.before)
@@ -160,13 +150,6 @@ def _derived(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> Sensi
         states[:, 0] if positions else command[:, :0],
         states[:, 1] if positions and flexible else command[:, :0],
     )
-
-
-def _none(response: Response, count: int, positions: bool, flexible: bool) -> Sensitivities:
-    """Return derivatives of 0."""
-    torque = np.zeros((response.torque.size, count))
-    position = torque if positions else torque[:, :0]
-    return Sensitivities(response, torque, position, position if flexible else torque[:, :0])
 
 
 def _joined(blocks: Sequence[FloatArray], order: Sequence[int]) -> FloatArray:
@@ -331,11 +314,7 @@ def _explicit(out: ClosedLoopRun, name: str) -> tuple[FloatArray, FloatArray]:
     inputs = experiment.inputs.copy()
     inputs[:, POSITION] = out.states[:: experiment.lengths.size, 0]
     low, high = (experiment.law_of(with_numbers(controller, {name: value + by})) for by in steps)
-    if high.limits.size != low.limits.size or (high.integral() is None) != (low.integral() is None):
-        raise MethodError(
-            f"The {name} of this controller is 0, and what it belongs to is not there, so it has no derivative; "
-            "declare another."
-        )
+    require_same_structure(low, high, name)
     held, width = _cut(out, inputs), steps[1] - steps[0]
     above, below = (respond(law, inputs, _begun(law, inputs, out), held) for law in (high, low))
     slope = (above - below) / width

@@ -19,7 +19,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.messages import Message
-from jointid.common.parameters import Parameter, Quantity
+from jointid.common.parameters import ADDED, Parameter, Quantity
 from jointid.common.text import number
 from jointid.uncertainty.covariance import Covariance
 
@@ -100,7 +100,7 @@ def physical(parameters: Sequence[Parameter], units: Mapping[str, str]) -> tuple
     for name, motor in known.items():
         side, _, quantity = name.partition("_")
         load = known.get(f"load_{quantity}")
-        if side != "motor" or load is None or motor.quantity is Quantity.VELOCITY:
+        if side != "motor" or load is None or motor.quantity not in ADDED:
             continue
         words = quantity.replace("_", " ")
         pairs = [(f"total {words}", "+", 1.0, Kind.SUM)]

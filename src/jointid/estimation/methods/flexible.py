@@ -21,7 +21,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.parameters import Parameter, Quantity
+from jointid.common.parameters import ADDED, Parameter
 from jointid.common.settings import documented, setting
 from jointid.estimation.methods.flexible_search import (
     by_least_squares,
@@ -280,9 +280,7 @@ def refused(estimate: Estimate, spring: Visibility) -> Estimate:
     whole = tuple(
         Known(_sum_of(p, joint.unit(p)), spring.rigid[p.name], std, std / (abs(spring.rigid[p.name]) or 1.0))
         for p in joint.rigid.parameters
-        if (std := spring.rigid_std.get(p.name)) is not None
-        and not acts_on_whole(p.name)
-        and p.quantity is not Quantity.VELOCITY
+        if (std := spring.rigid_std.get(p.name)) is not None and not acts_on_whole(p.name) and p.quantity in ADDED
     )
     parted = ("motor_", "load_", *(p.name for p in joint.spring.parameters))
     lost = tuple(

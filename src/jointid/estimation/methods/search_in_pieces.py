@@ -13,15 +13,17 @@ from itertools import product
 
 import numpy as np
 
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.estimation.methods.search import History, Solved, least_squares
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.models.friction import PARTS, Friction, MotionSize
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
 from jointid.models.springs import LinearSpring
 from jointid.simulation.closed_loop import Simulation
 
+_STIFFER = (2.5,)  # times the stiffness found with lines
 _ROUGHLY, _FEW = 1e-5, 30  # tolerance and evaluations of a descent that only has to show where it leads
-_CHANGE = 0.3  # of the Coulomb friction: what a change of it towards standstill begins with
 
 
 def with_linear_spring(problem: ClosedLoopProblem) -> ClosedLoopProblem:
@@ -73,7 +75,8 @@ def from_linear_laws(problem: ClosedLoopProblem, found: Solved, tolerance: float
     values, run = linear.values(found.solution.x), linear.simulate(found.solution.x)
     history.tally.evaluations += 1
     given = {p.name: p.start for p in own if p.start is not None}
-    starts = [{**values, **start, **given} for start in _starts(joint, linear.joint, values, run)]
+    begun = list(_starts(joint, linear.joint, values, run))
+    starts = [{**stiffer, **start, **given} for stiffer, start in product(_stiffer(joint, values), begun)]
     laws = [f"{joint.spring.name} spring"] if isinstance(joint, FlexibleJoint) and not joint.spring.linear else []
     laws += [] if joint.friction.linear else [f"{joint.friction.name} friction"]
     history.progress(f"looking for a {' and '.join(laws)}, from {len(starts)} starts")
@@ -100,16 +103,40 @@ def _starts(joint: Joint, found: Joint, values: Mapping[str, float], run: Simula
         springs = list(joint.spring.starts(values["stiffness"], windup))
     frictions: list[dict[str, float]] = [{}]
     if joint.friction != found.friction:
-        sides = {"motor_": run.motor_velocity, "load_": run.load_velocity}
-        moving = sides if isinstance(joint, FlexibleJoint) else {"": run.motor_velocity}
-        by_side = []
-        for prefix, velocity in moving.items():
-            assert velocity is not None
-            coulomb = joint.friction.mean("coulomb", prefix)
-            change = _CHANGE * sum(weight * values[name] for name, weight in coulomb.items())
-            by_side.append(list(joint.friction.starts(float(np.max(np.abs(velocity))), change, prefix)))
+        sides = {"motor_": (run.motor_position, run.motor_velocity), "load_": (run.load_position, run.load_velocity)}
+        moving = sides if isinstance(joint, FlexibleJoint) else {"": sides["motor_"]}
+        by_side = [
+            list(joint.friction.starts(_motion_size(run, position, velocity, joint.friction, values, prefix), prefix))
+            for prefix, (position, velocity) in moving.items()
+        ]
         frictions = by_side[0]
         if len(by_side) > 1:
             frictions = [motor | load for motor, load in zip(*by_side, strict=True)]
     for spring, friction in product(springs, frictions):
         yield spring | friction
+
+
+def _stiffer(joint: Joint, values: Mapping[str, float]) -> Iterator[Mapping[str, float]]:
+    """Yield values to begin from, of a friction in no pieces with stiffer springs, too.
+
+    Without it the spring makes up for what winds up at each reversal, and is found much too soft.
+    """
+    yield values
+    if isinstance(joint, FlexibleJoint) and joint.friction.stepped:
+        for factor in _STIFFER:
+            yield {**values, "stiffness": factor * values["stiffness"]}
+
+
+def _motion_size(
+    run: Simulation,
+    position: FloatArray | None,
+    velocity: FloatArray | None,
+    law: Friction,
+    values: Mapping[str, float],
+    prefix: str,
+) -> MotionSize:
+    """Return how one side moves, and the lines of its friction."""
+    assert position is not None and velocity is not None
+    viscous, coulomb = (sum(by * values[name] for name, by in law.mean(part, prefix).items()) for part in PARTS)
+    speed = float(np.max(np.abs(velocity)))
+    return MotionSize(speed, float(np.ptp(position)), run.sample_time * run.torque.size, viscous, coulomb)

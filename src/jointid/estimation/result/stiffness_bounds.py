@@ -25,7 +25,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.parameters import Bounds, Parameter, Quantity
+from jointid.common.parameters import ADDED, Bounds, Parameter, Quantity
 from jointid.estimation.methods.flexible_search import frequency_of
 from jointid.estimation.methods.search import crossover
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
@@ -263,11 +263,11 @@ def _describe(values: Mapping[str, float]) -> dict[str, float]:
 def friction_on_motor(parameters: Sequence[Parameter], rigid: Mapping[str, float]) -> dict[str, float]:
     """Return values of a flexible joint's parameters from those of a rigid one, all friction on the motor's side.
 
-    A speed that a friction depends on is that of both sides.
+    A speed or a displacement that a friction depends on is that of both sides.
     """
     values = {}
     for p in parameters:
-        of_motor = p.name.startswith("motor_") or p.quantity is Quantity.VELOCITY
+        of_motor = p.name.startswith("motor_") or p.quantity not in ADDED
         whole = p.name.removeprefix("motor_").removeprefix("load_") if of_motor else p.name
         values[p.name] = rigid.get(p.name, rigid.get(whole, 0.0))
     return values

@@ -1,1 +1,1 @@
-"""The compiled kernels; one call tree per file, as the cache on disk sees edits in its own file only."""
+"""The compiled kernels; the cache on disk sees edits of every file in this folder."""

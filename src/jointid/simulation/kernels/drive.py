@@ -22,8 +22,7 @@ Gravity depends on the position, but slowly: over a part of a period it is held,
 mid-part (`_gravity`), and a held force on the load needs nothing new (see `run`). What holding costs is an error of
 second order in the period, the only one here.
 
-State ``x`` = motor position, motor velocity, load position, load velocity. Every function called from `run` lives
-in this file, because the cache on disk does not notice edits in another one. They pass numbers and tuples rather
+State ``x`` = motor position, motor velocity, load position, load velocity. Functions pass numbers and tuples rather
 than arrays: Numba counts references to an array at each call, with an atomic operation as dear as thirty others.
 """
 
@@ -705,7 +704,7 @@ def _small(feedback: Feedback, nz: int) -> tuple[float, ...]:
 
 
 @inlined
-def _control_any(
+def control_any(
     feedback: Feedback,
     w: FloatArray,
     k: int,
@@ -969,7 +968,7 @@ def run(
             if k == n:
                 break
         else:
-            _control_any(feedback, w, k, x0, z, new, raw, cut)
+            control_any(feedback, w, k, x0, z, new, raw, cut)
             u[k] = raw[feedback.output] + cut[feedback.output]
             if tapped.size > 0:
                 tapped[k] = raw[feedback.tap] + cut[feedback.tap]

@@ -14,8 +14,7 @@ by Taylor series). At an event:
   changes, but that of a damper that acts on one side of the edge only: it kicks the velocities as the time of the
   event moves.
 
-Everything called from `follow` lives in this file but `wide_vectors`, because the compiler's cache on disk does not
-notice edits in another one. All that the loop over the periods goes on from is one array, with rows of a constant
+All that the loop over the periods goes on from is one array, with rows of a constant
 length: only then the compiler knows that nothing overlaps, and keeps to vector instructions.
 """
 

@@ -1,0 +1,35 @@
+"""What a joint has beyond pieces of lines, as the simulation in steps takes it (`simulation.kernels.stepped_drive`).
+
+A law of friction or of a spring names its numbers here (`Friction.extras`, `Spring.extras`). Where a joint has any, its
+motion is integrated in steps of a controlled error; all else is exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+
+SPRING = ("cubic", "slider", "slips")
+"""Cubic stiffness; stiffness and limit of what winds up beside the spring."""
+SIDE = ("presliding", "drift", "per_torque")
+"""Of the friction of one side: the displacement it winds up over; by how much the viscous coefficient grows per second;
+the share of the spring's torque."""
+
+_RIPPLE, _TAIL = 3, 3  # numbers of the ripple on the motor, and of a mass that the load carries
+
+
+def beyond_pieces(spring: Mapping[str, float], motor: Mapping[str, float], load: Mapping[str, float]) -> FloatArray:
+    """Return the numbers of a joint beyond its coefficients, (14,), 0 where it has none.
+
+    Args:
+        spring: by the names of `SPRING`.
+        motor: by those of `SIDE`.
+        load: the same.
+    """
+    of_spring = [spring.get(name, 0.0) for name in SPRING]
+    winds_up, changes = ([side.get(name, 0.0) for side in (motor, load)] for name in ("presliding", "drift"))
+    numbers = [*of_spring, *winds_up, load.get("per_torque", 0.0), *changes]
+    return np.array([*numbers, *([0.0] * (_RIPPLE + _TAIL))])

@@ -1,0 +1,506 @@
+"""The simulation of a drive whose laws are in no pieces of lines, in steps whose error is controlled, compiled.
+
+A cubic or hysteretic spring, friction that winds up over a displacement, that grows with the torque through the spring
+or changes with time, ripple, a load that swings in itself: none has an affine map (`kernels.drive`). So the motion is
+integrated by the pair of orders 5 and 4 of J. R. Dormand and P. J. Prince (A family of embedded Runge-Kutta formulae,
+Journal of Computational and Applied Mathematics 6, 1980), whose difference bounds the error of a step. Between two
+events the laws are smooth, and the events are located: a mass that stops or comes loose, as in `kernels.drive`, the
+reversals from which friction or spring wind up anew, and the torque of the spring through 0. A guard is positive until
+its event; where one is negative at the end of a step, or its cubic through both ends dips below 0 in between, the step
+is made shorter, to the guard's root.
+
+What winds up over a displacement follows a law of P. R. Dahl (Solid friction damping of mechanical vibrations, AIAA
+Journal 14, 1976), which is integrated in closed form, as a function of the displacement since the last reversal: with
+the force ``F0`` there, the limit ``L`` and the stiffness ``k``, in the direction ``d``::
+
+    F(x) = d L + (F0 - d L) exp(-k |x - x0| / L)
+
+State ``y`` = motor position, motor velocity, load position, load velocity, position and velocity of what the load
+carries.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.compiled import compiled, inlined
+from jointid.simulation.kernels.drive import (
+    CHATTERING,
+    DIVERGED,
+    FINISHED,
+    TOO_STIFF,
+    Feedback,
+    IntArray,
+    control_any,
+)
+
+EXTRAS = 14
+"""Numbers of a drive beside those of `kernels.drive`, see `run`."""
+
+_TOLERANCE = 1e-9  # of the largest velocity so far: the error of one step
+_FIRST = 0.05  # of the time in which the drive's own motion changes: the first step
+_EVENTS = 1000  # per period; a physical drive has a handful
+_WORK = 400  # steps a simulation may take, per period
+_ROOT = 1e-13  # of a step: where an event is located to
+_GUARDS = 6  # of motor, load, reversing spring, spring's torque; of motor and load the other way while they rest
+
+# Nodes and weights of the pair, and the weights of the difference of both orders.
+_NODES = np.array([0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0])
+_WEIGHTS = np.array([
+    [0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+    [1 / 5, 0.0, 0.0, 0.0, 0.0, 0.0],
+    [3 / 40, 9 / 40, 0.0, 0.0, 0.0, 0.0],
+    [44 / 45, -56 / 15, 32 / 9, 0.0, 0.0, 0.0],
+    [19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729, 0.0, 0.0],
+    [9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656, 0.0],
+    [35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84],
+])  # fmt: skip
+_DIFFERENCE = np.array([71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40])
+
+
+class _Drive(NamedTuple):
+    """One drive: the row of coefficients of `kernels.drive`, then those of `run` here."""
+
+    inertia1: float
+    inertia2: float
+    stiffness: float
+    damping: float
+    viscous1: float
+    viscous1_back: float
+    coulomb1: float
+    coulomb1_back: float
+    viscous2: float
+    viscous2_back: float
+    coulomb2: float
+    coulomb2_back: float
+    offset1: float
+    offset2: float
+    cubic: float
+    slope: float
+    limit: float
+    soft1: float
+    soft2: float
+    loss: float
+    drift1: float
+    drift2: float
+    cos: float
+    sin: float
+    angle: float
+    tail_inertia: float
+    tail_stiffness: float
+    tail_damping: float
+
+
+class _Modes(NamedTuple):
+    """Directions of motor, load, the spring's rate and its torque (0: at rest), and what each winds up from.
+
+    Of motor, load and spring: the force, or the share of the Coulomb force, at the last reversal, and where that was.
+    """
+
+    motor: int
+    load: int
+    rate: int
+    torque: int
+    wound1: float
+    from1: float
+    wound2: float
+    from2: float
+    wound: float
+    since: float
+
+
+@inlined
+def _wound(direction: int, begun: float, way: float) -> float:
+    """Return what is wound up, of a limit of 1, after a way in its own length since `begun`."""
+    return direction + (begun - direction) * math.exp(-min(max(direction * way, 0.0), 700.0))
+
+
+@inlined
+def _spring(p: _Drive, m: _Modes, q1: float, v1: float, q2: float, v2: float) -> tuple[float, float]:
+    """Return the torque of spring and damper, and the slope of the first over the deflection."""
+    e = q2 - q1
+    torque = (p.stiffness + p.cubic * e * e) * e + p.damping * (v2 - v1)
+    slope = p.stiffness + 3.0 * p.cubic * e * e
+    if p.slope > 0.0:
+        wound = _wound(m.rate, m.wound, (e - m.since) * p.slope / p.limit)
+        torque += p.limit * wound
+        slope += p.slope * (1.0 - m.rate * wound)
+    return torque, slope
+
+
+@inlined
+def _friction(
+    mode: int, v: float, viscous: float, viscous_back: float, coulomb: float, back: float, soft: float, wound: float,
+    since: float, q: float,
+) -> float:  # fmt: skip
+    """Return the friction of a mass in motion."""
+    held = coulomb if mode > 0 else -back
+    if soft > 0.0:
+        held = (coulomb if mode > 0 else back) * _wound(mode, wound, (q - since) / soft)
+    return (viscous if mode > 0 else viscous_back) * v + held
+
+
+@inlined
+def _pushes(
+    p: _Drive, m: _Modes, y0: float, y1: float, y2: float, y3: float, y4: float, y5: float, torque: float
+) -> tuple[float, float, float, float]:
+    """Return what pushes motor and load but their friction, the spring's torque, and what it carries pulls with."""
+    spring, _ = _spring(p, m, y0, y1, y2, y3)
+    push1 = torque - p.offset1 + spring
+    if p.angle > 0.0:
+        push1 -= p.cos * math.cos(p.angle * y0) + p.sin * math.sin(p.angle * y0)
+    tail = 0.0
+    if p.tail_inertia > 0.0:
+        tail = p.tail_stiffness * (y4 - y2) + p.tail_damping * (y5 - y3)
+    return push1, tail - p.offset2 - spring, spring, tail
+
+
+@inlined
+def _accelerations(
+    p: _Drive, m: _Modes, y0: float, y1: float, y2: float, y3: float, y4: float, y5: float, time: float, torque: float
+) -> tuple[float, float, float]:
+    """Return the accelerations of motor, load, and what it carries."""
+    push1, push2, spring, tail = _pushes(p, m, y0, y1, y2, y3, y4, y5, torque)
+    a1, a2, a3 = 0.0, 0.0, 0.0
+    if m.motor != 0:
+        drift = p.drift1 * time
+        drag = _friction(
+            m.motor, y1, p.viscous1 + drift, p.viscous1_back + drift, p.coulomb1, p.coulomb1_back, p.soft1, m.wound1,
+            m.from1, y0,
+        )  # fmt: skip
+        a1 = (push1 - drag) / p.inertia1
+    if m.load != 0:
+        drift, more = p.drift2 * time, p.loss * m.torque * spring
+        drag = _friction(
+            m.load, y3, p.viscous2 + drift, p.viscous2_back + drift, p.coulomb2 + more, p.coulomb2_back + more, p.soft2,
+            m.wound2, m.from2, y2,
+        )  # fmt: skip
+        a2 = (push2 - drag) / p.inertia2
+    if p.tail_inertia > 0.0:
+        a3 = -tail / p.tail_inertia
+    return a1, a2, a3
+
+
+@compiled
+def _step(
+    p: _Drive, m: _Modes, y: FloatArray, k: FloatArray, new: FloatArray, time: float, h: float, torque: float
+) -> tuple[float, float]:
+    """Write the state after `h` seconds into `new` and the slopes of the stages into `k`; return both errors.
+
+    These are of the velocities, and of the positions: of the lower of both orders, over one step.
+    """
+    for stage in range(7):
+        for i in range(6):
+            new[i] = y[i]
+        for j in range(stage):
+            weight = h * _WEIGHTS[stage, j]
+            for i in range(6):
+                new[i] += weight * k[j, i]
+        a1, a2, a3 = _accelerations(
+            p, m, new[0], new[1], new[2], new[3], new[4], new[5], time + _NODES[stage] * h, torque
+        )
+        k[stage, 0], k[stage, 2], k[stage, 4] = new[1], new[3], new[5]
+        k[stage, 1], k[stage, 3], k[stage, 5] = a1, a2, a3
+    fast, far = 0.0, 0.0
+    for i in range(6):
+        error = 0.0
+        for j in range(7):
+            error += _DIFFERENCE[j] * k[j, i]
+        error = abs(h * error)
+        fast, far = (max(fast, error), far) if i % 2 else (fast, max(far, error))
+    return fast, far
+
+
+@inlined
+def _guards(
+    p: _Drive, m: _Modes, y: FloatArray, a1: float, a2: float, torque: float, guards: FloatArray, slopes: FloatArray
+) -> None:
+    """Write what is positive until an event happens, and how fast it changes."""
+    push1, push2, spring, _ = _pushes(p, m, y[0], y[1], y[2], y[3], y[4], y[5], torque)
+    _, slope = _spring(p, m, y[0], y[1], y[2], y[3])
+    rate = slope * (y[3] - y[1]) + p.damping * (a2 - a1)
+    for i in range(_GUARDS):
+        guards[i], slopes[i] = 1.0, 0.0
+    if m.motor != 0:
+        guards[0], slopes[0] = m.motor * y[1], m.motor * a1
+    else:
+        guards[0], slopes[0] = p.coulomb1 - push1, -rate
+        guards[4], slopes[4] = p.coulomb1_back + push1, rate
+    if m.load != 0:
+        guards[1], slopes[1] = m.load * y[3], m.load * a2
+    else:
+        more, growth = p.loss * m.torque * spring, p.loss * m.torque * rate
+        pulled = rate
+        if p.tail_inertia > 0.0:
+            pulled -= p.tail_stiffness * (y[5] - y[3])
+        guards[1], slopes[1] = p.coulomb2 + more - push2, growth + pulled
+        guards[5], slopes[5] = p.coulomb2_back + more + push2, growth - pulled
+    if p.slope > 0.0:
+        guards[2], slopes[2] = m.rate * (y[3] - y[1]), m.rate * (a2 - a1)
+    if p.loss > 0.0:
+        guards[3], slopes[3] = m.torque * spring, m.torque * rate
+
+
+@inlined
+def _dip(start: float, slope: float, end: float, last: float, h: float) -> float:
+    """Return where in (0, 1) the cubic through both ends, with their slopes, is lowest below 0; 1.0: nowhere."""
+    b, c = slope * h, last * h
+    if not (start >= 0.0 and end >= 0.0 and b < 0.0 < c):
+        return 1.0
+    cubic, square = 2.0 * (start - end) + b + c, 3.0 * (end - start) - 2.0 * b - c
+    # The lower of both turning points, without a cancellation.
+    root = math.sqrt(max(square * square - 3.0 * cubic * b, 0.0))
+    at = -b / (square + root) if square + root > 0.0 else 0.5
+    if not 0.0 < at < 1.0:
+        return 1.0
+    lowest = ((cubic * at + square) * at + b) * at + start
+    return at if lowest < 0.0 else 1.0
+
+
+@compiled
+def _locate(
+    p: _Drive, m: _Modes, y: FloatArray, k: FloatArray, new: FloatArray, time: float, h: float, torque: float,
+    which: int, start: float, end: float, guards: FloatArray, slopes: FloatArray,
+) -> float:  # fmt: skip
+    """Return the share of a step after which a guard is 0: the secant that keeps its bracket, and halves it in turn."""
+    low, high, below, above = 0.0, 1.0, end, max(start, 0.0)
+    for count in range(100):
+        at = low + (high - low) * above / (above - below) if count % 3 < 2 else 0.5 * (low + high)
+        if not low < at < high:
+            at = 0.5 * (low + high)
+        _step(p, m, y, k, new, time, at * h, torque)
+        _guards(p, m, new, k[6, 1], k[6, 3], torque, guards, slopes)
+        if guards[which] < 0.0:
+            high, below = at, guards[which]
+        else:
+            low, above = at, guards[which]
+        if high - low <= _ROOT or guards[which] == 0.0:
+            break
+    return high
+
+
+@inlined
+def _turned(p: _Drive, m: _Modes, y: FloatArray, mass: int, mode: int) -> _Modes:
+    """Return the modes after a mass took another; what its friction is wound up to is kept."""
+    motor, load = m.motor, m.load
+    wound1, from1, wound2, from2 = m.wound1, m.from1, m.wound2, m.from2
+    if mass == 0:
+        if p.soft1 > 0.0:
+            wound1, from1 = _wound(motor, wound1, (y[0] - from1) / p.soft1), y[0]
+        motor = mode
+    else:
+        if p.soft2 > 0.0:
+            wound2, from2 = _wound(load, wound2, (y[2] - from2) / p.soft2), y[2]
+        load = mode
+    return _Modes(motor, load, m.rate, m.torque, wound1, from1, wound2, from2, m.wound, m.since)
+
+
+@inlined
+def _reversed(p: _Drive, m: _Modes, y: FloatArray, rate: int) -> _Modes:
+    """Return the modes after the spring began to wind up the other way."""
+    e = y[2] - y[0]
+    wound = _wound(m.rate, m.wound, (e - m.since) * p.slope / p.limit)
+    return _Modes(m.motor, m.load, rate, m.torque, m.wound1, m.from1, m.wound2, m.from2, wound, e)
+
+
+@inlined
+def _through(m: _Modes, torque: int) -> _Modes:
+    """Return the modes after the spring's torque went through 0."""
+    return _Modes(m.motor, m.load, m.rate, torque, m.wound1, m.from1, m.wound2, m.from2, m.wound, m.since)
+
+
+@compiled
+def _settled(p: _Drive, m: _Modes, y: FloatArray, time: float, torque: float) -> _Modes:
+    """Return the modes of what stands still for a moment: held, or the way it is pushed."""
+    _, _, spring, _ = _pushes(p, m, y[0], y[1], y[2], y[3], y[4], y[5], torque)
+    if p.loss > 0.0 and m.torque * spring < 0.0:
+        m = _through(m, -m.torque)
+    push1, push2, spring, _ = _pushes(p, m, y[0], y[1], y[2], y[3], y[4], y[5], torque)
+    more = p.loss * abs(spring)
+    for mass in range(2):
+        if y[1 + 2 * mass] != 0.0:
+            continue
+        push, forwards, backwards = push1, p.coulomb1, p.coulomb1_back
+        soft, mode, wound, since, q = p.soft1, m.motor, m.wound1, m.from1, y[0]
+        if mass == 1:
+            push, forwards, backwards = push2, p.coulomb2 + more, p.coulomb2_back + more
+            soft, mode, wound, since, q = p.soft2, m.load, m.wound2, m.from2, y[2]
+        new = 0
+        if soft > 0.0:
+            share = _wound(mode, wound, (q - since) / soft)
+            rest = push - share * (forwards if mode > 0 else backwards)
+            new = 1 if rest > 0.0 else (-1 if rest < 0.0 else mode)
+        elif push > forwards:
+            new = 1
+        elif push < -backwards:
+            new = -1
+        if new != mode:
+            m = _turned(p, m, y, mass, new)
+    if p.slope > 0.0 and y[3] == y[1]:
+        a1, a2, _ = _accelerations(p, m, y[0], y[1], y[2], y[3], y[4], y[5], time, torque)
+        if m.rate * (a2 - a1) < 0.0:
+            m = _reversed(p, m, y, -m.rate)
+    return m
+
+
+@compiled
+def run(
+    drive: FloatArray,
+    extras: FloatArray,
+    lengths: FloatArray,
+    lags: IntArray,
+    z: FloatArray,
+    feedback: Feedback,
+    w: FloatArray,
+    post: FloatArray,
+    before: float,
+    x: FloatArray,
+    sliding: float,
+    far: float,
+    u: FloatArray,
+    tapped: FloatArray,
+    states: FloatArray,
+    accelerations: FloatArray,
+    counts: IntArray,
+) -> int:
+    """Simulate one loop; fill `u`, `tapped`, `states` and `accelerations` and return how it ended.
+
+    What is not said here is as in `kernels.drive.run`.
+
+    Args:
+        drive: (14,) the coefficients there.
+        extras: (EXTRAS,) a cubic stiffness; stiffness and limit of what a spring has that winds up, after Dahl; lengths
+            over which the Coulomb friction of motor and load winds up (0: it sticks); the load's friction per torque
+            through the spring; by how much the viscous coefficients of motor and load rise per second; ripple on the
+            motor, cosine, sine and the angle per position; inertia, stiffness and damping of what the load carries.
+        lengths: see there. lags: see there. z: see there. feedback: see there. w: see there. post: see there.
+        before: see there.
+        x: (4,) initial state, overwritten.
+        sliding: 1 or -1 where friction is wound up at the first sample, the direction of the motion; else 0.
+        far: see there. u: see there. tapped: see there. states: see there.
+        accelerations: (periods * parts, 2) out, of motor and load, just after the torque of each part begins to act; or
+            (0, 2).
+        counts: (4,) out: events, steps, periods simulated, periods at the limit.
+    """
+    n, parts = w.shape[1], lengths.size
+    p = _Drive(
+        drive[0], drive[1], drive[2], drive[3], drive[4], drive[5], drive[6], drive[7], drive[8], drive[9], drive[10],
+        drive[11], drive[12], drive[13], extras[0], extras[1], extras[2], extras[3], extras[4], extras[5], extras[6],
+        extras[7], extras[8], extras[9], extras[10], extras[11], extras[12], extras[13],
+    )  # fmt: skip
+    mobility = 1.0 / p.inertia1 + 1.0 / p.inertia2
+    rate = math.sqrt((p.stiffness + p.slope) * mobility) + p.damping * mobility + 1.0 / np.max(lengths)
+    if p.tail_inertia > 0.0:
+        lighter = 1.0 / p.inertia2 + 1.0 / p.tail_inertia
+        rate += math.sqrt(p.tail_stiffness * lighter) + p.tail_damping * lighter
+    y, new, k = np.zeros(6), np.zeros(6), np.zeros((7, 6))
+    y[:4] = x
+    y[4], y[5] = x[2], x[3]
+    first, second = (1 if x[1] >= 0.0 else -1), (1 if x[3] >= 0.0 else -1)
+    spring = p.stiffness * (x[2] - x[0])
+    m = _Modes(
+        first if x[1] != 0.0 or p.soft1 > 0.0 else 0, second if x[3] != 0.0 or p.soft2 > 0.0 else 0, 1,
+        1 if spring >= 0.0 else -1, sliding, x[0], sliding, x[2], 0.0, x[2] - x[0],
+    )  # fmt: skip
+    guards, slopes, ends, lasts = np.zeros(_GUARDS), np.zeros(_GUARDS), np.zeros(_GUARDS), np.zeros(_GUARDS)
+    fresh, raw, cut = np.empty(z.size), np.zeros(w.shape[0]), np.zeros(w.shape[0])
+    events, steps, clipped, status = 0, 0, 0, FINISHED
+    fastest, wanted = 0.0, _FIRST / rate
+    keep = states.shape[0] > 0
+    period = np.sum(lengths)
+    i = 0
+    while i < n and status == FINISHED:
+        control_any(feedback, w, i, y[0], z, fresh, raw, cut)
+        u[i] = raw[feedback.output] + cut[feedback.output]
+        if tapped.size > 0:
+            tapped[i] = raw[feedback.tap] + cut[feedback.tap]
+        if cut[feedback.tap] != 0.0:
+            clipped += 1
+        if not (abs(y[0]) <= far and abs(u[i]) < np.inf):
+            status = DIVERGED
+            break
+        time, before_part = i * period, events
+        for part in range(parts):
+            source = i - lags[part]
+            torque = u[source] + post[source] if source >= 0 else before
+            m = _settled(p, m, y, time, torque)
+            if keep:
+                row = i * parts + part
+                a1, a2, _ = _accelerations(p, m, y[0], y[1], y[2], y[3], y[4], y[5], time, torque)
+                states[row] = y[:4]
+                accelerations[row, 0], accelerations[row, 1] = a1, a2
+            left = lengths[part]
+            while left > 0.0 and status == FINISHED:
+                h = left if wanted >= left else (wanted if wanted >= 0.5 * left else min(wanted, 0.5 * left))
+                fast, away = _step(p, m, y, k, new, time, h, torque)
+                steps += 1
+                scale = max(fastest, abs(new[1]), abs(new[3]), 1e-3 * h * max(abs(k[0, 1]), abs(k[0, 3])))
+                error = max(fast, away * rate) / (_TOLERANCE * scale) if scale > 0.0 else 0.0
+                if not error <= 1.0:
+                    shorter = 0.9 * error**-0.2 if error < np.inf else 0.1
+                    wanted = h * max(shorter, 0.1)
+                    if wanted < 1e-12 * period or steps > _WORK * n + 10_000:
+                        status = TOO_STIFF
+                    continue
+                _guards(p, m, y, k[0, 1], k[0, 3], torque, guards, slopes)
+                _guards(p, m, new, k[6, 1], k[6, 3], torque, ends, lasts)
+                share, which = 1.0, -1
+                for guard in range(_GUARDS):
+                    if ends[guard] < 0.0:
+                        start, end = guards[guard], ends[guard]
+                        at = _locate(p, m, y, k, new, time, h, torque, guard, start, end, slopes, lasts)
+                        _step(p, m, y, k, new, time, h, torque)
+                        _guards(p, m, y, k[0, 1], k[0, 3], torque, guards, slopes)
+                        _guards(p, m, new, k[6, 1], k[6, 3], torque, ends, lasts)
+                        if which < 0 or at < share:
+                            share, which = at, guard
+                dip = 1.0
+                for guard in range(_GUARDS):
+                    dip = min(dip, _dip(guards[guard], slopes[guard], ends[guard], lasts[guard], h))
+                if dip < share:  # what is below 0 there is looked for in the shorter step
+                    share, which = dip, -1
+                if share < 1.0:
+                    _step(p, m, y, k, new, time, share * h, torque)
+                elif which < 0:
+                    wanted = h * min(max(0.9 * max(error, 1e-10) ** -0.2, 0.3), 5.0)
+                for j in range(6):
+                    y[j] = new[j]
+                time += share * h
+                left = 0.0 if share == 1.0 and h == left else left - share * h
+                fastest = max(fastest, abs(y[1]), abs(y[3]))
+                if which >= 0:
+                    events += 1
+                    m = _after(p, m, y, which, time, torque)
+                    if events - before_part > _EVENTS:
+                        status = CHATTERING
+                if steps > _WORK * n + 10_000:
+                    status = TOO_STIFF
+        i += 1
+    x[:] = y[:4]
+    counts[0], counts[1], counts[2], counts[3] = events, steps, i, min(clipped, i)
+    return status
+
+
+@compiled
+def _after(p: _Drive, m: _Modes, y: FloatArray, which: int, time: float, torque: float) -> _Modes:
+    """Return the modes after the event of a guard; a velocity that fell to 0 is 0."""
+    if which == 2:
+        m = _reversed(p, m, y, -m.rate)
+    elif which == 3:
+        m = _through(m, -m.torque)
+    else:
+        mass = which % 4
+        mode, soft = (m.motor, p.soft1) if mass == 0 else (m.load, p.soft2)
+        if mode == 0:
+            m = _turned(p, m, y, mass, 1 if which < 2 else -1)
+        else:
+            y[1 + 2 * mass] = 0.0
+            if soft > 0.0:
+                m = _turned(p, m, y, mass, -mode)
+            else:
+                m = _settled(p, m, y, time, torque)
+    return m
