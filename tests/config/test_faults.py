@@ -91,8 +91,18 @@ FAULTS = [
     ),
     (
         SMALLEST.replace('"prismatic"', '"prismatic"\nfriction = "dahl"'),
-        'joint.friction: Friction "dahl" cannot be simulated exactly: only laws that are piecewise linear in '
-        "velocity can; use symmetric, asymmetric, stribeck, asymmetric-stribeck.",
+        'joint.friction: Friction "dahl" is not known; use symmetric, asymmetric, stribeck, asymmetric-stribeck, '
+        "presliding, load-dependent, drifting.",
+    ),
+    (
+        SMALLEST.replace('"prismatic"', '"prismatic"\nfriction = "load-dependent"'),
+        'joint.friction is "load-dependent", but a rigid joint has no spring whose torque it could follow; set '
+        'joint.model = "flexible".',
+    ),
+    (
+        SMALLEST.replace('"prismatic"', '"prismatic"\nmodel = "flexible"\nfriction = "stribeck"\nspring = "cubic"'),
+        'joint.spring is "cubic", which is not simulated beside "stribeck" friction; expected laws of which both or '
+        "none are in pieces: use a linear spring, or symmetric friction.",
     ),
     # values
     (

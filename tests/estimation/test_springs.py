@@ -88,8 +88,8 @@ def test_the_joint_file_names_the_spring(name: str) -> None:
 def test_the_joint_file_refuses_what_no_joint_has() -> None:
     rigid = SMALLEST.replace('"prismatic"\n', '"prismatic"\nspring = "backlash"\n', 1)
     assert any("a rigid joint has no spring" in fault for fault in faults(rigid))
-    cubic = FLEXIBLE.replace('"flexible"\n', '"flexible"\nspring = "cubic"\n')
-    assert any("use linear, two-piece, three-piece, backlash" in fault for fault in faults(cubic))
+    fifth = FLEXIBLE.replace('"flexible"\n', '"flexible"\nspring = "quintic"\n')
+    assert any("use linear, two-piece, three-piece, backlash, cubic" in fault for fault in faults(fifth))
     gap = FLEXIBLE + "[parameters.gap]\nstart = 0.1\n"
     assert any('set joint.spring = "backlash"' in fault for fault in faults(gap))
 

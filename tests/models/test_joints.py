@@ -87,8 +87,8 @@ def test_the_offset_is_fixed_beside_asymmetric_friction() -> None:
     assert (offset.name, offset.free, offset.start) == ("offset", False, 0.0)
 
 
-def test_friction_that_is_not_piecewise_linear_is_refused() -> None:
-    with pytest.raises(MethodError, match=r'Friction "dahl".*piecewise linear.*symmetric, asymmetric'):
+def test_a_friction_that_is_not_known_is_refused() -> None:
+    with pytest.raises(MethodError, match=r'Friction "dahl" is not known; use symmetric, asymmetric, .*, presliding'):
         friction_named("dahl")
 
 

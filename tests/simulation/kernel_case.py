@@ -71,7 +71,7 @@ def run(
     far: float = math.inf,
     beyond: np.ndarray | None = None,
 ) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
-    """Return status, torque (n,), states at the controller's instants (n, 4) and counts; in steps with laws `beyond`."""
+    """Return status, torque (n,), states at the controller's instants (n, 4) and counts; in steps where `beyond` is."""
     late = delay / T
     whole = math.floor(late + 1e-9)
     fraction = late - whole

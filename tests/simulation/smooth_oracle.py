@@ -1,4 +1,4 @@
-"""Slow, independent reference for drives whose laws are in no pieces: DOP853, the laws in rate form, every event located.
+"""Slow, independent reference for laws in no pieces: DOP853, the laws in rate form, every event located.
 
 What winds up is a state here, ``z' = (v - |v| z) / s``, where the kernel has it in closed form. Directions are held
 between events, so that what is integrated is smooth.
@@ -30,11 +30,11 @@ class Smooth:
     def row(self) -> np.ndarray:
         """As the kernel takes it."""
         numbers = [self.cubic, self.slider, self.slips, *self.presliding, self.per_torque, *self.drift]
-        return np.array([*numbers, *([0.0] * 6)])
+        return np.array(numbers)
 
 
 class _Motion:
-    """Positions and velocities of motor and load, what their friction and the spring are wound up to; and directions."""
+    """Positions and velocities, what friction and spring are wound up to; and directions."""
 
     def __init__(self, plant: Plant, more: Smooth, x0: np.ndarray) -> None:
         assert plant.inertia2 is not None

@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-
 from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.models.controllers import numbers_of
+from jointid.models.friction import FRICTIONS
+from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint, frictions_beside, springs_beside
+from jointid.models.springs import SPRINGS
+from jointid.simulation.closed_loop import Outcome, simulate
+from jointid.simulation.loop_input import prepare
+from jointid.simulation.sensitivities import simulate_sensitivities
+from tests.plants import Case, prismatic, rotary
 from tests.simulation.kernel_case import run
-from tests.simulation.oracle import Plant, random_case
-from tests.simulation.smooth_oracle import Smooth, simulate, windup
+from tests.simulation.oracle import Law, Plant, random_case
+from tests.simulation.smooth_oracle import Smooth, windup
+from tests.simulation.smooth_oracle import simulate as reference
 
 EVENTFUL = 9
 SEEDS = (2, EVENTFUL, 12)  # two masses: without a delay, with one of 0.9 and of 2.5 periods
@@ -36,8 +48,96 @@ def test_agrees_with_a_reference_that_locates_every_event(seed: int, name: str) 
     more = _law(name, plant, own, _PERIODS * T)
     w, post = w[:_PERIODS], post[:_PERIODS]
     status, u, x, counts = run(plant, law, w, post, T, delay, before, x0, beyond=more.row)
-    expected_u, expected_x = simulate(plant, more, law, w, post, T, delay, before, x0)
+    expected_u, expected_x = reference(plant, more, law, w, post, T, delay, before, x0)
     assert status == 0
     assert counts[0] > 5 or seed != EVENTFUL
     np.testing.assert_allclose(u, expected_u, rtol=0, atol=1e-7 * np.abs(expected_u).max())
     np.testing.assert_allclose(x, expected_x, rtol=0, atol=1e-7 * np.abs(expected_x).max())
+
+
+def _nothing_more(case: Case, friction: str = "drifting", spring: str = "cubic") -> tuple[ClosedLoop, dict[str, float]]:
+    """The drive with laws in no pieces that add nothing to what it is."""
+    joint = replace(case.loop.joint, friction=FRICTIONS[friction]())
+    if isinstance(joint, FlexibleJoint):
+        joint = replace(joint, spring=SPRINGS[spring]())
+    more = {p.name: 0.0 for p in joint.parameters if p.name not in case.truth}
+    return replace(case.loop, joint=joint), case.truth | more
+
+
+@pytest.mark.parametrize("make", [prismatic, rotary])
+def test_laws_that_add_nothing_leave_the_exact_drive(make: Callable[[int], Case]) -> None:
+    case = make(1)
+    loop, values = _nothing_more(case)
+    experiment = prepare(loop, case.clean)
+    exact, found = (simulate(*one) for one in ((case.loop, experiment, case.truth), (loop, experiment, values)))
+    assert found.outcome is Outcome.FINISHED
+    assert found.events >= exact.events > 10
+    for signal in ("torque", "motor_position", "load_velocity"):
+        peak = np.abs(getattr(exact, signal)).max()
+        np.testing.assert_allclose(getattr(found, signal), getattr(exact, signal), rtol=0, atol=1e-6 * peak)
+    assert found.load is not None and exact.load is not None
+    difference = np.abs(found.load.acceleration - exact.load.acceleration)
+    assert np.median(difference) < 1e-6 * np.abs(exact.load.acceleration).max()
+
+
+@pytest.mark.parametrize("make", [prismatic, rotary])
+def test_differences_are_the_exact_derivatives_where_both_are_there(make: Callable[[int], Case]) -> None:
+    case = make(1)
+    loop, values = _nothing_more(case)
+    experiment = prepare(loop, case.clean)
+    law = [name for name, value in numbers_of(loop.controller).items() if value and np.isfinite(value)]
+    names = [*(p.name for p in case.loop.joint.parameters), "initial_position", "initial_velocity", *law]
+    exact = simulate_sensitivities(case.loop, experiment, case.truth, names, positions=True)
+    found = simulate_sensitivities(loop, experiment, values, names, positions=True)
+    for i, name in enumerate(names):
+        for signal in ("torque", "motor_position", "load_position"):
+            column, expected = getattr(found, signal)[:, i], getattr(exact, signal)[:, i]
+            # A mass at rest that is pushed by next to nothing moves by next to nothing: the exact derivative is 0.
+            size = max(np.linalg.norm(expected), 1e-5 * np.sqrt(expected.size) if name == "initial_velocity" else 0.0)
+            assert np.linalg.norm(column - expected) < 4e-2 * size, (name, signal)
+
+
+def test_a_run_that_fails_has_no_derivatives() -> None:
+    case = prismatic(1)
+    loop, values = _nothing_more(case)
+    experiment = prepare(loop, case.clean)
+    wrong = values | {"motor_inertia": -1.0}
+    found = simulate_sensitivities(loop, experiment, wrong, ["stiffness"])
+    assert found.response.outcome is Outcome.INVALID
+    assert not np.any(found.torque)
+
+
+@pytest.mark.parametrize(
+    ("law", "wrong"),
+    [("presliding", {"load_presliding_distance": -1.0}), ("hysteretic", {"hysteresis_torque": 0.0})],
+)
+def test_a_law_that_no_joint_has_is_said(law: str, wrong: dict[str, float]) -> None:
+    case = prismatic(1)
+    joint = case.loop.joint
+    assert isinstance(joint, FlexibleJoint)
+    other = replace(joint, friction=FRICTIONS[law]()) if law in FRICTIONS else replace(joint, spring=SPRINGS[law]())
+    loop = replace(case.loop, joint=other)
+    values = {p.name: 1e-3 for p in other.parameters} | case.truth | wrong
+    assert simulate(loop, prepare(loop, case.clean), values).outcome is Outcome.INVALID
+
+
+def test_laws_in_pieces_and_in_none_are_not_simulated_beside_each_other() -> None:
+    with pytest.raises(
+        MethodError, match=r'"stribeck" and "cubic" of spring and friction are not simulated beside each'
+    ):
+        FlexibleJoint(friction=FRICTIONS["stribeck"](), spring=SPRINGS["cubic"]())
+    with pytest.raises(MethodError, match=r"Load-dependent friction follows the torque through a spring"):
+        RigidJoint(friction=FRICTIONS["load-dependent"]())
+    assert FlexibleJoint(friction=FRICTIONS["load-dependent"]()).rigid.friction == FRICTIONS["symmetric"]()
+    assert "backlash" not in [law.name for law in springs_beside(FlexibleJoint(friction=FRICTIONS["presliding"]()))]
+    assert "stribeck" not in [law.name for law in frictions_beside(FlexibleJoint(spring=SPRINGS["cubic"]()))]
+
+
+def test_a_mass_under_presliding_friction_creeps_until_its_spring_carries_it() -> None:
+    """A constant push below Fc moves it by s ln(1 / (1 - push / Fc)), where the wound-up friction carries the push."""
+    plant = Plant(inertia1=1.0, fv1=(2000.0, 2000.0), fc1=(10.0, 10.0), offset=-6.0)
+    nothing = np.zeros(0)
+    law = Law(np.zeros((0, 0)), nothing, nothing, nothing, 0.0, np.inf, nothing)
+    w, more = np.zeros(5000), Smooth(presliding=(1e-3, 0.0))
+    _, _, x, _ = run(plant, law, w, w, 1e-3, 0.0, 0.0, np.zeros(2), beyond=more.row)
+    assert x[-1, 0] == pytest.approx(1e-3 * np.log(1 / (1 - 0.6)), rel=1e-4)

@@ -253,7 +253,10 @@ def _no_parameter(name: str, joint: JointTable, gravity: GravityTable | None, kn
         # Last of all, and so told, the one that is most like what is declared, else that of the fewest parameters.
         like = [choice for choice in choices if key == "friction" and choice.startswith(joint.friction)]
         for choice in (*reversed(list(choices)), *like):
-            other: Joint = joint.model_copy(update={key: choice}).joint(None, gravity=None)
+            changed = joint.model_copy(update={key: choice})
+            if any(changed.faults()):
+                continue
+            other: Joint = changed.joint(None, gravity=None)
             if name in [parameter.name for parameter in other.parameters]:
                 remedy = f'leave it out, or set joint.{key} = "{choice}".'
     for load, names in GRAVITY_PARAMETERS.items():

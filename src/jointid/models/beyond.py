@@ -18,11 +18,9 @@ SIDE = ("presliding", "drift", "per_torque")
 """Of the friction of one side: the displacement it winds up over; by how much the viscous coefficient grows per second;
 the share of the spring's torque."""
 
-_RIPPLE, _TAIL = 3, 3  # numbers of the ripple on the motor, and of a mass that the load carries
-
 
 def beyond_pieces(spring: Mapping[str, float], motor: Mapping[str, float], load: Mapping[str, float]) -> FloatArray:
-    """Return the numbers of a joint beyond its coefficients, (14,), 0 where it has none.
+    """Return the numbers of a joint beyond its coefficients, (8,), 0 where it has none.
 
     Args:
         spring: by the names of `SPRING`.
@@ -31,5 +29,4 @@ def beyond_pieces(spring: Mapping[str, float], motor: Mapping[str, float], load:
     """
     of_spring = [spring.get(name, 0.0) for name in SPRING]
     winds_up, changes = ([side.get(name, 0.0) for side in (motor, load)] for name in ("presliding", "drift"))
-    numbers = [*of_spring, *winds_up, load.get("per_torque", 0.0), *changes]
-    return np.array([*numbers, *([0.0] * (_RIPPLE + _TAIL))])
+    return np.array([*of_spring, *winds_up, load.get("per_torque", 0.0), *changes])

@@ -1,4 +1,4 @@
-"""Friction laws within the engine's form: piecewise linear in velocity, with own coefficients in each direction.
+"""Friction laws: lines over the velocity, with own coefficients in each direction, in pieces or with more.
 
 Forwards ``Fv+ v + Fc+``, backwards ``Fv- v - Fc-``. Being piecewise linear in velocity lets the simulation be exact;
 being linear in its parameters lets a regression estimate them (`columns`). At standstill the Coulomb force is a set:
@@ -110,6 +110,8 @@ class Friction:
     label: ClassVar[str]
     contrast: ClassVar[str]
     coefficients: ClassVar[tuple[Coefficient, ...]]
+    beside: ClassVar[str] = ""
+    """What it has beside its lines, and what is written where only lines are, in words; "" of lines alone."""
 
     def named(self, part: Part, direction: Direction) -> str | None:
         """Return the name of a coefficient, None where the law has none there (it is 0)."""
@@ -260,6 +262,7 @@ class StribeckFriction(Friction):
     label = "the same, another at low speed"
     contrast = "symmetric"
     coefficients: ClassVar[tuple[Coefficient, ...]] = SymmetricFriction.coefficients
+    beside = "the change of friction towards standstill; what it is beyond low speed is written"
 
     @property
     def lines(self) -> Friction:
@@ -339,6 +342,7 @@ class PreslidingFriction(_SteppedFriction):
 
     name = "presliding"
     label = "the same, wound up at reversals"
+    beside = "the displacement over which friction winds up; the Coulomb force that it winds up to is written"
 
     def parameters(self, prefix: str = "", index: str = "") -> tuple[Parameter, ...]:
         """Return Fv and Fc, then the displacement over which Fc winds up."""
@@ -365,6 +369,7 @@ class LoadDependentFriction(_SteppedFriction):
 
     name = "load-dependent"
     label = "the same, more under load"
+    beside = "the friction that grows with the spring's torque; what it is without one is written"
 
     @property
     def of_whole(self) -> Friction:
@@ -400,6 +405,7 @@ class DriftingFriction(_SteppedFriction):
 
     name = "drifting"
     label = "the same, changing with time"
+    beside = "the change of viscous friction with time; what it is at the first sample is written"
 
     def parameters(self, prefix: str = "", index: str = "") -> tuple[Parameter, ...]:
         """Return Fv and Fc, then by how much Fv grows per second."""

@@ -53,6 +53,8 @@ class Spring:
 
     name: ClassVar[str]
     label: ClassVar[str]
+    beside: ClassVar[str] = ""
+    """What a spring in no pieces has beside its line, and what is written where only lines are, in words."""
 
     @property
     def linear(self) -> bool:
@@ -253,6 +255,7 @@ class CubicSpring(_SteppedSpring):
 
     name = "cubic"
     label = "stiffer as it winds up"
+    beside = "the cube in the spring's torque; its stiffness for small deflections is written"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -298,6 +301,7 @@ class HystereticSpring(_SteppedSpring):
 
     name = "hysteretic"
     label = "linear, with hysteresis"
+    beside = "the slider beside the spring; the stiffness where that slips is written"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -197,8 +197,12 @@ def run(
     keep: bool,
     taped: int = 0,
     room: Room | None = None,
+    start: FloatArray | None = None,
 ) -> ClosedLoopRun:
-    """Run one candidate; `keep` its states and modes, and so many rows of its tape, in fresh memory or in a room."""
+    """Run one candidate; `keep` its states and modes, and so many rows of its tape, in fresh memory or in a room.
+
+    It begins in a state, (4,), or where its joint is in steady motion.
+    """
     from jointid.simulation.kernels import drive as kernels
     from jointid.simulation.kernels import stepped_drive
 
@@ -225,7 +229,8 @@ def run(
     possible = _possible(drive, gravity) and _ordered(segments) and _winding(beyond)
     if possible and math.isfinite(position) and math.isfinite(velocity):
         state, first = first_state(experiment, position, velocity, initial.torque)
-        before, start = first + experiment.after_limit[0], loop.joint.start(values, position, velocity)
+        before = first + experiment.after_limit[0]
+        start = loop.joint.start(values, position, velocity) if start is None else start.copy()
         common = experiment.lengths, experiment.lags, state, experiment.kernel, experiment.feedforward
         beginning = experiment.after_limit, before, start
         far = experiment.far + abs(position)

@@ -23,7 +23,7 @@ from jointid.simulation.loop_input import LoopInput
 
 _STEP = 1e-4  # of a value, or of a small one's size in this motion
 _SMALL = 1e-2  # of that size: what a value below it is stepped by a share of
-_BEGINS = 1e-5  # of travel or speed: the step of where the motor begins
+_BEGINS, _BEGINS_AT = 1e-7, 1e-6  # of travel and of speed: the motor's start is moved by less than friction holds
 _FROM_NOTHING = 1e-2  # the step from a number of the controller that is 0, to its right alone: of a delay in periods
 
 
@@ -59,6 +59,7 @@ class _Point:
     experiment: LoopInput
     values: Mapping[str, float]
     initial: Initial
+    start: FloatArray | None = None
 
     def moved(self, name: str, by: float) -> _Point:
         """Return the point with one number larger by so much."""
@@ -67,14 +68,19 @@ class _Point:
             return replace(self, values={**self.values, name: self.values[name] + by})
         if name.startswith("initial_"):
             word = name.removeprefix("initial_")
-            return replace(self, initial=replace(self.initial, **{word: getattr(self.initial, word) + by}))
+            moved = replace(self.initial, **{word: getattr(self.initial, word) + by})
+            if name == "initial_velocity" and self.initial.velocity == 0.0:  # the drag of steady motion jumps there
+                assert self.initial.position is not None
+                rest = self.loop.joint.start(self.values, self.initial.position, 0.0)
+                return replace(self, initial=moved, start=rest + by * np.array([0.0, 1.0, 0.0, 1.0]))
+            return replace(self, initial=moved)
         controller = with_numbers(self.loop.controller, {name: number(self.loop.controller, name) + by})
         experiment = self.experiment.with_law(self.experiment.law_of(controller))
         return replace(self, loop=replace(self.loop, controller=controller), experiment=experiment)
 
     def run(self, keep: bool) -> ClosedLoopRun:
         """Return its run."""
-        return run(self.loop, self.experiment, self.values, self.initial, keep=keep)
+        return run(self.loop, self.experiment, self.values, self.initial, keep=keep, start=self.start)
 
 
 def differences(
@@ -175,7 +181,7 @@ class _Sizes:
             step = 0.0 if point.initial.torque is None else _STEP * self.torque
             return -step, step
         if name.startswith("initial_"):
-            step = _BEGINS * (self.speed if name.endswith("velocity") else self.travel)
+            step = _BEGINS_AT * self.speed if name.endswith("velocity") else _BEGINS * self.travel
             return -step, step
         controller, period = point.loop.controller, point.experiment.law.period
         value = number(controller, name)

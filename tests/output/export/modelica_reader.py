@@ -19,6 +19,7 @@ Function = Callable[[Values, Values], Any]  # of the values now, and of those be
 _OPERATORS: dict[str, Callable[..., Any]] = {
     "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv, ">": operator.gt,
     "<": operator.lt, "==": operator.eq, "and": lambda a, b: a and b, "cos": math.cos, "sin": math.sin,
+    "abs": abs,
 }  # fmt: skip
 
 
@@ -34,7 +35,7 @@ class ModelicaModel:
         assert parsed is not None, "pymoca finds a syntax error"
         flat = tree.flatten(parsed, ast.ComponentRef(name=name)).classes[name]
         self.symbols = flat.symbols
-        self.values: Values = {}
+        self.values: Values = {"time": 0.0}
         for key, symbol in flat.symbols.items():
             given = symbol.value if "parameter" in symbol.prefixes else symbol.start
             self.values[key] = float(starts.get(key, _constant(given)))
@@ -110,14 +111,15 @@ class ModelicaModel:
             return {name: right(at, at) / factor(at, at) for name, factor, right in self.states}
 
         def moved(by: Values, time: float) -> Values:
-            return start | {name: start[name] + time * slope for name, slope in by.items()}
+            gone = {"time": start["time"] + time}
+            return start | {name: start[name] + time * slope for name, slope in by.items()} | gone
 
         one = slopes(start)
         two = slopes(moved(one, h / 2))
         three = slopes(moved(two, h / 2))
         four = slopes(moved(three, h))
         mean = {n: (one[n] + 2 * two[n] + 2 * three[n] + four[n]) / 6 for n in one}
-        self.values = moved(mean, h)
+        self.values = moved(mean, h) | {"time": start["time"] + h}
         self._assign(self.values)
 
     def _assign(self, values: Values) -> None:
@@ -152,7 +154,7 @@ class ModelicaModel:
             return lambda now, before: constant
         if isinstance(node, ast.ComponentRef):
             name = node.name
-            assert name in self.symbols, f"{name} is not declared"
+            assert name == "time" or name in self.symbols, f"{name} is not declared"
             return lambda now, before: now[name]
         if isinstance(node, ast.IfExpression):
             condition, (one, other) = self._function(node.conditions[0]), map(self._function, node.expressions)

@@ -17,6 +17,14 @@ PIECES = TABLE_2 | {"gap": 3e-4, "stiffness_2": 1.2e6, "stiffness_3": 1.5e6, "to
 """The paper's axis with what springs in pieces have, too."""
 
 
+SMOOTH = TABLE_2 | {
+    "cubic_stiffness": 1e13, "hysteresis_stiffness": 3e5, "hysteresis_torque": 5.0, "motor_presliding_distance": 1e-3,
+    "load_presliding_distance": 4e-4, "load_friction_per_torque": 0.1, "motor_viscous_drift": -100.0,
+    "load_viscous_drift": 200.0,
+}  # fmt: skip
+"""The paper's axis with what laws in no pieces have, too."""
+
+
 def answer(joint: Joint, values: Mapping[str, float | None], record: str = "run 7") -> dict[str, Any]:
     """The keys of an estimate's JSON that an export reads."""
     return {

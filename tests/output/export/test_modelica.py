@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import jointid as ji
+from jointid.models.friction import FRICTIONS
 from jointid.models.joints import Joint
-from jointid.models.springs import Backlash, Spring, ThreePieceSpring
+from jointid.models.springs import SPRINGS, Backlash, Spring, ThreePieceSpring
 from jointid.paper.twin import CONTROLLERS, TABLE_2
 from tests.geared import FLEXIBLE, LAW, RIGID, TURNED_SCREW
 from tests.output.export.modelica_reader import ModelicaModel
-from tests.output.export.models import PIECES, apart, model, servo, simulated
+from tests.output.export.models import PIECES, SMOOTH, apart, model, servo, simulated
 
 REFERENCE = ji.excitation.trapezoids((0.042, 0.125), 0.83, 0.05, 1e-3, duration=2.0)
 
@@ -98,6 +100,16 @@ def test_a_spring_in_pieces_gives_our_torque(spring: Spring) -> None:
     assert fine < 3e-5  # the interpreter steps over the edges of the pieces
     assert fine < 0.5 * coarse
     assert apart(simulated(ji.FlexibleJoint(), law, reference, PIECES), ours) > 0.01
+
+
+@pytest.mark.parametrize("law", ["cubic", "hysteretic", "presliding", "load-dependent", "drifting"])
+def test_a_law_in_no_pieces_gives_our_torque(law: str) -> None:
+    whole = ji.FlexibleJoint()
+    joint = replace(whole, spring=SPRINGS[law]()) if law in SPRINGS else replace(whole, friction=FRICTIONS[law]())
+    reference = REFERENCE[:600]
+    ours = simulated(joint, CONTROLLERS["L19"], reference, SMOOTH)
+    assert apart(torque_of(joint, SMOOTH, CONTROLLERS["L19"], reference, steps=16), ours) < 1e-4
+    assert apart(simulated(whole, CONTROLLERS["L19"], reference, SMOOTH), ours) > 0.01
 
 
 def test_pieces_that_do_not_follow_each_other_are_refused() -> None:

@@ -211,7 +211,7 @@ class JointModel:
             MethodError: a stiffness or a torque is negative, or a piece has no stiffness and never ends.
         """
         spring = self.spring
-        if spring is None or spring.linear:
+        if spring is None or spring.linear or spring.stepped:
             return ()
         values = self.values
         wrong = [f"{p.name} is {values[p.name]:g}" for p in spring.parameters if values[p.name] < 0]
@@ -412,8 +412,13 @@ def friction_left_out(model: JointModel) -> tuple[str, ...]:
     if not all(mass.evenly_viscous for mass in model.masses.values()):
         found.append("the difference between viscous friction forwards and backwards; the mean of both is written")
     if not model.joint.friction.linear:
-        found.append("the change of friction towards standstill; what it is beyond low speed is written")
+        found.append(model.joint.friction.beside)
     return tuple(found)
+
+
+def spring_left_out(model: JointModel) -> tuple[str, ...]:
+    """Return the sentence on what a format of linear springs does not have; or none."""
+    return (model.spring.beside,) if model.spring is not None and model.spring.stepped else ()
 
 
 def effects_left_out(model: JointModel) -> tuple[str, ...]:

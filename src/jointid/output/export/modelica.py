@@ -2,7 +2,8 @@
 
 A mass at rest stays there while its Coulomb friction holds what pushes it; the push does not depend on accelerations,
 so one whole number for each mass says all: 1 forwards, -1 backwards, 0 held. It changes where the velocity changes its
-sign, and where the push of a mass at rest exceeds the friction.
+sign, and where the push of a mass at rest exceeds the friction. Where friction winds up over a displacement no mass
+rests: what it is wound up to is a state more, from -1 to 1.
 """
 
 from __future__ import annotations
@@ -10,7 +11,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from jointid.estimation.result.parts import EstimatedParameter
-from jointid.models.friction import DIRECTIONS, PARTS
+from jointid.models.friction import (
+    DIRECTIONS,
+    PARTS,
+    DriftingFriction,
+    LoadDependentFriction,
+    PreslidingFriction,
+    StribeckFriction,
+)
+from jointid.models.springs import CubicSpring, HystereticSpring
 from jointid.output.export.joint_model import JointModel, effects_left_out, identifier, interval, number, remarks
 
 _RESERVED = (
@@ -49,8 +58,9 @@ def modelica(model: JointModel) -> tuple[str, tuple[str, ...]]:
     for mass in prefixes:
         lines += _variables(model, mass)
     lines += _spring_variables(model)
-    lines.append("initial equation")
-    for mass, prefix in prefixes.items():
+    if not _winds_up(model):
+        lines.append("initial equation")
+    for mass, prefix in prefixes.items() if not _winds_up(model) else ():
         lines.append(f"  {mass}_direction = if {mass}_velocity > 0 then 1 else if {mass}_velocity < 0 then -1")
         lines.append(f"    else {_released(model, mass, prefix)};")
     lines += ["equation", *_spring_equations(model)]
@@ -74,7 +84,15 @@ def _variables(model: JointModel, mass: str) -> Iterator[str]:
     yield f'  output Real {mass}_position(unit="{position}", start=0, fixed=true);'
     yield f'  output Real {mass}_velocity(unit="{position}/s", start=0, fixed=true);'
     yield f'  Real {mass}_push(unit="{force}") "what moves the {mass}, but for its friction";'
-    yield f'  Integer {mass}_direction "1 forwards, -1 backwards, 0 held by its friction";'
+    if _winds_up(model):
+        yield f'  Real {mass}_wound(start=0, fixed=true) "share of its Coulomb friction that is wound up";'
+    else:
+        yield f'  Integer {mass}_direction "1 forwards, -1 backwards, 0 held by its friction";'
+
+
+def _winds_up(model: JointModel) -> bool:
+    """True if friction winds up after a reversal."""
+    return isinstance(model.joint.friction, PreslidingFriction)
 
 
 def _equations(model: JointModel, mass: str, prefix: str) -> Iterator[str]:
@@ -86,6 +104,11 @@ def _equations(model: JointModel, mass: str, prefix: str) -> Iterator[str]:
     less, more = (f" - {slow}", f" + {slow}") if slow else ("", "")
     yield f"  der({position}) = {velocity};"
     yield f"  {push} = {_push(model, mass)};"
+    if _winds_up(model):
+        wound, distance = f"{mass}_wound", f"{prefix}presliding_distance"
+        yield f"  {prefix}inertia * der({velocity}) = {push} - {viscous} * {velocity} - {coulomb} * {wound};"
+        yield f"  der({wound}) = ({velocity} - abs({velocity}) * {wound}) / {distance};"
+        return
     yield f"  {prefix}inertia * der({velocity}) ="
     yield f"    if {direction} > 0 then {push} - {viscous} * {velocity} - {coulomb}{less}"
     yield f"    else if {direction} < 0 then {push} - {viscous_back} * {velocity} + {coulomb_back}{more}"
@@ -111,14 +134,14 @@ def _released(model: JointModel, mass: str, prefix: str) -> str:
 def _holds(model: JointModel, prefix: str) -> tuple[str, str]:
     """Return up to which push friction holds a mass at rest, forwards and backwards."""
     (_, coulomb), (_, coulomb_back) = _friction(model, prefix)
-    if model.joint.friction.linear:
+    if not isinstance(model.joint.friction, StribeckFriction):
         return coulomb, coulomb_back
     return f"({coulomb} + {prefix}stribeck_force)", f"({coulomb_back} + {prefix}stribeck_force)"
 
 
 def _slow(model: JointModel, prefix: str, velocity: str) -> str:
     """Return by how much friction is another at low speed; nothing of a law that has no such part."""
-    if model.joint.friction.linear:
+    if not isinstance(model.joint.friction, StribeckFriction):
         return ""
     return f"{prefix}stribeck_force * exp(-({velocity} / {prefix}stribeck_speed)^2)"
 
@@ -128,7 +151,13 @@ def _friction(model: JointModel, prefix: str) -> tuple[tuple[str, str], tuple[st
     law = model.joint.friction
     named = [[law.named(part, direction) for part in PARTS] for direction in DIRECTIONS]
     forwards, backwards = (tuple("0" if name is None else f"{prefix}{name}" for name in names) for names in named)
-    return (forwards[0], forwards[1]), (backwards[0], backwards[1])
+    viscous, coulomb = "{}", "{}"
+    if isinstance(law, DriftingFriction):
+        viscous = f"({{}} + {prefix}viscous_drift * time)"
+    if isinstance(law, LoadDependentFriction) and prefix != "motor_":
+        coulomb = f"({{}} + {prefix}friction_per_torque * abs(spring))"
+    (one, other), (back, behind) = forwards, backwards
+    return (viscous.format(one), coulomb.format(other)), (viscous.format(back), coulomb.format(behind))
 
 
 _OF_A_PIECE = ("begin", "torque", "stiffness", "damping")
@@ -136,27 +165,42 @@ _OF_A_PIECE = ("begin", "torque", "stiffness", "damping")
 
 
 def _spring_variables(model: JointModel) -> Iterator[str]:
-    """Yield the numbers of each piece of a spring, and the torque between motor and load; nothing of a linear one."""
+    """Yield the numbers of each piece of a spring, and the torque between motor and load, where that has a name."""
     position, force = model.position_unit, _unit(model.torque_unit)
     units = (position, force, f"{force}/{position}", f"{force}.s/{position}")
     for i, piece in enumerate(model.pieces, 1):
         for word, value, unit in zip(_OF_A_PIECE, piece, units, strict=True):
             yield f'  parameter Real spring_{i}_{word}(unit="{unit}") = {number(value)};'
-    if model.pieces:
+    if _names_spring(model):
         yield f'  Real windup(unit="{position}") "of the load beyond the motor";'
         yield f'  Real spring(unit="{force}") "between motor and load";'
+    if isinstance(model.spring, HystereticSpring):
+        yield f'  Real slider(unit="{force}", start=0, fixed=true) "beside the spring";'
+
+
+def _names_spring(model: JointModel) -> bool:
+    """True if the torque of the spring is a variable of its own."""
+    return bool(model.pieces) or (model.flexible and model.joint.stepped)
 
 
 def _spring_equations(model: JointModel) -> Iterator[str]:
-    """Yield the torque of a spring in pieces, the last one first; nothing of a linear one."""
-    pieces = model.pieces
-    if not pieces:
+    """Yield the torque of a spring, of one in pieces the last one first; nothing where it has no name."""
+    pieces, slip = model.pieces, "(load_velocity - motor_velocity)"
+    if not _names_spring(model):
         return
     yield "  windup = load_position - motor_position;"
+    if not pieces:
+        more = " + cubic_stiffness * windup * windup * windup" if isinstance(model.spring, CubicSpring) else ""
+        more += " + slider" if isinstance(model.spring, HystereticSpring) else ""
+        yield f"  spring = stiffness * windup{more} + damping * {slip};"
+    if isinstance(model.spring, HystereticSpring):
+        yield f"  der(slider) = hysteresis_stiffness * ({slip} - abs({slip}) * slider / hysteresis_torque);"
+    if not pieces:
+        return
     yield "  spring ="
     for i in range(len(pieces), 0, -1):
         begin, torque, stiffness, damping = (f"spring_{i}_{word}" for word in _OF_A_PIECE)
-        elastic, damped = f"{stiffness} * windup", f"{damping} * (load_velocity - motor_velocity)"
+        elastic, damped = f"{stiffness} * windup", f"{damping} * {slip}"
         if i == 1:
             yield f"    {elastic} + {damped};"
             continue
@@ -167,7 +211,7 @@ def _spring_equations(model: JointModel) -> Iterator[str]:
 
 def _push(model: JointModel, mass: str) -> str:
     spring = "stiffness * (load_position - motor_position) + damping * (load_velocity - motor_velocity)"
-    spring = "spring" if model.pieces else spring
+    spring = "spring" if _names_spring(model) else spring
     push = "torque - offset" if mass == "motor" else f"-({spring})"
     if mass == "motor" and model.flexible:
         push = f"{push} + {spring}"

@@ -29,6 +29,7 @@ from jointid.output.export.joint_model import (
     number,
     one_line,
     remarks,
+    spring_left_out,
 )
 
 _AXES = {"revolute": "0 -1 0", "prismatic": "1 0 0"}
@@ -120,7 +121,7 @@ def mjcf(model: JointModel, *, timestep: float | None = None) -> tuple[str, tupl
     if timestep is not None and not 0 < timestep < 1:
         raise MethodError(f"A time step is a positive number of seconds below 1; received {timestep}.")
     _require_mechanical(model, "MJCF")
-    lost = [*friction_left_out(model), *_lost_weight(model.weight), *effects_left_out(model)]
+    lost = [*friction_left_out(model), *spring_left_out(model), *_lost_weight(model.weight), *effects_left_out(model)]
     if any(mass.coulomb for mass in model.masses.values()):
         lost.append("true sticking: MuJoCo's friction creeps where it should hold")
 

@@ -1,13 +1,12 @@
 """The simulation of a drive whose laws are in no pieces of lines, in steps whose error is controlled, compiled.
 
 A cubic or hysteretic spring, friction that winds up over a displacement, that grows with the torque through the spring
-or changes with time, ripple, a load that swings in itself: none has an affine map (`kernels.drive`). So the motion is
-integrated by the pair of orders 5 and 4 of J. R. Dormand and P. J. Prince (A family of embedded Runge-Kutta formulae,
-Journal of Computational and Applied Mathematics 6, 1980), whose difference bounds the error of a step. Between two
-events the laws are smooth, and the events are located: a mass that stops or comes loose, as in `kernels.drive`, the
-reversals from which friction or spring wind up anew, and the torque of the spring through 0. A guard is positive until
-its event; where one is negative at the end of a step, or its cubic through both ends dips below 0 in between, the step
-is made shorter, to the guard's root.
+or changes with time: none has an affine map (`kernels.drive`). So the motion is integrated by the pair of orders 5 and
+4 of J. R. Dormand and P. J. Prince (A family of embedded Runge-Kutta formulae, Journal of Computational and Applied
+Mathematics 6, 1980), whose difference bounds the error of a step. Between two events the laws are smooth, and the
+events are located: a mass that stops or comes loose, as in `kernels.drive`, the reversals from which friction or spring
+wind up anew, and the torque of the spring through 0. A guard is positive until its event; where one is negative at the
+end of a step, or its cubic through both ends dips below 0 in between, the step is made shorter, to the guard's root.
 
 What winds up over a displacement follows a law of P. R. Dahl (Solid friction damping of mechanical vibrations, AIAA
 Journal 14, 1976), which is integrated in closed form, as a function of the displacement since the last reversal: with
@@ -15,8 +14,7 @@ the force ``F0`` there, the limit ``L`` and the stiffness ``k``, in the directio
 
     F(x) = d L + (F0 - d L) exp(-k |x - x0| / L)
 
-State ``y`` = motor position, motor velocity, load position, load velocity, position and velocity of what the load
-carries.
+State ``y`` = motor position, motor velocity, load position, load velocity.
 """
 
 from __future__ import annotations
@@ -38,13 +36,13 @@ from jointid.simulation.kernels.drive import (
     control_any,
 )
 
-EXTRAS = 14
+EXTRAS = 8
 """Numbers of a drive beside those of `kernels.drive`, see `run`."""
 
 _TOLERANCE = 1e-9  # of the largest velocity so far: the error of one step
 _FIRST = 0.05  # of the time in which the drive's own motion changes: the first step
 _EVENTS = 1000  # per period; a physical drive has a handful
-_WORK = 400  # steps a simulation may take, per period
+_WORK = 20  # steps a simulation may take, per period: bounds the time an absurd candidate can cost
 _ROOT = 1e-13  # of a step: where an event is located to
 _GUARDS = 6  # of motor, load, reversing spring, spring's torque; of motor and load the other way while they rest
 
@@ -87,12 +85,6 @@ class _Drive(NamedTuple):
     loss: float
     drift1: float
     drift2: float
-    cos: float
-    sin: float
-    angle: float
-    tail_inertia: float
-    tail_stiffness: float
-    tail_damping: float
 
 
 class _Modes(NamedTuple):
@@ -146,26 +138,20 @@ def _friction(
 
 @inlined
 def _pushes(
-    p: _Drive, m: _Modes, y0: float, y1: float, y2: float, y3: float, y4: float, y5: float, torque: float
-) -> tuple[float, float, float, float]:
-    """Return what pushes motor and load but their friction, the spring's torque, and what it carries pulls with."""
+    p: _Drive, m: _Modes, y0: float, y1: float, y2: float, y3: float, torque: float
+) -> tuple[float, float, float]:
+    """Return what pushes motor and load but their friction, and the spring's torque."""
     spring, _ = _spring(p, m, y0, y1, y2, y3)
-    push1 = torque - p.offset1 + spring
-    if p.angle > 0.0:
-        push1 -= p.cos * math.cos(p.angle * y0) + p.sin * math.sin(p.angle * y0)
-    tail = 0.0
-    if p.tail_inertia > 0.0:
-        tail = p.tail_stiffness * (y4 - y2) + p.tail_damping * (y5 - y3)
-    return push1, tail - p.offset2 - spring, spring, tail
+    return torque - p.offset1 + spring, -p.offset2 - spring, spring
 
 
 @inlined
 def _accelerations(
-    p: _Drive, m: _Modes, y0: float, y1: float, y2: float, y3: float, y4: float, y5: float, time: float, torque: float
-) -> tuple[float, float, float]:
-    """Return the accelerations of motor, load, and what it carries."""
-    push1, push2, spring, tail = _pushes(p, m, y0, y1, y2, y3, y4, y5, torque)
-    a1, a2, a3 = 0.0, 0.0, 0.0
+    p: _Drive, m: _Modes, y0: float, y1: float, y2: float, y3: float, time: float, torque: float
+) -> tuple[float, float]:
+    """Return the accelerations of motor and load."""
+    push1, push2, spring = _pushes(p, m, y0, y1, y2, y3, torque)
+    a1, a2 = 0.0, 0.0
     if m.motor != 0:
         drift = p.drift1 * time
         drag = _friction(
@@ -180,9 +166,7 @@ def _accelerations(
             m.wound2, m.from2, y2,
         )  # fmt: skip
         a2 = (push2 - drag) / p.inertia2
-    if p.tail_inertia > 0.0:
-        a3 = -tail / p.tail_inertia
-    return a1, a2, a3
+    return a1, a2
 
 
 @compiled
@@ -194,19 +178,16 @@ def _step(
     These are of the velocities, and of the positions: of the lower of both orders, over one step.
     """
     for stage in range(7):
-        for i in range(6):
+        for i in range(4):
             new[i] = y[i]
         for j in range(stage):
             weight = h * _WEIGHTS[stage, j]
-            for i in range(6):
+            for i in range(4):
                 new[i] += weight * k[j, i]
-        a1, a2, a3 = _accelerations(
-            p, m, new[0], new[1], new[2], new[3], new[4], new[5], time + _NODES[stage] * h, torque
-        )
-        k[stage, 0], k[stage, 2], k[stage, 4] = new[1], new[3], new[5]
-        k[stage, 1], k[stage, 3], k[stage, 5] = a1, a2, a3
+        a1, a2 = _accelerations(p, m, new[0], new[1], new[2], new[3], time + _NODES[stage] * h, torque)
+        k[stage, 0], k[stage, 1], k[stage, 2], k[stage, 3] = new[1], a1, new[3], a2
     fast, far = 0.0, 0.0
-    for i in range(6):
+    for i in range(4):
         error = 0.0
         for j in range(7):
             error += _DIFFERENCE[j] * k[j, i]
@@ -220,7 +201,7 @@ def _guards(
     p: _Drive, m: _Modes, y: FloatArray, a1: float, a2: float, torque: float, guards: FloatArray, slopes: FloatArray
 ) -> None:
     """Write what is positive until an event happens, and how fast it changes."""
-    push1, push2, spring, _ = _pushes(p, m, y[0], y[1], y[2], y[3], y[4], y[5], torque)
+    push1, push2, spring = _pushes(p, m, y[0], y[1], y[2], y[3], torque)
     _, slope = _spring(p, m, y[0], y[1], y[2], y[3])
     rate = slope * (y[3] - y[1]) + p.damping * (a2 - a1)
     for i in range(_GUARDS):
@@ -234,11 +215,8 @@ def _guards(
         guards[1], slopes[1] = m.load * y[3], m.load * a2
     else:
         more, growth = p.loss * m.torque * spring, p.loss * m.torque * rate
-        pulled = rate
-        if p.tail_inertia > 0.0:
-            pulled -= p.tail_stiffness * (y[5] - y[3])
-        guards[1], slopes[1] = p.coulomb2 + more - push2, growth + pulled
-        guards[5], slopes[5] = p.coulomb2_back + more + push2, growth - pulled
+        guards[1], slopes[1] = p.coulomb2 + more - push2, growth + rate
+        guards[5], slopes[5] = p.coulomb2_back + more + push2, growth - rate
     if p.slope > 0.0:
         guards[2], slopes[2] = m.rate * (y[3] - y[1]), m.rate * (a2 - a1)
     if p.loss > 0.0:
@@ -316,10 +294,10 @@ def _through(m: _Modes, torque: int) -> _Modes:
 @compiled
 def _settled(p: _Drive, m: _Modes, y: FloatArray, time: float, torque: float) -> _Modes:
     """Return the modes of what stands still for a moment: held, or the way it is pushed."""
-    _, _, spring, _ = _pushes(p, m, y[0], y[1], y[2], y[3], y[4], y[5], torque)
+    _, _, spring = _pushes(p, m, y[0], y[1], y[2], y[3], torque)
     if p.loss > 0.0 and m.torque * spring < 0.0:
         m = _through(m, -m.torque)
-    push1, push2, spring, _ = _pushes(p, m, y[0], y[1], y[2], y[3], y[4], y[5], torque)
+    push1, push2, spring = _pushes(p, m, y[0], y[1], y[2], y[3], torque)
     more = p.loss * abs(spring)
     for mass in range(2):
         if y[1 + 2 * mass] != 0.0:
@@ -341,7 +319,7 @@ def _settled(p: _Drive, m: _Modes, y: FloatArray, time: float, torque: float) ->
         if new != mode:
             m = _turned(p, m, y, mass, new)
     if p.slope > 0.0 and y[3] == y[1]:
-        a1, a2, _ = _accelerations(p, m, y[0], y[1], y[2], y[3], y[4], y[5], time, torque)
+        a1, a2 = _accelerations(p, m, y[0], y[1], y[2], y[3], time, torque)
         if m.rate * (a2 - a1) < 0.0:
             m = _reversed(p, m, y, -m.rate)
     return m
@@ -369,19 +347,24 @@ def run(
 ) -> int:
     """Simulate one loop; fill `u`, `tapped`, `states` and `accelerations` and return how it ended.
 
-    What is not said here is as in `kernels.drive.run`.
-
     Args:
-        drive: (14,) the coefficients there.
+        drive: (14,) the coefficients, as in `kernels.drive.run`.
         extras: (EXTRAS,) a cubic stiffness; stiffness and limit of what a spring has that winds up, after Dahl; lengths
             over which the Coulomb friction of motor and load winds up (0: it sticks); the load's friction per torque
-            through the spring; by how much the viscous coefficients of motor and load rise per second; ripple on the
-            motor, cosine, sine and the angle per position; inertia, stiffness and damping of what the load carries.
-        lengths: see there. lags: see there. z: see there. feedback: see there. w: see there. post: see there.
-        before: see there.
+            through the spring; by how much the viscous coefficients of motor and load rise per second.
+        lengths: of the parts of a period, as there.
+        lags: of the torque in each, as there.
+        z: state of the feedback, overwritten.
+        feedback: the controller.
+        w: response of its elements to its reference, as there.
+        post: what is added after the limit.
+        before: torque that acted before the first period.
         x: (4,) initial state, overwritten.
         sliding: 1 or -1 where friction is wound up at the first sample, the direction of the motion; else 0.
-        far: see there. u: see there. tapped: see there. states: see there.
+        far: a motor position beyond which the loop counts as diverged.
+        u: (periods,) out, the torque that acts.
+        tapped: out, as there.
+        states: out, as there.
         accelerations: (periods * parts, 2) out, of motor and load, just after the torque of each part begins to act; or
             (0, 2).
         counts: (4,) out: events, steps, periods simulated, periods at the limit.
@@ -390,16 +373,11 @@ def run(
     p = _Drive(
         drive[0], drive[1], drive[2], drive[3], drive[4], drive[5], drive[6], drive[7], drive[8], drive[9], drive[10],
         drive[11], drive[12], drive[13], extras[0], extras[1], extras[2], extras[3], extras[4], extras[5], extras[6],
-        extras[7], extras[8], extras[9], extras[10], extras[11], extras[12], extras[13],
+        extras[7],
     )  # fmt: skip
     mobility = 1.0 / p.inertia1 + 1.0 / p.inertia2
     rate = math.sqrt((p.stiffness + p.slope) * mobility) + p.damping * mobility + 1.0 / np.max(lengths)
-    if p.tail_inertia > 0.0:
-        lighter = 1.0 / p.inertia2 + 1.0 / p.tail_inertia
-        rate += math.sqrt(p.tail_stiffness * lighter) + p.tail_damping * lighter
-    y, new, k = np.zeros(6), np.zeros(6), np.zeros((7, 6))
-    y[:4] = x
-    y[4], y[5] = x[2], x[3]
+    y, new, k = x.copy(), np.zeros(4), np.zeros((7, 4))
     first, second = (1 if x[1] >= 0.0 else -1), (1 if x[3] >= 0.0 else -1)
     spring = p.stiffness * (x[2] - x[0])
     m = _Modes(
@@ -430,8 +408,8 @@ def run(
             m = _settled(p, m, y, time, torque)
             if keep:
                 row = i * parts + part
-                a1, a2, _ = _accelerations(p, m, y[0], y[1], y[2], y[3], y[4], y[5], time, torque)
-                states[row] = y[:4]
+                a1, a2 = _accelerations(p, m, y[0], y[1], y[2], y[3], time, torque)
+                states[row] = y
                 accelerations[row, 0], accelerations[row, 1] = a1, a2
             left = lengths[part]
             while left > 0.0 and status == FINISHED:
@@ -467,7 +445,7 @@ def run(
                     _step(p, m, y, k, new, time, share * h, torque)
                 elif which < 0:
                     wanted = h * min(max(0.9 * max(error, 1e-10) ** -0.2, 0.3), 5.0)
-                for j in range(6):
+                for j in range(4):
                     y[j] = new[j]
                 time += share * h
                 left = 0.0 if share == 1.0 and h == left else left - share * h
@@ -480,7 +458,7 @@ def run(
                 if steps > _WORK * n + 10_000:
                     status = TOO_STIFF
         i += 1
-    x[:] = y[:4]
+    x[:] = y
     counts[0], counts[1], counts[2], counts[3] = events, steps, i, min(clipped, i)
     return status
 
@@ -499,8 +477,5 @@ def _after(p: _Drive, m: _Modes, y: FloatArray, which: int, time: float, torque:
             m = _turned(p, m, y, mass, 1 if which < 2 else -1)
         else:
             y[1 + 2 * mass] = 0.0
-            if soft > 0.0:
-                m = _turned(p, m, y, mass, -mode)
-            else:
-                m = _settled(p, m, y, time, torque)
+            m = _turned(p, m, y, mass, -mode) if soft > 0.0 else _settled(p, m, y, time, torque)
     return m
