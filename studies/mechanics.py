@@ -23,7 +23,9 @@ from scipy.signal import lfilter
 import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
+from jointid.diagnostics.friction_comparison import compare_frictions
 from jointid.diagnostics.intervals import rebuild_problem
+from jointid.diagnostics.law_comparison import LawComparison
 from jointid.diagnostics.spring_comparison import compare_springs
 from jointid.diagnostics.unmodelled_motion import predict_residual
 from jointid.models.friction import FRICTIONS, friction_named
@@ -299,7 +301,7 @@ def _follows(estimate: ji.Estimate, record: ji.Record) -> bool:
 
 @dataclass(frozen=True)
 class Chosen:
-    """The spring that a drive's record shows, and how far its stiffness is off, in standard errors."""
+    """The spring or the friction that a drive's record shows; of a spring how far its stiffness is off, in sigmas."""
 
     seed: int
     fault: str
@@ -310,19 +312,20 @@ class Chosen:
     left: dict[str, float | None]
 
 
-def choose(seed: int, fault: str, longest: float = 12.0) -> Chosen | None:
-    """Compare the springs on the record of a drive with a fault; None where there is no such drive."""
+def choose(seed: int, fault: str, longest: float = 12.0, kind: str = "spring") -> Chosen | None:
+    """Compare springs, or frictions, on the record of a drive with a fault; None where there is no such drive."""
     made = spoiled(seed, fault, longest)
     if made is None:
         return None
     try:
-        found = compare_springs(made.record, made.axis.loop)
+        compared: LawComparison
+        compared = (compare_springs if kind == "spring" else compare_frictions)(made.record, made.axis.loop)
     except JointidError as error:
         return Chosen(seed, fault, made.size, f"{type(error).__name__}: {error}", "", None, {})
-    truth, shown = made.stiffness, found.shown
+    truth, shown = made.stiffness, compared.shown
     std = shown.std.get("stiffness")
     z = (shown.values["stiffness"] - truth) / std if std else None
-    return Chosen(seed, fault, made.size, "", shown.name, z, {one.name: one.kept for one in found.laws})
+    return Chosen(seed, fault, made.size, "", shown.name, z, {one.name: one.kept for one in compared.laws})
 
 
 def summarise_choices(runs: Sequence[Chosen]) -> str:
@@ -367,14 +370,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--fault", action="append", choices=FAULTS)
     parser.add_argument("--spring", choices=SPRINGS, default=LinearSpring.name)
     parser.add_argument("--friction", choices=FRICTIONS, default="symmetric")
-    parser.add_argument("--choose", action="store_true", help="compare all springs instead, and say which is shown")
+    parser.add_argument("--choose", choices=("spring", "friction"), help="compare all of them, and say which is shown")
     given = parser.parse_args(arguments)
     said: list[Said] = []
     chosen: list[Chosen] = []
     for fault in given.fault or FAULTS:
         for seed in range(given.first, given.first + given.count):
             if given.choose:
-                one: Said | Chosen | None = choose(seed, fault, given.longest)
+                one: Said | Chosen | None = choose(seed, fault, given.longest, given.choose)
             else:
                 one = judge(seed, fault, given.longest, given.spring, given.friction)
             if one is None:
