@@ -14,7 +14,7 @@ from jointid.models.controllers import numbers_of
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint, frictions_beside, springs_beside
 from jointid.models.springs import SPRINGS
-from jointid.simulation.closed_loop import Outcome, simulate
+from jointid.simulation.closed_loop import Initial, Outcome, simulate
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.sensitivities import simulate_sensitivities
 from tests.plants import Case, prismatic, rotary
@@ -142,3 +142,54 @@ def test_a_mass_under_presliding_friction_creeps_until_its_spring_carries_it() -
     w, more = np.zeros(5000), Smooth(presliding=(1e-3, 0.0))
     _, _, x, _ = run(plant, law, w, w, 1e-3, 0.0, 0.0, np.zeros(2), beyond=more.row)
     assert x[-1, 0] == pytest.approx(1e-3 * np.log(1 / (1 - 0.6)), rel=1e-4)
+
+
+def test_a_velocity_that_dips_below_nothing_within_a_step_is_located() -> None:
+    """A load that swings in a motion, just faster than its mean, stops for a moment at each swing."""
+    stiffness, inertia, speed = 1e4, 1.0, 0.1
+    for eps in (6e-5, 2e-4):
+        plant = Plant(
+            inertia1=1e9, inertia2=inertia, stiffness=stiffness, fc2=(1e-3, 1e-3), fv1=(0.0, 0.0), fv2=(0.0, 0.0)
+        )
+        nothing = np.zeros(0)
+        law = Law(np.zeros((0, 0)), nothing, nothing, nothing, 0.0, np.inf, nothing)
+        w = np.zeros(40)
+        x0 = np.array([0.0, speed, -speed * (1 + eps) / np.sqrt(stiffness / inertia), speed])
+        status, _, x, counts = run(plant, law, w, w, 2e-3, 0.0, 0.0, x0, beyond=Smooth().row)
+        _, _, exact, _ = run(plant, law, w, w, 2e-3, 0.0, 0.0, x0)
+        assert status == 0
+        np.testing.assert_allclose(x, exact, rtol=0, atol=1e-7 * np.abs(exact).max(axis=0))
+        assert counts[0] >= 2
+
+
+@pytest.mark.parametrize("name", ["damping", "load_coulomb"])
+def test_a_number_at_its_bound_has_the_derivative_to_the_side_of_joints(name: str) -> None:
+    case = prismatic(1)
+    loop, values = _nothing_more(case)
+    experiment, at = prepare(loop, case.clean), {name: 0.0}
+    exact = simulate_sensitivities(case.loop, experiment, case.truth | at, [name]).torque
+    found = simulate_sensitivities(loop, experiment, values | at, [name]).torque
+    assert np.linalg.norm(exact) > 1.0
+    assert np.linalg.norm(found - exact) < 0.05 * np.linalg.norm(exact)
+
+
+def test_friction_that_grows_with_the_load_is_in_balance_at_the_first_sample() -> None:
+    law, values = (
+        FRICTIONS["load-dependent"](),
+        {"load_viscous": 0.0, "load_coulomb": 2.0, "load_friction_per_torque": 0.2},
+    )
+    for velocity, load in ((1.0, 50.0), (-1.0, 50.0), (1.0, -50.0), (-1.0, 0.5)):
+        drag = law.drag(values, velocity, load, "load_")
+        assert drag == pytest.approx(np.sign(velocity) * (2.0 + 0.2 * abs(load + drag)))
+
+
+@pytest.mark.parametrize("velocity", [0.0, 1e-9, 1e-5])
+def test_what_has_not_wound_up_does_not_drag_at_the_first_sample(velocity: float) -> None:
+    case = prismatic(1)
+    joint = case.loop.joint
+    loop = replace(case.loop, joint=replace(joint, friction=FRICTIONS["presliding"]()))
+    values = case.truth | {"motor_presliding_distance": 1e-4, "load_presliding_distance": 1e-4}
+    experiment = prepare(loop, case.clean)
+    found = simulate(loop, experiment, values, Initial(velocity=velocity))
+    rest = simulate(loop, experiment, values)
+    assert np.abs(found.torque - rest.torque).max() <= 1e-3 + 1e6 * velocity

@@ -55,7 +55,7 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.controllers.drive_numbers import DriveNumber
-from jointid.models.joints import FlexibleJoint, Joint, frictions_beside
+from jointid.models.joints import FlexibleJoint, Joint, frictions_beside, springs_beside
 from jointid.records.record import Record
 from jointid.uncertainty.covariance import robust
 from jointid.uncertainty.position_dependent_error import Cells, cells, widened
@@ -309,8 +309,8 @@ def _find(
     units |= {"torque": force, "velocity": unit_of(Quantity.VELOCITY, joint.kind, force)}
     symbols = {p.name: p.symbol for p in joint.parameters}
     side, tests = None if joint.transmission is None else joint.transmission.side, () if first is None else first.tests
-    law, frictions = numbers_of(problem.loop.controller), _frictions_to_try(joint)
-    check = LoopCheck(tuple(findings), tests, settings.level, symbols, units, side, undecided, law, frictions=frictions)
+    law, to_try = numbers_of(problem.loop.controller), _laws_to_try(joint)
+    check = LoopCheck(tuple(findings), tests, settings.level, symbols, units, side, undecided, law, laws=to_try)
     return check, state
 
 
@@ -324,11 +324,12 @@ def _predict_rest(state: _State) -> PredictedResidual | None:
         return None
 
 
-def _frictions_to_try(joint: Joint) -> tuple[str, ...]:
-    """Return the names of the laws of friction beyond lines that a joint may have, with all that it has now."""
+def _laws_to_try(joint: Joint) -> tuple[str, ...]:
+    """Return the names of springs, and of frictions beyond lines, that a joint may have with all that it has now."""
     even = joint.friction.offset_identifiable
     laws = [law for law in frictions_beside(joint) if not law.linear and law != joint.friction]
-    return tuple(law.name for law in laws if even or not law.offset_identifiable)
+    springs = springs_beside(joint) if isinstance(joint, FlexibleJoint) else ()
+    return (*(law.name for law in laws if even or not law.offset_identifiable), *(law.name for law in springs))
 
 
 def _run_tests(state: _State, settings: LoopTests) -> _TestResults:

@@ -49,6 +49,7 @@ from jointid.diagnostics.fault_signature import FaultSignature
 from jointid.diagnostics.mechanics_faults import MECHANICS, ONE_SIDED, vary_mechanics
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import numbers_of
+from jointid.models.friction import PreslidingFriction, StribeckFriction
 from jointid.records.record import Tap
 from jointid.simulation.loop_input import as_logged
 from jointid.uncertainty.covariance import robust, smoothed_spectrum
@@ -152,7 +153,7 @@ def _vary_injected_gain(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[F
 
 def _vary_low_speed_friction(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultSignature]:
     """Yield the signatures of a friction that is larger, or smaller, at low speed."""
-    if not problem.joint.friction.linear:  # its own law has that
+    if isinstance(problem.joint.friction, StribeckFriction | PreslidingFriction):  # its own law has that
         return
     velocity = problem.simulate(x).motor_velocity
     if velocity.size != problem.experiment.after_limit.size:

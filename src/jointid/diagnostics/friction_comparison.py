@@ -1,7 +1,7 @@
 """Which friction a record shows: every law, compared on what was kept from their fits.
 
-How laws are compared is in `law_comparison`. The laws differ in whether the directions are alike, and in whether
-friction is another towards standstill. A delay that is not declared, and what is wrong in the controller, may look like
+How laws are compared is in `law_comparison`. The laws differ in whether the directions are alike, and in what friction
+depends on beside the velocity. A delay that is not declared, and what is wrong in the controller, may look like
 a friction of another law: the check of loop and log (`check_loop`) of an estimate with the law that is told says
 whether it is so.
 """
@@ -25,8 +25,8 @@ from jointid.estimation.methods.registry import Task
 from jointid.estimation.methods.search import History, Solved, free_more, least_squares
 from jointid.estimation.methods.search_in_pieces import from_linear_laws
 from jointid.estimation.problems.closed_loop import torque_problem
-from jointid.models.friction import Friction, SymmetricFriction
-from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, frictions_beside
+from jointid.models.friction import FRICTIONS, Friction, SymmetricFriction
+from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
 from jointid.records.checks import check_record
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -110,7 +110,7 @@ def compare_frictions(
         solved = free_more(solved.problem, solved.solution.x, settings.free, tolerance, history)
     parts = parts_of(solved.problem, "frictions")
     found: list[tuple[JudgedLaw, FloatArray | None]] = []
-    for law in sorted(frictions_beside(joint), key=lambda law: len(law.parameters())):
+    for law in sorted((law() for law in FRICTIONS.values()), key=lambda law: len(law.parameters())):
         progress(f"fitting {law.name} friction")
         of_law = _parameters(joint, law)
         try:

@@ -37,6 +37,9 @@ _ERRORS = 3.0  # standard errors of a mean logarithm within which two laws predi
 _HARDLY = 0.02  # mean logarithm, an error 1 % less: so little is no reason to believe in another law
 _NOTHING = 1e-6  # of the torque: less than that is left by rounding
 _UNKNOWN = 10.0  # times its value: a deviation so large tells nothing
+_MAY_VANISH = (  # a gap, a damping, a share of the torque, a drift, a cube
+    Quantity.POSITION, Quantity.VISCOUS, Quantity.RATIO, Quantity.VISCOUS_DRIFT, Quantity.CUBIC_STIFFNESS,
+)  # fmt: skip
 _BESIDE = 1e-3  # standard errors: so little is 0
 _ROUGHLY, _EVALUATIONS = 1e-5, 20  # of those without a part, which begin where the whole record's ended
 
@@ -229,7 +232,7 @@ def judge(
 
 def _interval(p: Parameter, value: float, std: float | None, unit: str, untold: bool) -> str:
     """Return a value with its interval; what the record does not tell as that, unless it may be 0."""
-    vanishes = p.quantity in (Quantity.POSITION, Quantity.VISCOUS)  # a gap, a damping
+    vanishes = p.quantity in _MAY_VANISH
     if not vanishes and (untold or (std is not None and std > _UNKNOWN * abs(value))):
         return "(not told)"
     if std is None:

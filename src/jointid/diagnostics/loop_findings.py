@@ -97,7 +97,7 @@ class LoopCheck(Documented):
             a parameter would move out of its interval.
         law: the controller's numbers as they are declared.
         shown: how the drive shows those that the joint file declares, by the law's names.
-        frictions: names of the laws beyond lines that the joint's friction may be instead.
+        laws: names of springs, and of frictions beyond lines, that the joint may have instead of its own.
     """
 
     findings: tuple[Finding, ...]
@@ -109,7 +109,7 @@ class LoopCheck(Documented):
     undecided: Finding | None = None
     law: Mapping[str, float] = field(default_factory=dict)
     shown: Mapping[str, DriveNumber] = field(default_factory=dict)
-    frictions: tuple[str, ...] = ()
+    laws: tuple[str, ...] = ()
 
     @property
     def as_declared(self) -> bool:
@@ -198,8 +198,8 @@ class LoopCheck(Documented):
     def _say_what_to_declare(self, finding: Finding) -> str:
         """Return which law of spring or friction has what was found, as the end of a sentence; "" where none has."""
         named = (finding.test.name, *finding.test.alike, *finding.rivals)
-        springs = [law for name in named for law in _SPRINGS.get(name, ())]
-        frictions = [law for name in named for law in _FRICTIONS.get(name, ()) if law in self.frictions]
+        springs = [law for name in named for law in _SPRINGS.get(name, ()) if law in self.laws]
+        frictions = [law for name in named for law in _FRICTIONS.get(name, ()) if law in self.laws]
         if finding.test.name == CHANGING_FRICTION and finding.test.shape == COULOMB:
             frictions = []
         told = ("spring", springs, "springs") if finding.test.name in _SPRINGS else ("friction", frictions, "friction")

@@ -23,8 +23,8 @@ from jointid.estimation.methods.registry import Task
 from jointid.estimation.methods.search import History, Solved, free_more, least_squares
 from jointid.estimation.methods.search_in_pieces import from_linear_laws
 from jointid.estimation.problems.closed_loop import torque_problem
-from jointid.models.joints import ClosedLoop, FlexibleJoint, of_whole, springs_beside
-from jointid.models.springs import LinearSpring
+from jointid.models.joints import ClosedLoop, FlexibleJoint, of_whole
+from jointid.models.springs import SPRINGS, LinearSpring
 from jointid.records.checks import check_record
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -120,7 +120,7 @@ def compare_springs(
     if settings.free:
         solved = free_more(solved.problem, solved.solution.x, settings.free, tolerance, history)
     parts = parts_of(solved.problem, "springs")
-    laws = sorted(springs_beside(joint), key=lambda law: len(law.parameters))
+    laws = sorted((law() for law in SPRINGS.values()), key=lambda law: len(law.parameters))
     found: list[tuple[JudgedLaw, FloatArray | None]] = []
     for law in (None, *laws):
         name, of_spring = (RIGID, ()) if law is None else (law.name, law.parameters)

@@ -46,6 +46,7 @@ _SPEEDS = (0.02, 0.08)  # of the largest speed: where a search for a Stribeck sp
 _CHANGE = 0.3  # of the Coulomb friction: what a change of it towards standstill begins with
 _SHORTEST = 1e-12  # displacement over which friction winds up, in the joint's unit
 _DISTANCES = (3e-4, 3e-3)  # of the travel: where a search for that begins
+_MOST = 0.9  # of the torque through the spring: a friction that grows by all of it lets nothing through
 _LOSS = 0.03  # of the torque through the spring: where a search for a friction that grows with it begins
 _WARMED = 0.2  # of the viscous friction, lost at the end: where a search for a change with time begins
 
@@ -110,8 +111,12 @@ class Friction:
     label: ClassVar[str]
     contrast: ClassVar[str]
     coefficients: ClassVar[tuple[Coefficient, ...]]
-    beside: ClassVar[str] = ""
-    """What it has beside its lines, and what is written where only lines are, in words; "" of lines alone."""
+    softens: ClassVar[bool] = False
+    """True if without it a spring is found that is much too soft."""
+    adds: ClassVar[str] = ""
+    """What it has beside its lines, in words; "" of lines alone."""
+    instead: ClassVar[str] = ""
+    """What its lines are, where only lines are written, in words."""
 
     def named(self, part: Part, direction: Direction) -> str | None:
         """Return the name of a coefficient, None where the law has none there (it is 0)."""
@@ -174,8 +179,8 @@ class Friction:
         """Return what the law has beside its lines, as `models.beyond` names it."""
         return {}
 
-    def drag(self, values: Mapping[str, float], velocity: float, prefix: str = "") -> float:
-        """Return the friction of steady motion of a mass that the spring drives alone; 0 at rest."""
+    def drag(self, values: Mapping[str, float], velocity: float, load: float, prefix: str = "") -> float:
+        """Return the friction of steady motion, of a mass that the spring drives against a constant load; 0 at rest."""
         return float(self.force(values, np.array(velocity), prefix))
 
     def bands(self, values: Mapping[str, float], prefix: str = "") -> tuple[Band, ...]:
@@ -262,7 +267,7 @@ class StribeckFriction(Friction):
     label = "the same, another at low speed"
     contrast = "symmetric"
     coefficients: ClassVar[tuple[Coefficient, ...]] = SymmetricFriction.coefficients
-    beside = "the change of friction towards standstill; what it is beyond low speed is written"
+    adds, instead = "the change of friction towards standstill", "what it is beyond low speed"
 
     @property
     def lines(self) -> Friction:
@@ -336,13 +341,14 @@ class PreslidingFriction(_SteppedFriction):
     """Symmetric friction whose Coulomb force winds up over a displacement after each reversal, as P. R. Dahl's.
 
     ``dF/dx = (Fc / s) (1 - F sign(v) / Fc)``, Solid friction damping of mechanical vibrations, AIAA Journal 14, 1976:
-    a spring of ``Fc / s`` near a reversal, Coulomb's force a few ``s`` behind it. Nothing sticks: a joint that stands
-    under a load creeps until the spring carries it.
+    a spring of ``2 Fc / s`` right behind a reversal, half of that where it is not wound up, and Coulomb's force a few
+    ``s`` further. Nothing sticks: a joint that stands under a load creeps until that spring carries it.
     """
 
     name = "presliding"
     label = "the same, wound up at reversals"
-    beside = "the displacement over which friction winds up; the Coulomb force that it winds up to is written"
+    softens = True
+    adds, instead = "the displacement over which friction winds up", "the Coulomb force that it winds up to"
 
     def parameters(self, prefix: str = "", index: str = "") -> tuple[Parameter, ...]:
         """Return Fv and Fc, then the displacement over which Fc winds up."""
@@ -369,7 +375,7 @@ class LoadDependentFriction(_SteppedFriction):
 
     name = "load-dependent"
     label = "the same, more under load"
-    beside = "the friction that grows with the spring's torque; what it is without one is written"
+    adds, instead = "the friction that grows with the spring's torque", "what it is without one"
 
     @property
     def of_whole(self) -> Friction:
@@ -379,17 +385,20 @@ class LoadDependentFriction(_SteppedFriction):
     def parameters(self, prefix: str = "", index: str = "") -> tuple[Parameter, ...]:
         """Return Fv and Fc, on the load side then the share of the spring's torque."""
         own = Friction.parameters(self, prefix, index)
-        share = Parameter(f"{prefix}friction_per_torque", f"mu{index}", Quantity.RATIO, lower=0.0, upper=1.0)
+        share = Parameter(f"{prefix}friction_per_torque", f"mu{index}", Quantity.RATIO, lower=0.0, upper=_MOST)
         return own if prefix == "motor_" else (*own, share)
 
     def extras(self, values: Mapping[str, float], prefix: str = "") -> dict[str, float]:
         """Return the share, on the load side."""
         return {} if prefix == "motor_" else {"per_torque": values[f"{prefix}friction_per_torque"]}
 
-    def drag(self, values: Mapping[str, float], velocity: float, prefix: str = "") -> float:
-        """Return the friction that is in balance with the torque it grows with."""
+    def drag(self, values: Mapping[str, float], velocity: float, load: float, prefix: str = "") -> float:
+        """Return the friction that is in balance with the torque it grows with: ``T = load + F + mu |T| sign(v)``."""
         own = float(self.force(values, np.array(velocity), prefix))
-        return own if prefix == "motor_" else own / (1.0 - values[f"{prefix}friction_per_torque"])
+        if velocity == 0.0:
+            return own
+        share = values[f"{prefix}friction_per_torque"] * math.copysign(1.0, velocity)
+        return (load + own) / (1.0 - share * math.copysign(1.0, load + own)) - load
 
     def starts(self, motion: MotionSize, prefix: str = "") -> Iterator[dict[str, float]]:
         """Yield a small share."""
@@ -405,7 +414,7 @@ class DriftingFriction(_SteppedFriction):
 
     name = "drifting"
     label = "the same, changing with time"
-    beside = "the change of viscous friction with time; what it is at the first sample is written"
+    adds, instead = "the change of viscous friction with time", "what it is at the first sample"
 
     def parameters(self, prefix: str = "", index: str = "") -> tuple[Parameter, ...]:
         """Return Fv and Fc, then by how much Fv grows per second."""

@@ -341,7 +341,7 @@ class FlexibleJoint(_JointBase):
 
         At rest the load's Coulomb force may carry any part of it up to its own size; it is taken to carry nothing.
         """
-        drag = self.friction.drag(values, velocity, "load_")
+        drag = self.friction.drag(values, velocity, self._gravity_constant(values), "load_")
         deflection, stiffness = 0.0, values["stiffness"]
         if stiffness > 0.0 and self.gravity is not None:
             deflection = self.gravity.static_deflection(values, stiffness, position, drag)

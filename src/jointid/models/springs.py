@@ -53,8 +53,10 @@ class Spring:
 
     name: ClassVar[str]
     label: ClassVar[str]
-    beside: ClassVar[str] = ""
-    """What a spring in no pieces has beside its line, and what is written where only lines are, in words."""
+    adds: ClassVar[str] = ""
+    """What a spring in no pieces has beside its line, in words."""
+    instead: ClassVar[str] = ""
+    """What its line is, where only that is written, in words."""
 
     @property
     def linear(self) -> bool:
@@ -255,7 +257,7 @@ class CubicSpring(_SteppedSpring):
 
     name = "cubic"
     label = "stiffer as it winds up"
-    beside = "the cube in the spring's torque; its stiffness for small deflections is written"
+    adds, instead = "the cube in the spring's torque", "its stiffness for small deflections"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -296,12 +298,13 @@ class HystereticSpring(_SteppedSpring):
 
     ``K12 e + h``, where h winds up from each reversal with the stiffness Kh to the limit Th, as friction inside a gear
     does: ``dh/de = Kh (1 - h sign(e') / Th)``, P. R. Dahl's form of the slider of W. D. Iwan (A distributed-element
-    model for hysteresis, Journal of Applied Mechanics 33, 1966). The stiffness right behind a reversal is K12 + Kh.
+    model for hysteresis, Journal of Applied Mechanics 33, 1966). The stiffness is ``K12 + Kh`` where nothing is wound
+    up, and up to ``K12 + 2 Kh`` right behind a reversal.
     """
 
     name = "hysteretic"
     label = "linear, with hysteresis"
-    beside = "the slider beside the spring; the stiffness where that slips is written"
+    adds, instead = "the slider beside the spring", "the stiffness where that slips"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -34,7 +34,8 @@ class Outcome(StrEnum):
     CHATTERING = "the joint started and stopped more often within one period than a real one can"
     INVALID = (
         "an inertia or the Coulomb friction is not positive, friction at rest is less than nothing, a Stribeck speed "
-        "is 0, the torques of a spring's pieces do not rise, or a value is not a number"
+        "is 0, the torques of a spring's pieces do not rise, something winds up over less than nothing, a share of the "
+        "torque is 1 or more, or a value is not a number"
     )
 
 
@@ -197,12 +198,8 @@ def run(
     keep: bool,
     taped: int = 0,
     room: Room | None = None,
-    start: FloatArray | None = None,
 ) -> ClosedLoopRun:
-    """Run one candidate; `keep` its states and modes, and so many rows of its tape, in fresh memory or in a room.
-
-    It begins in a state, (4,), or where its joint is in steady motion.
-    """
+    """Run one candidate; `keep` its states and modes, and so many rows of its tape, in fresh memory or in a room."""
     from jointid.simulation.kernels import drive as kernels
     from jointid.simulation.kernels import stepped_drive
 
@@ -230,7 +227,10 @@ def run(
     if possible and math.isfinite(position) and math.isfinite(velocity):
         state, first = first_state(experiment, position, velocity, initial.torque)
         before = first + experiment.after_limit[0]
-        start = loop.joint.start(values, position, velocity) if start is None else start.copy()
+        sliding = wound_up(experiment, velocity) if initial.wound_up is None else initial.wound_up
+        start = loop.joint.start(values, position, velocity)
+        if beyond is not None and not sliding:  # friction that has not wound up drags no more than at rest
+            start[::2] = loop.joint.start(values, position, 0.0)[::2]
         common = experiment.lengths, experiment.lags, state, experiment.kernel, experiment.feedforward
         beginning = experiment.after_limit, before, start
         far = experiment.far + abs(position)
@@ -239,7 +239,6 @@ def run(
                 drive, *common, *beginning, far, command, tapped, excess, states, modes, tape, counts, gravity, segments
             )
         else:
-            sliding = wound_up(experiment, velocity) if initial.wound_up is None else initial.wound_up
             status = stepped_drive.run(
                 drive, beyond, *common, *beginning, sliding, far, command, tapped, states, accelerations, counts
             )
@@ -251,7 +250,7 @@ def run(
     states[done * parts :] = states[done * parts - 1] if done and keep else 0.0
     accelerations[done * parts :] = 0.0
     if outcome is Outcome.DIVERGED:  # what diverges may do so beyond the largest number
-        for signal in (command, tapped, excess, states):
+        for signal in (command, tapped, excess, states, accelerations):
             np.nan_to_num(signal, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     shown = tapped if tapped.size else command
     return ClosedLoopRun(
@@ -324,18 +323,19 @@ def _ordered(segments: FloatArray | None) -> bool:
 
 
 def _winding(beyond: FloatArray | None) -> bool:
-    """True of laws in no pieces whose displacements, and the torque at which a slider slips, are not negative."""
+    """True of laws in no pieces whose numbers are not negative, the share of the spring's torque below 1."""
     if beyond is None:
         return True
-    _, slider, slips, *distances = beyond[:5].tolist()
-    return bool(np.all(np.isfinite(beyond)) and slider >= 0 and (slips > 0 or slider == 0) and min(distances) >= 0)
+    _, slider, slips, *distances, share = beyond[:6].tolist()
+    slips_at_all = slider >= 0 and (slips > 0 or slider == 0)
+    return bool(np.all(np.isfinite(beyond)) and slips_at_all and min(distances) >= 0 and 0 <= share < 1)
 
 
 def wound_up(experiment: LoopInput, velocity: float) -> float:
     """Return the direction of a motion that began before the first sample, 0 of one that is hardly any."""
     reference = experiment.inputs[:, REFERENCE]
     fastest = float(np.max(np.abs(np.diff(reference)), initial=0.0)) / experiment.law.period
-    return math.copysign(1.0, velocity) if abs(velocity) > _HARDLY * fastest else 0.0
+    return math.copysign(1.0, velocity) if abs(velocity) > _HARDLY * fastest > 0.0 else 0.0
 
 
 def _ends(segments: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -59,7 +59,6 @@ class _Point:
     experiment: LoopInput
     values: Mapping[str, float]
     initial: Initial
-    start: FloatArray | None = None
 
     def moved(self, name: str, by: float) -> _Point:
         """Return the point with one number larger by so much."""
@@ -68,19 +67,14 @@ class _Point:
             return replace(self, values={**self.values, name: self.values[name] + by})
         if name.startswith("initial_"):
             word = name.removeprefix("initial_")
-            moved = replace(self.initial, **{word: getattr(self.initial, word) + by})
-            if name == "initial_velocity" and self.initial.velocity == 0.0:  # the drag of steady motion jumps there
-                assert self.initial.position is not None
-                rest = self.loop.joint.start(self.values, self.initial.position, 0.0)
-                return replace(self, initial=moved, start=rest + by * np.array([0.0, 1.0, 0.0, 1.0]))
-            return replace(self, initial=moved)
+            return replace(self, initial=replace(self.initial, **{word: getattr(self.initial, word) + by}))
         controller = with_numbers(self.loop.controller, {name: number(self.loop.controller, name) + by})
         experiment = self.experiment.with_law(self.experiment.law_of(controller))
         return replace(self, loop=replace(self.loop, controller=controller), experiment=experiment)
 
     def run(self, keep: bool) -> ClosedLoopRun:
         """Return its run."""
-        return run(self.loop, self.experiment, self.values, self.initial, keep=keep, start=self.start)
+        return run(self.loop, self.experiment, self.values, self.initial, keep=keep)
 
 
 def differences(
@@ -91,8 +85,8 @@ def differences(
     initial: Initial | None = None,
     *,
     positions: bool = False,
-) -> Sensitivities:
-    """Run one candidate with its derivatives by the parameters named; see `sensitivities.simulate_sensitivities`.
+) -> tuple[ClosedLoopRun, Sensitivities]:
+    """Return one candidate's run and its derivatives by the parameters named; see `simulate_sensitivities`.
 
     The derivative by the initial torque is 0 where that is not said, as the law's integral then begins at 0.
 
@@ -103,7 +97,7 @@ def differences(
     base = run(loop, experiment, values, given, keep=True)
     response, flexible = base.response(), loop.joint.model == "flexible"
     if base.outcome is not Outcome.FINISHED:
-        return none(response, len(names), positions, flexible)
+        return base, none(response, len(names), positions, flexible)
     position = float(experiment.inputs[0, REFERENCE]) if given.position is None else given.position
     velocity = given.velocity or 0.0
     begun = (
@@ -126,7 +120,7 @@ def differences(
     torque = np.column_stack([np.zeros((response.torque.size, 0)), *(one for one, _ in found)])
     empty = np.zeros((2, response.torque.size if positions else 0, 0))
     moved = np.concatenate([empty, *(states[:, :, np.newaxis] for _, states in found)], axis=2)
-    return Sensitivities(response, torque, moved[0], moved[1] if flexible else moved[1, :, :0])
+    return base, Sensitivities(response, torque, moved[0], moved[1] if flexible else moved[1, :, :0])
 
 
 def require_same_structure(low: SampledLaw, high: SampledLaw, name: str) -> None:
@@ -176,7 +170,8 @@ class _Sizes:
         if name in by_name:
             p, value = by_name[name], point.values[name]
             step = _STEP * max(abs(value), _SMALL * self.of_joint(p))
-            return -step, step
+            # At a bound, such as 0, the derivative is that to the side where there are joints.
+            return (-step if value - step >= p.lower else 0.0), (step if value + step <= p.upper else 0.0)
         if name == "initial_torque":
             step = 0.0 if point.initial.torque is None else _STEP * self.torque
             return -step, step

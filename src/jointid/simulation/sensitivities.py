@@ -27,7 +27,6 @@ from jointid.simulation.closed_loop import (
     Simulation,
     first_state,
     run,
-    simulate,
     smallest,
 )
 from jointid.simulation.differences import Sensitivities, differences, none, require_same_structure
@@ -79,7 +78,7 @@ def simulate_sensitivities(
         MethodError: a name is none of these, or of a part that is not there, as a `integral_gain` of 0.
     """
     if loop.joint.stepped:
-        return differences(loop, experiment, values, names, initial, positions=positions)
+        return differences(loop, experiment, values, names, initial, positions=positions)[1]
     return _derived(_taped(loop, experiment, values, names, initial), names, positions)
 
 
@@ -92,8 +91,8 @@ def simulate_with_sensitivities(
 ) -> tuple[Simulation, FloatArray]:
     """Return the result of `simulate` and the torque's derivatives of `simulate_sensitivities`, from one run."""
     if loop.joint.stepped:
-        columns = differences(loop, experiment, values, names, initial).torque
-        return simulate(loop, experiment, values, initial), columns
+        base, found = differences(loop, experiment, values, names, initial)
+        return base.simulation(), found.torque
     out = _taped(loop, experiment, values, names, initial)
     return out.simulation(), _derived(out, names, positions=False).torque
 

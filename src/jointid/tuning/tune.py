@@ -26,6 +26,7 @@ from jointid.models.controllers import (
     unit_of_number,
 )
 from jointid.models.controllers.drive_numbers import DriveNumber
+from jointid.models.friction import StribeckFriction
 from jointid.models.joints import MODE_DAMPING, FlexibleJoint, RigidJoint, acts_on_whole
 from jointid.models.linear import ComplexArray, linear_joints, state_response
 from jointid.tuning.interval import (
@@ -235,11 +236,13 @@ def _notes(case: _Case, present: LoopMargins, proposed: LoopMargins | None) -> l
             found.append(_with_a_mode(case, "the proposed loop keeps the asked margins", proposed, asked=True))
     if joint.gravity is not None and joint.gravity.varies:
         found.append("gravity that follows the position is left out of the loop and of the constant feed-forward")
-    if not joint.friction.linear:
+    if isinstance(joint.friction, StribeckFriction):
         found.append(
             "margins and feed-forward are those of a joint that moves faster than its Stribeck speeds: where friction "
             "rises towards standstill the loop is less damped below them"
         )
+    elif not joint.friction.linear:
+        found.append(f"margins and feed-forward are those of the lines of its friction, without {joint.friction.adds}")
     if present.controller.law(estimate.data.sample_time).phases > 1:
         found.append(
             "the law runs at two rates: its margins are of the response at the frequency itself, without images"

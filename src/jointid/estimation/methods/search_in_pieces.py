@@ -75,8 +75,12 @@ def from_linear_laws(problem: ClosedLoopProblem, found: Solved, tolerance: float
     values, run = linear.values(found.solution.x), linear.simulate(found.solution.x)
     history.tally.evaluations += 1
     given = {p.name: p.start for p in own if p.start is not None}
-    begun = list(_starts(joint, linear.joint, values, run))
-    starts = [{**stiffer, **start, **given} for stiffer, start in product(_stiffer(joint, values), begun)]
+    begun = [
+        {**stiffer, **start}
+        for stiffer in _stiffer(joint, values)
+        for start in _starts(joint, linear.joint, stiffer, run)
+    ]
+    starts = [start | given for start in begun]
     laws = [f"{joint.spring.name} spring"] if isinstance(joint, FlexibleJoint) and not joint.spring.linear else []
     laws += [] if joint.friction.linear else [f"{joint.friction.name} friction"]
     history.progress(f"looking for a {' and '.join(laws)}, from {len(starts)} starts")
@@ -117,12 +121,9 @@ def _starts(joint: Joint, found: Joint, values: Mapping[str, float], run: Simula
 
 
 def _stiffer(joint: Joint, values: Mapping[str, float]) -> Iterator[Mapping[str, float]]:
-    """Yield values to begin from, of a friction in no pieces with stiffer springs, too.
-
-    Without it the spring makes up for what winds up at each reversal, and is found much too soft.
-    """
+    """Yield values to begin from, with stiffer springs, too, where without the friction they are found too soft."""
     yield values
-    if isinstance(joint, FlexibleJoint) and joint.friction.stepped:
+    if isinstance(joint, FlexibleJoint) and joint.friction.softens:
         for factor in _STIFFER:
             yield {**values, "stiffness": factor * values["stiffness"]}
 

@@ -412,13 +412,14 @@ def friction_left_out(model: JointModel) -> tuple[str, ...]:
     if not all(mass.evenly_viscous for mass in model.masses.values()):
         found.append("the difference between viscous friction forwards and backwards; the mean of both is written")
     if not model.joint.friction.linear:
-        found.append(model.joint.friction.beside)
+        found.append(f"{model.joint.friction.adds}; {model.joint.friction.instead} is written")
     return tuple(found)
 
 
 def spring_left_out(model: JointModel) -> tuple[str, ...]:
     """Return the sentence on what a format of linear springs does not have; or none."""
-    return (model.spring.beside,) if model.spring is not None and model.spring.stepped else ()
+    spring = model.spring
+    return (f"{spring.adds}; {spring.instead} is written",) if spring is not None and spring.stepped else ()
 
 
 def effects_left_out(model: JointModel) -> tuple[str, ...]:

@@ -17,6 +17,7 @@ from xml.etree import ElementTree as ET
 from jointid.common.errors import MethodError
 from jointid.common.parameters import TORQUE_UNIT
 from jointid.common.text import number as shown
+from jointid.models.friction import PreslidingFriction
 from jointid.models.joints import FlexibleJoint
 from jointid.models.springs import Piece
 from jointid.output.export.joint_model import (
@@ -122,7 +123,8 @@ def mjcf(model: JointModel, *, timestep: float | None = None) -> tuple[str, tupl
         raise MethodError(f"A time step is a positive number of seconds below 1; received {timestep}.")
     _require_mechanical(model, "MJCF")
     lost = [*friction_left_out(model), *spring_left_out(model), *_lost_weight(model.weight), *effects_left_out(model)]
-    if any(mass.coulomb for mass in model.masses.values()):
+    sticks = not isinstance(model.joint.friction, PreslidingFriction)
+    if sticks and any(mass.coulomb for mass in model.masses.values()):
         lost.append("true sticking: MuJoCo's friction creeps where it should hold")
 
     root = ET.Element("mujoco", model=identifier(model.name))

@@ -30,7 +30,6 @@ from jointid.models.linear import OUTPUTS, discretise, drive_matrices
 from jointid.output.export.joint_model import (
     JointModel,
     effects_left_out,
-    friction_left_out,
     identifier,
     number,
     remarks,
@@ -236,7 +235,9 @@ def _not_linear(model: JointModel) -> tuple[str, ...]:
         lost.append(f"the constant load, {shown(weight.constant)} {unit}")
     if weight is not None and weight.turns:
         lost.append("the weight, which follows the cosine and the sine of the position")
-    return (*lost, *friction_left_out(model), *effects_left_out(model))
+    law = model.joint.friction
+    lost += [law.adds] if law.adds else []
+    return (*lost, *effects_left_out(model))
 
 
 def _matrices(system: StateSpace) -> Json:

@@ -436,11 +436,19 @@ def run(
                         _guards(p, m, new, k[6, 1], k[6, 3], torque, ends, lasts)
                         if which < 0 or at < share:
                             share, which = at, guard
-                dip = 1.0
+                dip, dipped = 1.0, -1
                 for guard in range(_GUARDS):
-                    dip = min(dip, _dip(guards[guard], slopes[guard], ends[guard], lasts[guard], h))
-                if dip < share:  # what is below 0 there is looked for in the shorter step
-                    share, which = dip, -1
+                    lowest = _dip(guards[guard], slopes[guard], ends[guard], lasts[guard], h)
+                    if lowest < dip:
+                        dip, dipped = lowest, guard
+                if dip < share:  # there a step ends, or where the guard is 0 before it
+                    share, which, start = dip, -1, guards[dipped]
+                    _step(p, m, y, k, new, time, dip * h, torque)
+                    _guards(p, m, new, k[6, 1], k[6, 3], torque, ends, lasts)
+                    if ends[dipped] < 0.0:
+                        end = ends[dipped]
+                        at = _locate(p, m, y, k, new, time, dip * h, torque, dipped, start, end, slopes, lasts)
+                        share, which = at * dip, dipped
                 if share < 1.0:
                     _step(p, m, y, k, new, time, share * h, torque)
                 elif which < 0:
