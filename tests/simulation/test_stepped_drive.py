@@ -154,11 +154,12 @@ def test_a_velocity_that_dips_below_nothing_within_a_step_is_located() -> None:
         nothing = np.zeros(0)
         law = Law(np.zeros((0, 0)), nothing, nothing, nothing, 0.0, np.inf, nothing)
         w = np.zeros(40)
-        x0 = np.array([0.0, speed, -speed * (1 + eps) / np.sqrt(stiffness / inertia), speed])
+        pulled = speed * (1 + eps) * np.sqrt(stiffness * inertia) + 1e-3
+        x0 = np.array([0.0, speed, -pulled / stiffness, speed])
         status, _, x, counts = run(plant, law, w, w, 2e-3, 0.0, 0.0, x0, beyond=Smooth().row)
         _, _, exact, _ = run(plant, law, w, w, 2e-3, 0.0, 0.0, x0)
         assert status == 0
-        np.testing.assert_allclose(x, exact, rtol=0, atol=1e-7 * np.abs(exact).max(axis=0))
+        np.testing.assert_allclose(x[:, [1, 3]], exact[:, [1, 3]], rtol=0, atol=1e-7 * speed)
         assert counts[0] >= 2
 
 
