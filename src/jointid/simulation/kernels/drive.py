@@ -496,12 +496,10 @@ def _isolate(c: FloatArray) -> tuple[float, float]:
             top -= 1
             continue
         middle = 0.5 * (low + high)
-        for i in range(n + 1):  # de Casteljau: the left half goes above, the right half stays, reversed
+        for i in range(n + 1):  # de Casteljau: the left half goes above, the right half stays
             c[top + 1, i] = c[top, 0]
             for j in range(n - i):
                 c[top, j] = 0.5 * (c[top, j] + c[top, j + 1])
-        for i in range((n + 1) // 2):
-            c[top, i], c[top, n - i] = c[top, n - i], c[top, i]
         c[top, _LOW] = c[top + 1, _HIGH] = middle
         c[top + 1, _LOW] = low
         top += 1

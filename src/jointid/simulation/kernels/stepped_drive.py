@@ -43,6 +43,7 @@ _TOLERANCE = 1e-9  # of the largest velocity so far: the error of one step
 _FIRST = 0.05  # of the time in which the drive's own motion changes: the first step
 _EVENTS = 1000  # per period; a physical drive has a handful
 _WORK = 20  # steps a simulation may take, per period: bounds the time an absurd candidate can cost
+_NEAR, _DIPS = 1e-2, 12  # of a guard's ends: a cubic may err by less; steps to the bottom of a dip
 _ROOT = 1e-13  # of a step: where an event is located to
 _GUARDS = 6  # of motor, load, reversing spring, spring's torque; of motor and load the other way while they rest
 
@@ -225,7 +226,7 @@ def _guards(
 
 @inlined
 def _dip(start: float, slope: float, end: float, last: float, h: float) -> float:
-    """Return where in (0, 1) the cubic through both ends, with their slopes, is lowest below 0; 1.0: nowhere."""
+    """Return where in (0, 1) the cubic through both ends, with their slopes, is lowest and near 0; 1.0: nowhere."""
     b, c = slope * h, last * h
     if not (start >= 0.0 and end >= 0.0 and b < 0.0 < c):
         return 1.0
@@ -236,7 +237,7 @@ def _dip(start: float, slope: float, end: float, last: float, h: float) -> float
     if not 0.0 < at < 1.0:
         return 1.0
     lowest = ((cubic * at + square) * at + b) * at + start
-    return at if lowest < 0.0 else 1.0
+    return at if lowest < _NEAR * max(start, end) else 1.0
 
 
 @compiled
@@ -259,6 +260,27 @@ def _locate(
         if high - low <= _ROOT or guards[which] == 0.0:
             break
     return high
+
+
+@compiled
+def _bottom(
+    p: _Drive, m: _Modes, y: FloatArray, k: FloatArray, new: FloatArray, time: float, h: float, torque: float,
+    which: int, dip: float, guards: FloatArray, slopes: FloatArray,
+) -> tuple[float, float]:  # fmt: skip
+    """Return a share of a step at which a guard is below 0, or lowest, near where its cubic is; and the guard there."""
+    low, high, at, value = 0.0, 1.0, dip, 1.0
+    for _ in range(_DIPS):
+        _step(p, m, y, k, new, time, at * h, torque)
+        _guards(p, m, new, k[6, 1], k[6, 3], torque, guards, slopes)
+        value = guards[which]
+        if value < 0.0:
+            break
+        if slopes[which] < 0.0:
+            low = at
+        else:
+            high = at
+        at = 0.5 * (low + high)
+    return at, value
 
 
 @inlined
@@ -441,15 +463,14 @@ def run(
                     lowest = _dip(guards[guard], slopes[guard], ends[guard], lasts[guard], h)
                     if lowest < dip:
                         dip, dipped = lowest, guard
-                if dip < share:  # there a step ends, or where the guard is 0 before it
-                    share, which, start = dip, -1, guards[dipped]
-                    _step(p, m, y, k, new, time, dip * h, torque)
-                    _guards(p, m, new, k[6, 1], k[6, 3], torque, ends, lasts)
-                    if ends[dipped] < 0.0:
-                        end = ends[dipped]
-                        at = _locate(p, m, y, k, new, time, dip * h, torque, dipped, start, end, slopes, lasts)
-                        share, which = at * dip, dipped
-                if share < 1.0:
+                bottom = 2.0
+                if dip < share:
+                    start = guards[dipped]
+                    bottom, end = _bottom(p, m, y, k, new, time, h, torque, dipped, dip, ends, lasts)
+                    if end < 0.0:
+                        at = _locate(p, m, y, k, new, time, bottom * h, torque, dipped, start, end, slopes, lasts)
+                        share, which = at * bottom, dipped
+                if share < 1.0 or bottom < 1.0:
                     _step(p, m, y, k, new, time, share * h, torque)
                 elif which < 0:
                     wanted = h * min(max(0.9 * max(error, 1e-10) ** -0.2, 0.3), 5.0)
