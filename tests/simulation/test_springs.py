@@ -166,5 +166,5 @@ def test_what_a_spring_in_pieces_cannot_be_is_refused() -> None:
     with pytest.raises(MethodError, match="takes the spring for linear"):
         FlexibleJoint(spring=Backlash()).regressor(None)  # type: ignore[arg-type]
     with pytest.raises(MethodError, match="use linear, two-piece"):
-        spring_named("cubic")
+        spring_named("quintic")
     assert [spring_named(name).name for name in SPRINGS] == list(SPRINGS)

@@ -135,7 +135,7 @@ def test_what_is_filled_in_is_what_is_written() -> None:
         ({"controller.law": LEARN}, "controller.law", "no motor_position"),
         ({"controller.law": "made up"}, "controller.law", ""),
         ({"controller.law": "pd", "controller.position_gain@pd": "3"}, "controller.derivative_gain", "is missing"),
-        ({"joint.friction": "none"}, "joint.friction", 'Friction "none" cannot'),
+        ({"joint.friction": "none"}, "joint.friction", 'Friction "none" is not known'),
         ({**TAPS, NUMERATOR: "0.5; x"}, NUMERATOR, "in plain digits"),
         ({**TAPS, NUMERATOR: "0,5"}, NUMERATOR, 'is "0,5", which is one number or two; write 0.5 or 0; 5.'),
         ({**TAPS, NUMERATOR: ""}, "controller.velocity_filter.numerator", "is missing"),
