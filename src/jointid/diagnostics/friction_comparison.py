@@ -110,6 +110,7 @@ def compare_frictions(
         solved = free_more(solved.problem, solved.solution.x, settings.free, tolerance, history)
     parts = parts_of(solved.problem, "frictions")
     found: list[tuple[JudgedLaw, FloatArray | None]] = []
+    lines: tuple[JudgedLaw, FloatArray] | None = None
     for law in sorted((law() for law in FRICTIONS.values()), key=lambda law: len(law.parameters())):
         progress(f"fitting {law.name} friction")
         of_law = _parameters(joint, law)
@@ -119,7 +120,8 @@ def compare_frictions(
                 other = replace(joint, friction=law)
                 wanted = adjusted(other.parameters, _of_law(given, joint, other))
                 end = _with(solved, record, replace(loop, joint=other), wanted, tolerance, history)
-            fitted, squares = judge(end, law.name, of_law, parts)
+            fitted, squares = judge(end, law.name, of_law, parts, lines)
+            lines = (fitted, squares) if law == simple.friction else lines
             words = ", ".join(f"{p.symbol} {fitted.intervals[p.name]}" for p in of_law)
             found.append((replace(fitted, words=words), squares))
         except (JointidError, np.linalg.LinAlgError) as error:

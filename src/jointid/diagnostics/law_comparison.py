@@ -35,6 +35,7 @@ from jointid.uncertainty.position_dependent_error import uncertainty
 
 _ERRORS = 3.0  # standard errors of a mean logarithm within which two laws predict alike: the best of several is lucky
 _HARDLY = 0.02  # mean logarithm, an error 1 % less: so little is no reason to believe in another law
+_MORE = 0.002  # of the error that is left: a law that takes less of it where it is fitted adds nothing elsewhere
 _NOTHING = 1e-6  # of the torque: less than that is left by rounding
 _UNKNOWN = 10.0  # times its value: a deviation so large tells nothing
 _MAY_VANISH = (  # a gap, a damping, a share of the torque, a drift, a cube
@@ -189,15 +190,23 @@ def parts_of(problem: ClosedLoopProblem, laws: str) -> NDArray[np.intp]:
 
 
 def judge(
-    solved: Solved, name: str, of_law: Sequence[Parameter], parts: NDArray[np.intp]
+    solved: Solved,
+    name: str,
+    of_law: Sequence[Parameter],
+    parts: NDArray[np.intp],
+    simple: tuple[JudgedLaw, FloatArray] | None = None,
 ) -> tuple[JudgedLaw, FloatArray]:
     """Return a law as it was identified, and its squared error in each part, (parts,), where that was kept apart.
+
+    One in no pieces that explains no more than the simple law where both are fitted is that law, and predicts as it
+    does: its fits take ten times as long, and are spared.
 
     Args:
         solved: where its search ended.
         name: of the law.
         of_law: its parameters; what `words` says of them is by their names.
         parts: (rows,) see `parts_of`.
+        simple: the law of lines, judged, and its squared errors.
     """
     problem, x = solved.problem, solved.solution.x
     error, slopes = problem.linearised(x)
@@ -208,6 +217,18 @@ def judge(
     values, units = problem.values(x), problem.units
     untold = {p.name for p in problem.free} - set(std)
     words = {p.name: _interval(p, values[p.name], std.get(p.name), units[p.name], p.name in untold) for p in of_law}
+    size = problem.size
+    found = JudgedLaw(
+        name,
+        len(of_law),
+        {p.name: values[p.name] for p in of_law},
+        {p.name: std[p.name] for p in of_law if p.name in std},
+        float(np.linalg.norm(error)) / size,
+        None,
+        intervals=words,
+    )
+    if simple is not None and problem.joint.stepped and _explains_no_more(found, simple[0]):
+        return replace(found, kept=simple[0].kept), simple[1]
     begun = problem.keeping({name: values[name] for name in INITIAL if name in values})  # only the first part shows it
     solver = replace(least_squares(begun, _ROUGHLY), evaluations=_EVALUATIONS)
 
@@ -217,17 +238,13 @@ def judge(
         return np.where(kept, begun.residual(end.x), 0.0)
 
     apart = np.sum(in_threads(predicted, range(TIMES)), axis=0)
-    size = problem.size
-    found = JudgedLaw(
-        name,
-        len(of_law),
-        {p.name: values[p.name] for p in of_law},
-        {p.name: std[p.name] for p in of_law if p.name in std},
-        float(np.linalg.norm(error)) / size,
-        float(np.linalg.norm(apart)) / size,
-        intervals=words,
-    )
+    found = replace(found, kept=float(np.linalg.norm(apart)) / size)
     return found, squares_of(apart, parts, (_NOTHING * size) ** 2 / PARTS)
+
+
+def _explains_no_more(law: JudgedLaw, simple: JudgedLaw) -> bool:
+    assert law.fitted is not None
+    return simple.fitted is not None and law.fitted > (1.0 - _MORE) * simple.fitted
 
 
 def _interval(p: Parameter, value: float, std: float | None, unit: str, untold: bool) -> str:

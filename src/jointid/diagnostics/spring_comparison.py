@@ -122,6 +122,7 @@ def compare_springs(
     parts = parts_of(solved.problem, "springs")
     laws = sorted((law() for law in SPRINGS.values()), key=lambda law: len(law.parameters))
     found: list[tuple[JudgedLaw, FloatArray | None]] = []
+    line: tuple[JudgedLaw, FloatArray] | None = None
     for law in (None, *laws):
         name, of_spring = (RIGID, ()) if law is None else (law.name, law.parameters)
         progress(f"fitting {'a rigid joint' if law is None else f'a {name} spring'}")
@@ -134,7 +135,8 @@ def compare_springs(
                 other = replace(joint, spring=law)
                 own = adjusted(other.parameters, _of_law(given, joint, other))
                 end = _with(solved, record, replace(loop, joint=other), own, tolerance, history)
-            fitted, squares = judge(end, name, of_spring, parts)
+            fitted, squares = judge(end, name, of_spring, parts, line)
+            line = (fitted, squares) if law is not None and law.linear else line
             found.append((fitted if law is None else replace(fitted, words=law.describe(fitted.intervals)), squares))
         except (JointidError, np.linalg.LinAlgError) as error:
             why = str(error) if isinstance(error, JointidError) else "the search met a law without a solution"
