@@ -80,7 +80,7 @@ _BERNSTEIN = _bernstein_table()
 _FACTOR = np.array([1.0 / math.factorial(i) for i in range(_MAP_ORDER + 1)])
 
 
-class _Drive(NamedTuple):
+class Drive(NamedTuple):
     """One drive: the row of coefficients that `run` is given, friction per direction."""
 
     inertia1: float
@@ -182,7 +182,7 @@ NO_FEEDBACK = Feedback(
 
 
 @inlined
-def _motion(p: _Drive, m1: int, m2: int) -> _Motion:
+def _motion(p: Drive, m1: int, m2: int) -> _Motion:
     """Return the drive in one mode."""
     mobility1, viscous1, force1 = 0.0, 0.0, 0.0
     if m1 != 0:
@@ -198,11 +198,16 @@ def _motion(p: _Drive, m1: int, m2: int) -> _Motion:
 
 
 @inlined
-def _drive_of(segments: FloatArray, i: int) -> tuple[_Drive, _Segment]:
+def drive_of(d: FloatArray) -> Drive:
+    """Return the drive of a row of coefficients, (14,) or more."""
+    return Drive(d[0], d[1], d[2], d[3], d[4], d[5], d[6], d[7], d[8], d[9], d[10], d[11], d[12], d[13])
+
+
+@inlined
+def _drive_of(segments: FloatArray, i: int) -> tuple[Drive, _Segment]:
     """Return the drive in one segment, and that segment."""
     d = segments[i]
-    drive = _Drive(d[0], d[1], d[2], d[3], d[4], d[5], d[6], d[7], d[8], d[9], d[10], d[11], d[12], d[13])
-    return drive, _Segment(d[14], d[15], d[16], d[17], d[18], d[19])
+    return drive_of(d), _Segment(d[14], d[15], d[16], d[17], d[18], d[19])
 
 
 @inlined
@@ -249,7 +254,7 @@ def _within(
 
 
 @inlined
-def _settled(p: _Drive, x: State, s: float, mass: int) -> int:
+def _settled(p: Drive, x: State, s: float, mass: int) -> int:
     """Return the mode of a mass at rest: 0 while its Coulomb force can hold the push, else the push's direction."""
     spring = p.stiffness * (x[2] - x[0]) + p.damping * (x[3] - x[1])
     push, forwards, backwards = s - p.offset1 + spring, p.coulomb1, p.coulomb1_back
@@ -276,7 +281,7 @@ def _gravity(g: _Gravity, q: float, v: float, slid: float, h: float, since: floa
 
 
 @inlined
-def _fastest_rate(p: _Drive) -> float:
+def _fastest_rate(p: Drive) -> float:
     """Bound in 1/s on how fast the drive's own motion can change: spring plus damping."""
     mobility = 1.0 / p.inertia1 + 1.0 / p.inertia2
     viscous1 = max(abs(p.viscous1), abs(p.viscous1_back)) / p.inertia1
@@ -285,7 +290,7 @@ def _fastest_rate(p: _Drive) -> float:
 
 
 @compiled
-def _fill_map(m: FloatArray, b: int, p: _Drive, m1: int, m2: int, h: float) -> None:
+def _fill_map(m: FloatArray, b: int, p: Drive, m1: int, m2: int, h: float) -> None:
     """Write the map of one mode over `h` seconds at m[b:], column by column, and the margins of its proofs.
 
     A column is what the motion adds to the positions, and its final velocities, when it starts from a unit of motor
@@ -337,7 +342,7 @@ def _fill_map(m: FloatArray, b: int, p: _Drive, m1: int, m2: int, h: float) -> N
 
 
 @inlined
-def _margins(p: _Drive, f: _Motion, m1: int, m2: int, h: float) -> tuple[float, float, float]:
+def _margins(p: Drive, f: _Motion, m1: int, m2: int, h: float) -> tuple[float, float, float]:
     """Return how far what must stay positive can bend from its chord in a period, per root energy; and its growth.
 
     While the torque is held, the energy of the rates of change, E = M1 a1^2 + M2 a2^2 + K (v2 - v1)^2, can only
@@ -377,7 +382,7 @@ def _held(forwards: float, backwards: float, start: float, slope: float, end: fl
 
 @inlined
 def _calm(
-    p: _Drive, f: _Motion, bend1: float, bend2: float, x: State, y: State, s: float, m1: int, m2: int, h: float
+    p: Drive, f: _Motion, bend1: float, bend2: float, x: State, y: State, s: float, m1: int, m2: int, h: float
 ) -> tuple[bool, float]:
     """Prove that a period from `x` to `y` under a held torque `s` has no event; return that and the root energy at `x`.
 
@@ -507,7 +512,7 @@ def _isolate(c: FloatArray) -> tuple[float, float]:
 
 
 @inlined
-def _series(c: FloatArray, p: _Drive, f: _Motion, x: State, s: float, h: float, loose1: bool, loose2: bool) -> None:
+def _series(c: FloatArray, p: Drive, f: _Motion, x: State, s: float, h: float, loose1: bool, loose2: bool) -> None:
     """Fill c[state, order] with the Taylor series of the motion over a step of `h`, time counted in steps.
 
     A mass that has just come loose (`loose`) has, exactly, no velocity and no acceleration: rounding must not
@@ -535,7 +540,7 @@ def _series(c: FloatArray, p: _Drive, f: _Motion, x: State, s: float, h: float, 
 
 @inlined
 def _first_event(
-    c: FloatArray, p: _Drive, s: float, m1: int, m2: int, known1: int, known2: int
+    c: FloatArray, p: Drive, s: float, m1: int, m2: int, known1: int, known2: int
 ) -> tuple[float, int, int]:
     """Return when the first event is (2.0: not in this step), in steps, its mass, and the mode that comes loose to.
 
@@ -578,7 +583,7 @@ def _first_event(
 
 @inlined
 def _travel(
-    c: FloatArray, p: _Drive, x: State, m1: int, m2: int, s: float, h: float, longest: float,
+    c: FloatArray, p: Drive, x: State, m1: int, m2: int, s: float, h: float, longest: float,
     tape: FloatArray, row: int, part: int, segments: FloatArray | None, segment: int,
 ) -> tuple[State, int, int, int, int, int]:  # fmt: skip
     """Move `x` over `h` seconds under a held torque `s` with every event located.
@@ -759,7 +764,7 @@ def _control(law: _Law, w: float, q: float, z: tuple[float, float]) -> tuple[flo
 
 @inlined
 def _rest(
-    p: _Drive, law: _Law, w: FloatArray, post: FloatArray, u: FloatArray, states: FloatArray,
+    p: Drive, law: _Law, w: FloatArray, post: FloatArray, u: FloatArray, states: FloatArray,
     z: tuple[float, float], x: State, k: int,
 ) -> tuple[int, int, State, tuple[float, float]]:  # fmt: skip
     """Simulate from period `k` while both masses stand still; return as `_glide`."""
@@ -785,7 +790,7 @@ def _rest(
 
 @inlined
 def _glide(
-    resting: bool, p: _Drive, law: _Law, w: FloatArray, post: FloatArray, u: FloatArray, states: FloatArray,
+    resting: bool, p: Drive, law: _Law, w: FloatArray, post: FloatArray, u: FloatArray, states: FloatArray,
     m: FloatArray, b: int, m1: int, m2: int, z: tuple[float, float], x: State, bound: float, last: float, k: int,
     edges: _Segment | None, reach: float,
 ) -> tuple[int, int, State, tuple[float, float]]:  # fmt: skip
@@ -904,10 +909,7 @@ def run(
             gravity.
     """
     n, parts, nz = w.shape[1], lengths.size, z.size
-    p = _Drive(
-        drive[0], drive[1], drive[2], drive[3], drive[4], drive[5], drive[6],
-        drive[7], drive[8], drive[9], drive[10], drive[11], drive[12], drive[13],
-    )  # fmt: skip
+    p = drive_of(drive)
     fastest, count, segment, edges, reach = _fastest_rate(p), 1, 0, None, 0.0
     if segments is not None:
         count, reach = segments.shape[0], _reach(segments, np.max(lengths))

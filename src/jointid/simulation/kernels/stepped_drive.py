@@ -1,4 +1,4 @@
-"""The simulation of a drive whose laws are in no pieces of lines, in steps whose error is controlled, compiled.
+"""The simulation of a drive with smooth laws, in steps whose error is controlled, compiled.
 
 A cubic or hysteretic spring, friction that winds up over a displacement, that grows with the torque through the spring
 or changes with time: none has an affine map (`kernels.drive`). So the motion is integrated by the pair of orders 5 and
@@ -6,7 +6,7 @@ or changes with time: none has an affine map (`kernels.drive`). So the motion is
 Mathematics 6, 1980), whose difference bounds the error of a step. Between two events the laws are smooth, and the
 events are located: a mass that stops or comes loose, as in `kernels.drive`, the reversals from which friction or spring
 wind up anew, and the torque of the spring through 0. A guard is positive until its event; where one is negative at the
-end of a step, or its cubic through both ends dips below 0 in between, the step is made shorter, to the guard's root.
+end of a step, or at the bottom of a dip between both ends, the step is made shorter, to the guard's root.
 
 What winds up over a displacement follows a law of P. R. Dahl (Solid friction damping of mechanical vibrations, AIAA
 Journal 14, 1976), which is integrated in closed form, as a function of the displacement since the last reversal: with
@@ -31,13 +31,12 @@ from jointid.simulation.kernels.drive import (
     DIVERGED,
     FINISHED,
     TOO_STIFF,
+    Drive,
     Feedback,
     IntArray,
     control_any,
+    drive_of,
 )
-
-EXTRAS = 8
-"""Numbers of a drive beside those of `kernels.drive`, see `run`."""
 
 _TOLERANCE = 1e-9  # of the largest velocity so far: the error of one step
 _FIRST = 0.05  # of the time in which the drive's own motion changes: the first step
@@ -61,23 +60,9 @@ _WEIGHTS = np.array([
 _DIFFERENCE = np.array([71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40])
 
 
-class _Drive(NamedTuple):
-    """One drive: the row of coefficients of `kernels.drive`, then those of `run` here."""
+class _Beyond(NamedTuple):
+    """What the laws have beyond lines: the row of numbers that `run` is given."""
 
-    inertia1: float
-    inertia2: float
-    stiffness: float
-    damping: float
-    viscous1: float
-    viscous1_back: float
-    coulomb1: float
-    coulomb1_back: float
-    viscous2: float
-    viscous2_back: float
-    coulomb2: float
-    coulomb2_back: float
-    offset1: float
-    offset2: float
     cubic: float
     slope: float
     limit: float
@@ -113,15 +98,15 @@ def _wound(direction: int, begun: float, way: float) -> float:
 
 
 @inlined
-def _spring(p: _Drive, m: _Modes, q1: float, v1: float, q2: float, v2: float) -> tuple[float, float]:
+def _spring(p: Drive, b: _Beyond, m: _Modes, q1: float, v1: float, q2: float, v2: float) -> tuple[float, float]:
     """Return the torque of spring and damper, and the slope of the first over the deflection."""
     e = q2 - q1
-    torque = (p.stiffness + p.cubic * e * e) * e + p.damping * (v2 - v1)
-    slope = p.stiffness + 3.0 * p.cubic * e * e
-    if p.slope > 0.0:
-        wound = _wound(m.rate, m.wound, (e - m.since) * p.slope / p.limit)
-        torque += p.limit * wound
-        slope += p.slope * (1.0 - m.rate * wound)
+    torque = (p.stiffness + b.cubic * e * e) * e + p.damping * (v2 - v1)
+    slope = p.stiffness + 3.0 * b.cubic * e * e
+    if b.slope > 0.0:
+        wound = _wound(m.rate, m.wound, (e - m.since) * b.slope / b.limit)
+        torque += b.limit * wound
+        slope += b.slope * (1.0 - m.rate * wound)
     return torque, slope
 
 
@@ -139,31 +124,31 @@ def _friction(
 
 @inlined
 def _pushes(
-    p: _Drive, m: _Modes, y0: float, y1: float, y2: float, y3: float, torque: float
+    p: Drive, b: _Beyond, m: _Modes, y0: float, y1: float, y2: float, y3: float, torque: float
 ) -> tuple[float, float, float]:
     """Return what pushes motor and load but their friction, and the spring's torque."""
-    spring, _ = _spring(p, m, y0, y1, y2, y3)
+    spring, _ = _spring(p, b, m, y0, y1, y2, y3)
     return torque - p.offset1 + spring, -p.offset2 - spring, spring
 
 
 @inlined
 def _accelerations(
-    p: _Drive, m: _Modes, y0: float, y1: float, y2: float, y3: float, time: float, torque: float
+    p: Drive, b: _Beyond, m: _Modes, y0: float, y1: float, y2: float, y3: float, time: float, torque: float
 ) -> tuple[float, float]:
     """Return the accelerations of motor and load."""
-    push1, push2, spring = _pushes(p, m, y0, y1, y2, y3, torque)
+    push1, push2, spring = _pushes(p, b, m, y0, y1, y2, y3, torque)
     a1, a2 = 0.0, 0.0
     if m.motor != 0:
-        drift = p.drift1 * time
+        drift = b.drift1 * time
         drag = _friction(
-            m.motor, y1, p.viscous1 + drift, p.viscous1_back + drift, p.coulomb1, p.coulomb1_back, p.soft1, m.wound1,
+            m.motor, y1, p.viscous1 + drift, p.viscous1_back + drift, p.coulomb1, p.coulomb1_back, b.soft1, m.wound1,
             m.from1, y0,
         )  # fmt: skip
         a1 = (push1 - drag) / p.inertia1
     if m.load != 0:
-        drift, more = p.drift2 * time, p.loss * m.torque * spring
+        drift, more = b.drift2 * time, b.loss * m.torque * spring
         drag = _friction(
-            m.load, y3, p.viscous2 + drift, p.viscous2_back + drift, p.coulomb2 + more, p.coulomb2_back + more, p.soft2,
+            m.load, y3, p.viscous2 + drift, p.viscous2_back + drift, p.coulomb2 + more, p.coulomb2_back + more, b.soft2,
             m.wound2, m.from2, y2,
         )  # fmt: skip
         a2 = (push2 - drag) / p.inertia2
@@ -172,7 +157,7 @@ def _accelerations(
 
 @compiled
 def _step(
-    p: _Drive, m: _Modes, y: FloatArray, k: FloatArray, new: FloatArray, time: float, h: float, torque: float
+    p: Drive, b: _Beyond, m: _Modes, y: FloatArray, k: FloatArray, new: FloatArray, time: float, h: float, torque: float
 ) -> tuple[float, float]:
     """Write the state after `h` seconds into `new` and the slopes of the stages into `k`; return both errors.
 
@@ -185,7 +170,7 @@ def _step(
             weight = h * _WEIGHTS[stage, j]
             for i in range(4):
                 new[i] += weight * k[j, i]
-        a1, a2 = _accelerations(p, m, new[0], new[1], new[2], new[3], time + _NODES[stage] * h, torque)
+        a1, a2 = _accelerations(p, b, m, new[0], new[1], new[2], new[3], time + _NODES[stage] * h, torque)
         k[stage, 0], k[stage, 1], k[stage, 2], k[stage, 3] = new[1], a1, new[3], a2
     fast, far = 0.0, 0.0
     for i in range(4):
@@ -199,11 +184,19 @@ def _step(
 
 @inlined
 def _guards(
-    p: _Drive, m: _Modes, y: FloatArray, a1: float, a2: float, torque: float, guards: FloatArray, slopes: FloatArray
+    p: Drive,
+    b: _Beyond,
+    m: _Modes,
+    y: FloatArray,
+    a1: float,
+    a2: float,
+    torque: float,
+    guards: FloatArray,
+    slopes: FloatArray,
 ) -> None:
     """Write what is positive until an event happens, and how fast it changes."""
-    push1, push2, spring = _pushes(p, m, y[0], y[1], y[2], y[3], torque)
-    _, slope = _spring(p, m, y[0], y[1], y[2], y[3])
+    push1, push2, spring = _pushes(p, b, m, y[0], y[1], y[2], y[3], torque)
+    _, slope = _spring(p, b, m, y[0], y[1], y[2], y[3])
     rate = slope * (y[3] - y[1]) + p.damping * (a2 - a1)
     for i in range(_GUARDS):
         guards[i], slopes[i] = 1.0, 0.0
@@ -215,12 +208,12 @@ def _guards(
     if m.load != 0:
         guards[1], slopes[1] = m.load * y[3], m.load * a2
     else:
-        more, growth = p.loss * m.torque * spring, p.loss * m.torque * rate
+        more, growth = b.loss * m.torque * spring, b.loss * m.torque * rate
         guards[1], slopes[1] = p.coulomb2 + more - push2, growth + rate
         guards[5], slopes[5] = p.coulomb2_back + more + push2, growth - rate
-    if p.slope > 0.0:
+    if b.slope > 0.0:
         guards[2], slopes[2] = m.rate * (y[3] - y[1]), m.rate * (a2 - a1)
-    if p.loss > 0.0:
+    if b.loss > 0.0:
         guards[3], slopes[3] = m.torque * spring, m.torque * rate
 
 
@@ -242,8 +235,8 @@ def _dip(start: float, slope: float, end: float, last: float, h: float) -> float
 
 @compiled
 def _locate(
-    p: _Drive, m: _Modes, y: FloatArray, k: FloatArray, new: FloatArray, time: float, h: float, torque: float,
-    which: int, start: float, end: float, guards: FloatArray, slopes: FloatArray,
+    p: Drive, b: _Beyond, m: _Modes, y: FloatArray, k: FloatArray, new: FloatArray, time: float, h: float,
+    torque: float, which: int, start: float, end: float, guards: FloatArray, slopes: FloatArray,
 ) -> float:  # fmt: skip
     """Return the share of a step after which a guard is 0: the secant that keeps its bracket, and halves it in turn."""
     low, high, below, above = 0.0, 1.0, end, max(start, 0.0)
@@ -251,8 +244,8 @@ def _locate(
         at = low + (high - low) * above / (above - below) if count % 3 < 2 else 0.5 * (low + high)
         if not low < at < high:
             at = 0.5 * (low + high)
-        _step(p, m, y, k, new, time, at * h, torque)
-        _guards(p, m, new, k[6, 1], k[6, 3], torque, guards, slopes)
+        _step(p, b, m, y, k, new, time, at * h, torque)
+        _guards(p, b, m, new, k[6, 1], k[6, 3], torque, guards, slopes)
         if guards[which] < 0.0:
             high, below = at, guards[which]
         else:
@@ -264,14 +257,14 @@ def _locate(
 
 @compiled
 def _bottom(
-    p: _Drive, m: _Modes, y: FloatArray, k: FloatArray, new: FloatArray, time: float, h: float, torque: float,
-    which: int, dip: float, guards: FloatArray, slopes: FloatArray,
+    p: Drive, b: _Beyond, m: _Modes, y: FloatArray, k: FloatArray, new: FloatArray, time: float, h: float,
+    torque: float, which: int, dip: float, guards: FloatArray, slopes: FloatArray,
 ) -> tuple[float, float]:  # fmt: skip
     """Return a share of a step at which a guard is below 0, or lowest, near where its cubic is; and the guard there."""
     low, high, at, value = 0.0, 1.0, dip, 1.0
     for _ in range(_DIPS):
-        _step(p, m, y, k, new, time, at * h, torque)
-        _guards(p, m, new, k[6, 1], k[6, 3], torque, guards, slopes)
+        _step(p, b, m, y, k, new, time, at * h, torque)
+        _guards(p, b, m, new, k[6, 1], k[6, 3], torque, guards, slopes)
         value = guards[which]
         if value < 0.0:
             break
@@ -284,26 +277,26 @@ def _bottom(
 
 
 @inlined
-def _turned(p: _Drive, m: _Modes, y: FloatArray, mass: int, mode: int) -> _Modes:
+def _turned(p: Drive, b: _Beyond, m: _Modes, y: FloatArray, mass: int, mode: int) -> _Modes:
     """Return the modes after a mass took another; what its friction is wound up to is kept."""
     motor, load = m.motor, m.load
     wound1, from1, wound2, from2 = m.wound1, m.from1, m.wound2, m.from2
     if mass == 0:
-        if p.soft1 > 0.0:
-            wound1, from1 = _wound(motor, wound1, (y[0] - from1) / p.soft1), y[0]
+        if b.soft1 > 0.0:
+            wound1, from1 = _wound(motor, wound1, (y[0] - from1) / b.soft1), y[0]
         motor = mode
     else:
-        if p.soft2 > 0.0:
-            wound2, from2 = _wound(load, wound2, (y[2] - from2) / p.soft2), y[2]
+        if b.soft2 > 0.0:
+            wound2, from2 = _wound(load, wound2, (y[2] - from2) / b.soft2), y[2]
         load = mode
     return _Modes(motor, load, m.rate, m.torque, wound1, from1, wound2, from2, m.wound, m.since)
 
 
 @inlined
-def _reversed(p: _Drive, m: _Modes, y: FloatArray, rate: int) -> _Modes:
+def _reversed(p: Drive, b: _Beyond, m: _Modes, y: FloatArray, rate: int) -> _Modes:
     """Return the modes after the spring began to wind up the other way."""
     e = y[2] - y[0]
-    wound = _wound(m.rate, m.wound, (e - m.since) * p.slope / p.limit)
+    wound = _wound(m.rate, m.wound, (e - m.since) * b.slope / b.limit)
     return _Modes(m.motor, m.load, rate, m.torque, m.wound1, m.from1, m.wound2, m.from2, wound, e)
 
 
@@ -314,21 +307,21 @@ def _through(m: _Modes, torque: int) -> _Modes:
 
 
 @compiled
-def _settled(p: _Drive, m: _Modes, y: FloatArray, time: float, torque: float) -> _Modes:
+def _settled(p: Drive, b: _Beyond, m: _Modes, y: FloatArray, time: float, torque: float) -> _Modes:
     """Return the modes of what stands still for a moment: held, or the way it is pushed."""
-    _, _, spring = _pushes(p, m, y[0], y[1], y[2], y[3], torque)
-    if p.loss > 0.0 and m.torque * spring < 0.0:
+    _, _, spring = _pushes(p, b, m, y[0], y[1], y[2], y[3], torque)
+    if b.loss > 0.0 and m.torque * spring < 0.0:
         m = _through(m, -m.torque)
-    push1, push2, spring = _pushes(p, m, y[0], y[1], y[2], y[3], torque)
-    more = p.loss * abs(spring)
+    push1, push2, spring = _pushes(p, b, m, y[0], y[1], y[2], y[3], torque)
+    more = b.loss * abs(spring)
     for mass in range(2):
         if y[1 + 2 * mass] != 0.0:
             continue
         push, forwards, backwards = push1, p.coulomb1, p.coulomb1_back
-        soft, mode, wound, since, q = p.soft1, m.motor, m.wound1, m.from1, y[0]
+        soft, mode, wound, since, q = b.soft1, m.motor, m.wound1, m.from1, y[0]
         if mass == 1:
             push, forwards, backwards = push2, p.coulomb2 + more, p.coulomb2_back + more
-            soft, mode, wound, since, q = p.soft2, m.load, m.wound2, m.from2, y[2]
+            soft, mode, wound, since, q = b.soft2, m.load, m.wound2, m.from2, y[2]
         new = 0
         if soft > 0.0:
             share = _wound(mode, wound, (q - since) / soft)
@@ -339,18 +332,18 @@ def _settled(p: _Drive, m: _Modes, y: FloatArray, time: float, torque: float) ->
         elif push < -backwards:
             new = -1
         if new != mode:
-            m = _turned(p, m, y, mass, new)
-    if p.slope > 0.0 and y[3] == y[1]:
-        a1, a2 = _accelerations(p, m, y[0], y[1], y[2], y[3], time, torque)
+            m = _turned(p, b, m, y, mass, new)
+    if b.slope > 0.0 and y[3] == y[1]:
+        a1, a2 = _accelerations(p, b, m, y[0], y[1], y[2], y[3], time, torque)
         if m.rate * (a2 - a1) < 0.0:
-            m = _reversed(p, m, y, -m.rate)
+            m = _reversed(p, b, m, y, -m.rate)
     return m
 
 
 @compiled
 def run(
     drive: FloatArray,
-    extras: FloatArray,
+    beyond: FloatArray,
     lengths: FloatArray,
     lags: IntArray,
     z: FloatArray,
@@ -371,7 +364,7 @@ def run(
 
     Args:
         drive: (14,) the coefficients, as in `kernels.drive.run`.
-        extras: (EXTRAS,) a cubic stiffness; stiffness and limit of what a spring has that winds up, after Dahl; lengths
+        beyond: (8,) a cubic stiffness; stiffness and limit of what a spring has that winds up, after Dahl; lengths
             over which the Coulomb friction of motor and load winds up (0: it sticks); the load's friction per torque
             through the spring; by how much the viscous coefficients of motor and load rise per second.
         lengths: of the parts of a period, as there.
@@ -392,18 +385,15 @@ def run(
         counts: (4,) out: events, steps, periods simulated, periods at the limit.
     """
     n, parts = w.shape[1], lengths.size
-    p = _Drive(
-        drive[0], drive[1], drive[2], drive[3], drive[4], drive[5], drive[6], drive[7], drive[8], drive[9], drive[10],
-        drive[11], drive[12], drive[13], extras[0], extras[1], extras[2], extras[3], extras[4], extras[5], extras[6],
-        extras[7],
-    )  # fmt: skip
+    p = drive_of(drive)
+    b = _Beyond(beyond[0], beyond[1], beyond[2], beyond[3], beyond[4], beyond[5], beyond[6], beyond[7])
     mobility = 1.0 / p.inertia1 + 1.0 / p.inertia2
-    rate = math.sqrt((p.stiffness + p.slope) * mobility) + p.damping * mobility + 1.0 / np.max(lengths)
+    rate = math.sqrt((p.stiffness + b.slope) * mobility) + p.damping * mobility + 1.0 / np.max(lengths)
     y, new, k = x.copy(), np.zeros(4), np.zeros((7, 4))
     first, second = (1 if x[1] >= 0.0 else -1), (1 if x[3] >= 0.0 else -1)
     spring = p.stiffness * (x[2] - x[0])
     m = _Modes(
-        first if x[1] != 0.0 or p.soft1 > 0.0 else 0, second if x[3] != 0.0 or p.soft2 > 0.0 else 0, 1,
+        first if x[1] != 0.0 or b.soft1 > 0.0 else 0, second if x[3] != 0.0 or b.soft2 > 0.0 else 0, 1,
         1 if spring >= 0.0 else -1, sliding, x[0], sliding, x[2], 0.0, x[2] - x[0],
     )  # fmt: skip
     guards, slopes, ends, lasts = np.zeros(_GUARDS), np.zeros(_GUARDS), np.zeros(_GUARDS), np.zeros(_GUARDS)
@@ -427,16 +417,16 @@ def run(
         for part in range(parts):
             source = i - lags[part]
             torque = u[source] + post[source] if source >= 0 else before
-            m = _settled(p, m, y, time, torque)
+            m = _settled(p, b, m, y, time, torque)
             if keep:
                 row = i * parts + part
-                a1, a2 = _accelerations(p, m, y[0], y[1], y[2], y[3], time, torque)
+                a1, a2 = _accelerations(p, b, m, y[0], y[1], y[2], y[3], time, torque)
                 states[row] = y
                 accelerations[row, 0], accelerations[row, 1] = a1, a2
             left = lengths[part]
             while left > 0.0 and status == FINISHED:
                 h = left if wanted >= left else (wanted if wanted >= 0.5 * left else min(wanted, 0.5 * left))
-                fast, away = _step(p, m, y, k, new, time, h, torque)
+                fast, away = _step(p, b, m, y, k, new, time, h, torque)
                 steps += 1
                 scale = max(fastest, abs(new[1]), abs(new[3]), 1e-3 * h * max(abs(k[0, 1]), abs(k[0, 3])))
                 error = max(fast, away * rate) / (_TOLERANCE * scale) if scale > 0.0 else 0.0
@@ -446,16 +436,16 @@ def run(
                     if wanted < 1e-12 * period or steps > _WORK * n + 10_000:
                         status = TOO_STIFF
                     continue
-                _guards(p, m, y, k[0, 1], k[0, 3], torque, guards, slopes)
-                _guards(p, m, new, k[6, 1], k[6, 3], torque, ends, lasts)
+                _guards(p, b, m, y, k[0, 1], k[0, 3], torque, guards, slopes)
+                _guards(p, b, m, new, k[6, 1], k[6, 3], torque, ends, lasts)
                 share, which = 1.0, -1
                 for guard in range(_GUARDS):
                     if ends[guard] < 0.0:
                         start, end = guards[guard], ends[guard]
-                        at = _locate(p, m, y, k, new, time, h, torque, guard, start, end, slopes, lasts)
-                        _step(p, m, y, k, new, time, h, torque)
-                        _guards(p, m, y, k[0, 1], k[0, 3], torque, guards, slopes)
-                        _guards(p, m, new, k[6, 1], k[6, 3], torque, ends, lasts)
+                        at = _locate(p, b, m, y, k, new, time, h, torque, guard, start, end, slopes, lasts)
+                        _step(p, b, m, y, k, new, time, h, torque)
+                        _guards(p, b, m, y, k[0, 1], k[0, 3], torque, guards, slopes)
+                        _guards(p, b, m, new, k[6, 1], k[6, 3], torque, ends, lasts)
                         if which < 0 or at < share:
                             share, which = at, guard
                 dip, dipped = 1.0, -1
@@ -466,12 +456,12 @@ def run(
                 bottom = 2.0
                 if dip < share:
                     start = guards[dipped]
-                    bottom, end = _bottom(p, m, y, k, new, time, h, torque, dipped, dip, ends, lasts)
+                    bottom, end = _bottom(p, b, m, y, k, new, time, h, torque, dipped, dip, ends, lasts)
                     if end < 0.0:
-                        at = _locate(p, m, y, k, new, time, bottom * h, torque, dipped, start, end, slopes, lasts)
+                        at = _locate(p, b, m, y, k, new, time, bottom * h, torque, dipped, start, end, slopes, lasts)
                         share, which = at * bottom, dipped
                 if share < 1.0 or bottom < 1.0:
-                    _step(p, m, y, k, new, time, share * h, torque)
+                    _step(p, b, m, y, k, new, time, share * h, torque)
                 elif which < 0:
                     wanted = h * min(max(0.9 * max(error, 1e-10) ** -0.2, 0.3), 5.0)
                 for j in range(4):
@@ -481,7 +471,7 @@ def run(
                 fastest = max(fastest, abs(y[1]), abs(y[3]))
                 if which >= 0:
                     events += 1
-                    m = _after(p, m, y, which, time, torque)
+                    m = _after(p, b, m, y, which, time, torque)
                     if events - before_part > _EVENTS:
                         status = CHATTERING
                 if steps > _WORK * n + 10_000:
@@ -493,18 +483,18 @@ def run(
 
 
 @compiled
-def _after(p: _Drive, m: _Modes, y: FloatArray, which: int, time: float, torque: float) -> _Modes:
+def _after(p: Drive, b: _Beyond, m: _Modes, y: FloatArray, which: int, time: float, torque: float) -> _Modes:
     """Return the modes after the event of a guard; a velocity that fell to 0 is 0."""
     if which == 2:
-        m = _reversed(p, m, y, -m.rate)
+        m = _reversed(p, b, m, y, -m.rate)
     elif which == 3:
         m = _through(m, -m.torque)
     else:
         mass = which % 4
-        mode, soft = (m.motor, p.soft1) if mass == 0 else (m.load, p.soft2)
+        mode, soft = (m.motor, b.soft1) if mass == 0 else (m.load, b.soft2)
         if mode == 0:
-            m = _turned(p, m, y, mass, 1 if which < 2 else -1)
+            m = _turned(p, b, m, y, mass, 1 if which < 2 else -1)
         else:
             y[1 + 2 * mass] = 0.0
-            m = _turned(p, m, y, mass, -mode) if soft > 0.0 else _settled(p, m, y, time, torque)
+            m = _turned(p, b, m, y, mass, -mode) if soft > 0.0 else _settled(p, b, m, y, time, torque)
     return m
