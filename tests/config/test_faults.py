@@ -96,13 +96,13 @@ FAULTS = [
     ),
     (
         SMALLEST.replace('"prismatic"', '"prismatic"\nfriction = "load-dependent"'),
-        'joint.friction is "load-dependent", but a rigid joint has no spring whose torque it could follow; set '
-        'joint.model = "flexible".',
+        "joint.friction: Load-dependent friction follows the torque through a spring; received a rigid joint, which "
+        'has none: use a flexible one, or friction = "symmetric".',
     ),
     (
         SMALLEST.replace('"prismatic"', '"prismatic"\nmodel = "flexible"\nfriction = "stribeck"\nspring = "cubic"'),
-        'joint.spring is "cubic", which is not simulated beside "stribeck" friction; expected laws of which both or '
-        "none are in pieces: use a linear spring, or symmetric friction.",
+        'joint.friction: The laws "stribeck" and "cubic" of friction and spring are not simulated beside each other: '
+        "one is in pieces, the other is smooth; use a linear spring, or symmetric friction, beside one of them.",
     ),
     # values
     (

@@ -1,4 +1,4 @@
-"""Flexible joints whose spring or friction is in no pieces, identified from torque and reference."""
+"""Flexible joints whose spring or friction is smooth, identified from torque and reference."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Slow, independent reference for laws in no pieces: DOP853, the laws in rate form, every event located.
+"""Slow, independent reference for smooth laws: DOP853, the laws in rate form, every event located.
 
 What winds up is a state here, ``z' = (v - |v| z) / s``, where the kernel has it in closed form. Directions are held
 between events, so that what is integrated is smooth.

@@ -1,4 +1,4 @@
-"""Laws in no pieces: against a slow reference in rate form, the exact drive, and differences."""
+"""Smooth laws: against a slow reference in rate form, the exact drive, and differences."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_agrees_with_a_reference_that_locates_every_event(seed: int, name: str) 
 
 
 def _nothing_more(case: Case, friction: str = "drifting", spring: str = "cubic") -> tuple[ClosedLoop, dict[str, float]]:
-    """The drive with laws in no pieces that add nothing to what it is."""
+    """The drive with smooth laws that add nothing to what it is."""
     joint = replace(case.loop.joint, friction=FRICTIONS[friction]())
     if isinstance(joint, FlexibleJoint):
         joint = replace(joint, spring=SPRINGS[spring]())
@@ -123,9 +123,9 @@ def test_a_law_that_no_joint_has_is_said(law: str, wrong: dict[str, float]) -> N
     assert simulate(loop, prepare(loop, case.clean), values).outcome is Outcome.INVALID
 
 
-def test_laws_in_pieces_and_in_none_are_not_simulated_beside_each_other() -> None:
+def test_laws_in_pieces_and_smooth_ones_are_not_simulated_beside_each_other() -> None:
     with pytest.raises(
-        MethodError, match=r'"stribeck" and "cubic" of spring and friction are not simulated beside each'
+        MethodError, match=r'"stribeck" and "cubic" of friction and spring are not simulated beside each'
     ):
         FlexibleJoint(friction=FRICTIONS["stribeck"](), spring=SPRINGS["cubic"]())
     with pytest.raises(MethodError, match=r"Load-dependent friction follows the torque through a spring"):

@@ -17,6 +17,7 @@ from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core.core_schema import NullableSchema, WithDefaultSchema
 
 from jointid.common import messages, units
+from jointid.common.errors import MethodError
 from jointid.common.messages import Says
 from jointid.common.settings import Declared, settings_of
 from jointid.common.transmission import Side, Transmission
@@ -120,24 +121,14 @@ class JointTable(Table):
         return FlexibleJoint(*common, spring_named(self.spring)) if self.model == "flexible" else RigidJoint(*common)
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield laws that need a spring, of a rigid joint; and two that are not simulated beside each other."""
+        """Yield that a rigid joint has no spring, or why a joint cannot have its friction."""
         if self.model == "rigid" and self.spring != LinearSpring.name:
             yield "spring", f' is "{self.spring}", but a rigid joint has no spring; set joint.model = "flexible".'
             return
-        if self.model == "rigid" and friction_named(self.friction).of_whole.name != self.friction:
-            yield (
-                "friction",
-                f' is "{self.friction}", but a rigid joint has no spring whose torque it could follow; set '
-                'joint.model = "flexible".',
-            )
-            return
-        pair = friction_named(self.friction), spring_named(self.spring)
-        if any(law.stepped for law in pair) and any(not (law.linear or law.stepped) for law in pair):
-            yield (
-                "spring",
-                f' is "{self.spring}", which is not simulated beside "{self.friction}" friction; expected laws of '
-                "which both or none are in pieces: use a linear spring, or symmetric friction.",
-            )
+        try:
+            self.joint(None)
+        except MethodError as error:
+            yield "friction", f": {error}"
 
 
 @keys_from(Counterbalance)

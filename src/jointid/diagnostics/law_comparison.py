@@ -198,7 +198,7 @@ def judge(
 ) -> tuple[JudgedLaw, FloatArray]:
     """Return a law as it was identified, and its squared error in each part, (parts,), where that was kept apart.
 
-    One in no pieces that explains no more than the simple law where both are fitted is that law, and predicts as it
+    A smooth one that explains no more than the simple law where both are fitted is that law, and predicts as it
     does: its fits take ten times as long, and are spared.
 
     Args:

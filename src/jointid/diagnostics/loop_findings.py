@@ -43,11 +43,12 @@ _SMALLEST_SHIFT = 0.5  # of a deviation: a smaller change of a parameter is not 
 _MICROSECOND = 1e-6  # s: a shorter time is not said in ms
 _LISTED = 3  # parameters in a sentence, at most
 _RATIOS = ("log_gain", INJECTED_GAIN)
-_SPRINGS = {CUBIC_SPRING: (ThreePieceSpring.name, CubicSpring.name), BACKLASH: (Backlash.name,)}  # have what was found
+_SPRINGS = (CUBIC_SPRING, BACKLASH)
 _AT_LOW_SPEED = (StribeckFriction.name, AsymmetricStribeckFriction.name)
-_FRICTIONS = {
-    STRIBECK: _AT_LOW_SPEED, PRESLIDING: (PreslidingFriction.name, *_AT_LOW_SPEED),
-    LOAD_DEPENDENT_FRICTION: (LoadDependentFriction.name,), CHANGING_FRICTION: (DriftingFriction.name,),
+_LAWS = {  # that have what a test found
+    CUBIC_SPRING: (ThreePieceSpring.name, CubicSpring.name), BACKLASH: (Backlash.name,), STRIBECK: _AT_LOW_SPEED,
+    PRESLIDING: (PreslidingFriction.name, *_AT_LOW_SPEED), LOAD_DEPENDENT_FRICTION: (LoadDependentFriction.name,),
+    CHANGING_FRICTION: (DriftingFriction.name,),
 }  # fmt: skip
 
 
@@ -197,17 +198,15 @@ class LoopCheck(Documented):
 
     def _say_what_to_declare(self, finding: Finding) -> str:
         """Return which law of spring or friction has what was found, as the end of a sentence; "" where none has."""
-        named = (finding.test.name, *finding.test.alike, *finding.rivals)
-        springs = [law for name in named for law in _SPRINGS.get(name, ()) if law in self.laws]
-        frictions = [law for name in named for law in _FRICTIONS.get(name, ()) if law in self.laws]
-        if finding.test.name == CHANGING_FRICTION and finding.test.shape == COULOMB:
-            frictions = []
-        told = ("spring", springs, "springs") if finding.test.name in _SPRINGS else ("friction", frictions, "friction")
-        key, laws, verb = told
-        if not laws or not (finding.test.name in _SPRINGS or finding.test.name in _FRICTIONS):
+        test = finding.test
+        key = "spring" if test.name in _SPRINGS else "friction"
+        if test.name not in _LAWS or (test.name == CHANGING_FRICTION and test.shape == COULOMB):
             return ""
-        tried = " or ".join(f'"{name}"' for name in dict.fromkeys(laws))
-        return f"; to identify it, set joint.{key} = {tried}, as jointid diagnose {verb} tells"
+        named = [n for n in (test.name, *test.alike, *finding.rivals) if (n in _SPRINGS) == (key == "spring")]
+        laws = dict.fromkeys(law for name in named for law in _LAWS.get(name, ()) if law in self.laws)
+        verb = "springs" if key == "spring" else "friction"
+        tried = " or ".join(f'"{law}"' for law in laws)
+        return f"; to identify it, set joint.{key} = {tried}, as jointid diagnose {verb} tells" if laws else ""
 
     def _describe_fault(self, finding: Finding, *, spread: bool = True) -> str:
         """Return a fault in words; `spread` says whether to give the interval of its size."""

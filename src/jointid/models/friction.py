@@ -6,7 +6,7 @@ any force within its bounds keeps the mass at rest.
 
 A law states which parameters its coefficients are (`coefficients`); everything else follows from that table. One in
 pieces has other lines at low speed (`bands`), of parameters that no regression takes. One that is no line at any speed
-says so (`stepped`) and what it has beside its lines (`extras`): it is simulated in steps. To add one, write its class
+says so (`stepped`) and what it has beside its lines (`beyond`): it is simulated in steps. To add one, write its class
 below, and its name in `FRICTIONS`.
 """
 
@@ -167,7 +167,7 @@ class Friction:
 
     @property
     def stepped(self) -> bool:
-        """True if it is in no pieces either, so that the simulation goes in steps of a stated error."""
+        """True if it is smooth, so that the simulation goes in steps of a stated error."""
         return False
 
     @property
@@ -175,7 +175,7 @@ class Friction:
         """The law of a joint without a spring that has this one where it has a spring."""
         return self
 
-    def extras(self, values: Mapping[str, float], prefix: str = "") -> dict[str, float]:
+    def beyond(self, values: Mapping[str, float], prefix: str = "") -> dict[str, float]:
         """Return what the law has beside its lines, as `models.beyond` names it."""
         return {}
 
@@ -332,7 +332,7 @@ class _SteppedFriction(Friction):
 
     @property
     def stepped(self) -> bool:
-        """True: it is in no pieces."""
+        """True: it is smooth."""
         return True
 
 
@@ -355,7 +355,7 @@ class PreslidingFriction(_SteppedFriction):
         distance = Parameter(f"{prefix}presliding_distance", f"s{index}", Quantity.POSITION, lower=_SHORTEST)
         return (*Friction.parameters(self, prefix, index), distance)
 
-    def extras(self, values: Mapping[str, float], prefix: str = "") -> dict[str, float]:
+    def beyond(self, values: Mapping[str, float], prefix: str = "") -> dict[str, float]:
         """Return the displacement."""
         return {"presliding": values[f"{prefix}presliding_distance"]}
 
@@ -388,7 +388,7 @@ class LoadDependentFriction(_SteppedFriction):
         share = Parameter(f"{prefix}friction_per_torque", f"mu{index}", Quantity.RATIO, lower=0.0, upper=_MOST)
         return own if prefix == "motor_" else (*own, share)
 
-    def extras(self, values: Mapping[str, float], prefix: str = "") -> dict[str, float]:
+    def beyond(self, values: Mapping[str, float], prefix: str = "") -> dict[str, float]:
         """Return the share, on the load side."""
         return {} if prefix == "motor_" else {"per_torque": values[f"{prefix}friction_per_torque"]}
 
@@ -421,7 +421,7 @@ class DriftingFriction(_SteppedFriction):
         drift = Parameter(f"{prefix}viscous_drift", f"dFv{index}", Quantity.VISCOUS_DRIFT)
         return (*Friction.parameters(self, prefix, index), drift)
 
-    def extras(self, values: Mapping[str, float], prefix: str = "") -> dict[str, float]:
+    def beyond(self, values: Mapping[str, float], prefix: str = "") -> dict[str, float]:
         """Return the change per second."""
         return {"drift": values[f"{prefix}viscous_drift"]}
 

@@ -92,7 +92,7 @@ class _JointBase:
 
     @property
     def stepped(self) -> bool:
-        """True if one of its laws is in no pieces, so that its simulation goes in steps of a stated error."""
+        """True if one of its laws is smooth, so that its simulation goes in steps of a stated error."""
         return self.friction.stepped
 
     def require_linear(self, taker: str, instead: str = _BY_DIDIM) -> None:
@@ -184,7 +184,7 @@ class RigidJoint(_JointBase):
 
     def beyond(self, values: Mapping[str, float]) -> FloatArray | None:
         """Return what its laws have beyond pieces, as `models.beyond` has it; None where they have nothing."""
-        return beyond_pieces({}, self.friction.extras(values), {}) if self.stepped else None
+        return beyond_pieces({}, self.friction.beyond(values), {}) if self.stepped else None
 
     def segments(self, values: Mapping[str, float]) -> FloatArray | None:
         """Return a friction in pieces for the simulation, (segments, 23); None of one that is not."""
@@ -223,12 +223,11 @@ class FlexibleJoint(_JointBase):
 
     def __post_init__(self) -> None:
         _JointBase.__post_init__(self)
-        in_pieces = [law.name for law in (self.friction, self.spring) if not (law.linear or law.stepped)]
-        if self.stepped and in_pieces:
-            beside = next(law.name for law in (self.friction, self.spring) if law.stepped)
+        if self.stepped and not all(law.linear or law.stepped for law in (self.friction, self.spring)):
             raise MethodError(
-                f'The laws "{in_pieces[0]}" and "{beside}" of spring and friction are not simulated beside each other: '
-                "one is in pieces, the other is not; use a linear spring, or symmetric friction, beside one of them."
+                f'The laws "{self.friction.name}" and "{self.spring.name}" of friction and spring are not simulated '
+                "beside each other: one is in pieces, the other is smooth; use a linear spring, or symmetric friction, "
+                "beside one of them."
             )
         if not self.spring.linear and self.gravity is not None and self.gravity.varies:
             raise MethodError(
@@ -243,15 +242,15 @@ class FlexibleJoint(_JointBase):
 
     @property
     def stepped(self) -> bool:
-        """True if one of its laws is in no pieces, so that its simulation goes in steps of a stated error."""
+        """True if one of its laws is smooth, so that its simulation goes in steps of a stated error."""
         return self.friction.stepped or self.spring.stepped
 
     def beyond(self, values: Mapping[str, float]) -> FloatArray | None:
         """Return what its laws have beyond pieces, as `models.beyond` has it; None where they have nothing."""
         if not self.stepped:
             return None
-        motor, load = (self.friction.extras(values, side) for side in ("motor_", "load_"))
-        return beyond_pieces(self.spring.extras(values), motor, load)
+        motor, load = (self.friction.beyond(values, side) for side in ("motor_", "load_"))
+        return beyond_pieces(self.spring.beyond(values), motor, load)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -417,24 +416,20 @@ Joint: TypeAlias = RigidJoint | FlexibleJoint
 
 def frictions_beside(joint: Joint) -> tuple[Friction, ...]:
     """Return the laws of friction that a joint may have, with all else that it has."""
-    found = []
-    for law in FRICTIONS.values():
-        try:
-            found.append(replace(joint, friction=law()).friction)
-        except MethodError:  # they are not simulated beside each other
-            continue
-    return tuple(found)
+    return tuple(law() for law in FRICTIONS.values() if _may_have(joint, friction=law()))
 
 
 def springs_beside(joint: FlexibleJoint) -> tuple[Spring, ...]:
     """Return the springs that a joint may have, with all else that it has."""
-    found = []
-    for law in SPRINGS.values():
-        try:
-            found.append(replace(joint, spring=law()).spring)
-        except MethodError:  # they are not simulated beside each other
-            continue
-    return tuple(found)
+    return tuple(law() for law in SPRINGS.values() if _may_have(joint, spring=law()))
+
+
+def _may_have(joint: Joint, **law: Friction | Spring) -> bool:
+    try:
+        replace(joint, **law)  # type: ignore[arg-type]
+    except MethodError:  # they are not simulated beside each other
+        return False
+    return True
 
 
 @dataclass(frozen=True, slots=True)

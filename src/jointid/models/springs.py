@@ -6,8 +6,8 @@ A law states the pieces of one side of its torque over the deflection; the other
 
 Being affine in each piece lets the simulation be exact: between two edges the drive is linear (`simulation.kernels`).
 Makers of strain-wave gears state three: K1 up to the torque T1, K2 up to T2, then K3 (Harmonic Drive SE, Engineering
-data, torsional stiffness). Backlash is a first piece without any stiffness. A spring in no pieces says so (`stepped`)
-and what it has beside its line (`extras`): it is simulated in steps. To add a law, write its class below, and its name
+data, torsional stiffness). Backlash is a first piece without any stiffness. A smooth spring says so (`stepped`)
+and what it has beside its line (`beyond`): it is simulated in steps. To add a law, write its class below, and its name
 in `SPRINGS`.
 """
 
@@ -54,7 +54,7 @@ class Spring:
     name: ClassVar[str]
     label: ClassVar[str]
     adds: ClassVar[str] = ""
-    """What a spring in no pieces has beside its line, in words."""
+    """What a smooth spring has beside its line, in words."""
     instead: ClassVar[str] = ""
     """What its line is, where only that is written, in words."""
 
@@ -97,10 +97,10 @@ class Spring:
 
     @property
     def stepped(self) -> bool:
-        """True if it is in no pieces, so that the simulation goes in steps of a stated error."""
+        """True if it is smooth, so that the simulation goes in steps of a stated error."""
         return False
 
-    def extras(self, values: Mapping[str, float]) -> dict[str, float]:
+    def beyond(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return what the spring has beside its stiffness and damping, as `models.beyond` names it."""
         return {}
 
@@ -236,11 +236,11 @@ class Backlash(Spring):
 
 @dataclass(frozen=True, slots=True)
 class _SteppedSpring(Spring):
-    """Common base of springs in no pieces, which are simulated in steps."""
+    """Common base of smooth springs, which are simulated in steps."""
 
     @property
     def stepped(self) -> bool:
-        """True: it is in no pieces."""
+        """True: it is smooth."""
         return True
 
     def pieces(self, values: Mapping[str, float]) -> tuple[Piece, ...]:
@@ -265,7 +265,7 @@ class CubicSpring(_SteppedSpring):
         stiffness = Parameter("stiffness", "K12", Quantity.STIFFNESS, lower=0.0)
         return (stiffness, Parameter("cubic_stiffness", "K3", Quantity.CUBIC_STIFFNESS), _DAMPING)
 
-    def extras(self, values: Mapping[str, float]) -> dict[str, float]:
+    def beyond(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return the cubic stiffness."""
         return {"cubic": values["cubic_stiffness"]}
 
@@ -316,7 +316,7 @@ class HystereticSpring(_SteppedSpring):
             _DAMPING,
         )
 
-    def extras(self, values: Mapping[str, float]) -> dict[str, float]:
+    def beyond(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return stiffness and limit of the slider."""
         return {"slider": values["hysteresis_stiffness"], "slips": values["hysteresis_torque"]}
 

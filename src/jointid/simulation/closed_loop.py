@@ -114,7 +114,7 @@ class ClosedLoopRun:
         drive: (14,) the joint's coefficients.
         gravity: (5,) those of its gravity, or None.
         segments: (segments, 23) those of its spring or its friction in pieces, or None.
-        beyond: those of laws in no pieces (`models.beyond`), with which it was simulated in steps; or None.
+        beyond: those of smooth laws (`models.beyond`), with which it was simulated in steps; or None.
         position, velocity: of the motor at the first sample. torque: the controller's there, where that is said.
         before: torque that acted before it.
         command: (periods,) the controller's output. tapped: the same behind its limit, before what filters follow.
@@ -292,7 +292,7 @@ def simulate(
         initial: where the motor is at the first sample.
 
     Exact to rounding for held torques and laws in pieces of lines; gravity that follows the position is held over each
-    part of a period, at an error of second order in it; with laws in no pieces (`Joint.stepped`) the motion is
+    part of a period, at an error of second order in it; with smooth laws (`Joint.stepped`) the motion is
     integrated in steps, of which each leaves an error of 1e-9 of the largest velocity.
     """
     return run(loop, experiment, values, initial, keep=True).simulation()
@@ -323,7 +323,7 @@ def _ordered(segments: FloatArray | None) -> bool:
 
 
 def _winding(beyond: FloatArray | None) -> bool:
-    """True of laws in no pieces whose numbers are not negative, the share of the spring's torque below 1."""
+    """True of smooth laws whose numbers are not negative, the share of the spring's torque below 1."""
     if beyond is None:
         return True
     _, slider, slips, *distances, share = beyond[:6].tolist()

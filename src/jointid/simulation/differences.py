@@ -1,4 +1,4 @@
-"""Derivatives of a closed loop by central differences of whole runs, where its joint has laws in no pieces.
+"""Derivatives of a closed loop by central differences of whole runs, where its joint has smooth laws.
 
 Such a run is integrated in steps (`simulation.kernels.stepped_drive`), and there is no tape of affine maps to follow.
 A difference has an error of second order in its step. The step is small enough for a search and its intervals, and

@@ -3,7 +3,8 @@
 `simulate_sensitivities` runs a loop once and follows the run with a column per parameter. A parameter may belong to the
 joint, to the motor's state at the first sample, or to the controller: any number its law is made of, and its computing
 delay. How the controller's output depends on its own numbers, with the position it saw held, is exact, too: the law is
-run on the simulated position at two neighbouring values, and is linear in its signals.
+run on the simulated position at two neighbouring values, and is linear in its signals. Where a law of the joint is
+smooth there is no tape to follow, and the derivatives are differences of runs (`differences`).
 """
 
 from __future__ import annotations
@@ -67,7 +68,7 @@ def simulate_sensitivities(
         initial: where the motor is at the first sample.
         positions: also return the derivatives of the positions.
 
-    Of a joint with laws in no pieces they are central differences (`differences`), else exact.
+    Of a joint with smooth laws they are central differences (`differences`), else exact.
 
     Of a run that did not finish all derivatives are 0; so are those of an unstable loop that its torque's limit holds,
     where two neighbours part at once and a derivative says nothing (above 1e100). At a delay of a whole number of

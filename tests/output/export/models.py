@@ -22,7 +22,7 @@ SMOOTH = TABLE_2 | {
     "load_presliding_distance": 4e-4, "load_friction_per_torque": 0.1, "motor_viscous_drift": -100.0,
     "load_viscous_drift": 200.0,
 }  # fmt: skip
-"""The paper's axis with what laws in no pieces have, too."""
+"""The paper's axis with what smooth laws have, too."""
 
 
 def answer(joint: Joint, values: Mapping[str, float | None], record: str = "run 7") -> dict[str, Any]:

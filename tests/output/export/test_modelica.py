@@ -103,7 +103,7 @@ def test_a_spring_in_pieces_gives_our_torque(spring: Spring) -> None:
 
 
 @pytest.mark.parametrize("law", ["cubic", "hysteretic", "presliding", "load-dependent", "drifting"])
-def test_a_law_in_no_pieces_gives_our_torque(law: str) -> None:
+def test_a_smooth_law_gives_our_torque(law: str) -> None:
     whole = ji.FlexibleJoint()
     joint = replace(whole, spring=SPRINGS[law]()) if law in SPRINGS else replace(whole, friction=FRICTIONS[law]())
     reference = REFERENCE[:600]

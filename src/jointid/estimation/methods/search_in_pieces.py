@@ -22,7 +22,7 @@ from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
 from jointid.models.springs import LinearSpring
 from jointid.simulation.closed_loop import Simulation
 
-_STIFFER = (2.5,)  # times the stiffness found with lines
+_STIFFER = 2.5  # times the stiffness found with lines, which is too soft where friction winds up
 _ROUGHLY, _FEW = 1e-5, 30  # tolerance and evaluations of a descent that only has to show where it leads
 
 
@@ -75,12 +75,10 @@ def from_linear_laws(problem: ClosedLoopProblem, found: Solved, tolerance: float
     values, run = linear.values(found.solution.x), linear.simulate(found.solution.x)
     history.tally.evaluations += 1
     given = {p.name: p.start for p in own if p.start is not None}
-    begun = [
-        {**stiffer, **start}
-        for stiffer in _stiffer(joint, values)
-        for start in _starts(joint, linear.joint, stiffer, run)
-    ]
-    starts = [start | given for start in begun]
+    begins: list[Mapping[str, float]] = [values]
+    if joint.friction.softens and isinstance(joint, FlexibleJoint):
+        begins.append({**values, "stiffness": _STIFFER * values["stiffness"]})
+    starts = [{**begin, **start, **given} for begin in begins for start in _starts(joint, linear.joint, begin, run)]
     laws = [f"{joint.spring.name} spring"] if isinstance(joint, FlexibleJoint) and not joint.spring.linear else []
     laws += [] if joint.friction.linear else [f"{joint.friction.name} friction"]
     history.progress(f"looking for a {' and '.join(laws)}, from {len(starts)} starts")
@@ -118,14 +116,6 @@ def _starts(joint: Joint, found: Joint, values: Mapping[str, float], run: Simula
             frictions = [motor | load for motor, load in zip(*by_side, strict=True)]
     for spring, friction in product(springs, frictions):
         yield spring | friction
-
-
-def _stiffer(joint: Joint, values: Mapping[str, float]) -> Iterator[Mapping[str, float]]:
-    """Yield values to begin from, with stiffer springs, too, where without the friction they are found too soft."""
-    yield values
-    if isinstance(joint, FlexibleJoint) and joint.friction.softens:
-        for factor in _STIFFER:
-            yield {**values, "stiffness": factor * values["stiffness"]}
 
 
 def _motion_size(
