@@ -29,7 +29,8 @@ from jointid.diagnostics.law_comparison import LawComparison
 from jointid.diagnostics.spring_comparison import compare_springs
 from jointid.diagnostics.unmodelled_motion import predict_residual
 from jointid.models.friction import FRICTIONS, friction_named
-from jointid.models.springs import SPRINGS, LinearSpring, spring_named
+from jointid.models.ripple import PositionHarmonics
+from jointid.models.springs import SPRINGS, ElasticLoad, LinearSpring, spring_named
 from jointid.simulation.loop_input import LoopInput, prepare
 from studies.healthy import Drive, drive
 
@@ -166,15 +167,14 @@ class Spoiled:
     size: float
     truth: dict[str, float]
 
-    @property
-    def stiffness(self) -> float:
-        """The stiffness between motor and load; of a load that swings in itself, that of both springs.
+    def stiffness(self, spring: str) -> float:
+        """Return the stiffness that a spring of that name has; of a load that swings in itself, that of both springs.
 
-        A load of which a share hangs on a second spring lags behind the motor, where it is accelerated, as one does
+        An elastic load has the first of them alone. A load of which a share hangs on a second spring lags behind the motor, where it is accelerated, as one does
         whose spring is as soft as both: by `1/K12 + share^2/K23`.
         """
         first, third = self.axis.truth["stiffness"], self.truth.get("third_inertia", 0.0)
-        if not third:
+        if not third or spring == ElasticLoad.name:
             return first
         share = third / (third + self.truth["load_inertia"])
         return 1 / (1 / first + share**2 / self.truth["third_stiffness"])
@@ -267,19 +267,25 @@ def judge(
     longest: float = 12.0,
     spring: str = LinearSpring.name,
     friction: str = "symmetric",
+    ripple: bool = False,
 ) -> Said | None:
-    """Identify a drive with a fault, by a model with that spring and friction; None where there is none."""
+    """Identify a drive with a fault, by a model with that spring and friction; None where there is none.
+
+    With `ripple` the model has one of the cogging's period.
+    """
     made = spoiled(seed, fault, longest)
     if made is None:
         return None
     about, loop = made.axis.about, made.axis.loop
     assert isinstance(loop.joint, ji.FlexibleJoint)
-    loop = replace(loop, joint=replace(loop.joint, spring=spring_named(spring), friction=friction_named(friction)))
+    cogs = PositionHarmonics(made.truth["pitch"]) if ripple and "pitch" in made.truth else None
+    joint = replace(loop.joint, spring=spring_named(spring), friction=friction_named(friction), ripple=cogs)
+    loop = replace(loop, joint=joint)
     try:
         found = ji.identify(made.record, loop)
     except JointidError as error:
         return Said(seed, fault, made.size, about, f"{type(error).__name__}: {error}", "", "", None, None, ())
-    row, truth = found["stiffness"], made.stiffness
+    row, truth = found["stiffness"], made.stiffness(spring)
     named = [
         str(reason.values.get("suspect", reason.values.get("law", "")))
         for verdict in found.checks.verdicts
@@ -322,7 +328,8 @@ def choose(seed: int, fault: str, longest: float = 12.0, kind: str = "spring") -
         compared = (compare_springs if kind == "spring" else compare_frictions)(made.record, made.axis.loop)
     except JointidError as error:
         return Chosen(seed, fault, made.size, f"{type(error).__name__}: {error}", "", None, {})
-    truth, shown = made.stiffness, compared.shown
+    shown = compared.shown
+    truth = made.stiffness(shown.name)
     std = shown.std.get("stiffness")
     z = (shown.values["stiffness"] - truth) / std if std else None
     return Chosen(seed, fault, made.size, "", shown.name, z, {one.name: one.kept for one in compared.laws})
@@ -370,6 +377,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--fault", action="append", choices=FAULTS)
     parser.add_argument("--spring", choices=SPRINGS, default=LinearSpring.name)
     parser.add_argument("--friction", choices=FRICTIONS, default="symmetric")
+    parser.add_argument("--ripple", action="store_true", help="declare the period of the cogging")
     parser.add_argument("--choose", choices=("spring", "friction"), help="compare all of them, and say which is shown")
     given = parser.parse_args(arguments)
     said: list[Said] = []
@@ -379,7 +387,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             if given.choose:
                 one: Said | Chosen | None = choose(seed, fault, given.longest, given.choose)
             else:
-                one = judge(seed, fault, given.longest, given.spring, given.friction)
+                one = judge(seed, fault, given.longest, given.spring, given.friction, given.ripple)
             if one is None:
                 continue
             said += [one] if isinstance(one, Said) else []

@@ -33,10 +33,11 @@ from jointid.models.controllers import (
     DigitalFilter,
     StateSpaceController,
 )
-from jointid.models.disturbances import Drift, PositionHarmonics
+from jointid.models.disturbances import Drift
 from jointid.models.friction import AsymmetricFriction, SymmetricFriction
 from jointid.models.gravity import GRAVITY_PARAMETERS, Counterbalance, Gravity
 from jointid.models.joints import FlexibleJoint, RigidJoint
+from jointid.models.ripple import PositionHarmonics
 from jointid.records.columns import Column
 from jointid.records.drives import Drive
 from jointid.records.record import InjectionPoint, Tap, Timing
@@ -130,6 +131,7 @@ def test_the_schema_has_the_objects_own_defaults() -> None:
         "RecordTable": Source,
         "RunTable": Run,
         "GravityTable": Gravity,
+        "RippleTable": PositionHarmonics,
         "CounterbalanceTable": Counterbalance,
     }
     # A key of both methods has two defaults, and so none in the schema.
@@ -283,6 +285,14 @@ def test_gravity() -> None:
     assert loaded == FlexibleJoint(gravity=Gravity("constant"))
     assert [p.name for p in loaded.parameters[-2:]] == ["offset", "gravity_constant"]
     assert [p.free for p in loaded.parameters[-2:]] == [False, True]
+
+
+def test_ripple() -> None:
+    file = loads(FLEXIBLE + '[ripple]\nperiod = 0.005\nside = "load"\n[parameters]\nload_harmonic_1_sine = 0.5')
+    assert file.joint == FlexibleJoint(ripple=PositionHarmonics(0.005, side="load"))
+    assert file.parameters["load_harmonic_1_sine"].start == 0.5
+    assert [p.name for p in file.joint.parameters[-2:]] == ["load_harmonic_1_cosine", "load_harmonic_1_sine"]
+    assert file.joint.rigid == RigidJoint()
 
 
 def test_a_state_space_law() -> None:

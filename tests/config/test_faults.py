@@ -46,7 +46,7 @@ FAULTS = [
     ),
     (
         SMALLEST + "[methods]",
-        "methods is not a known key; expected one of joint, transmission, gravity, record, drive, controller, "
+        "methods is not a known key; expected one of joint, transmission, gravity, ripple, record, drive, controller, "
         "filtering, method, parameters, records, together, limits: did you mean method?",
     ),
     (
@@ -56,7 +56,7 @@ FAULTS = [
     ),
     (
         SMALLEST + '["a.b"]',
-        '"a.b" is not a known key; expected one of joint, transmission, gravity, record, drive, controller, '
+        '"a.b" is not a known key; expected one of joint, transmission, gravity, ripple, record, drive, controller, '
         "filtering, method, parameters, records, together, limits: leave it out.",
     ),
     (
@@ -544,6 +544,32 @@ FAULTS = [
         SMALLEST + '[gravity]\nload = "constant"\n[parameters]\noffset = { start = 3 }',
         "parameters.offset cannot be identified beside a constant load: torque and motor position only know the sum of "
         "both; give it a value, or leave [gravity] out.",
+    ),
+    # ripple
+    (
+        SMALLEST + "[ripple]\nharmonics = 2",
+        "ripple.period is missing; expected a positive number (of the first harmonic, such as the pitch of a screw "
+        "or of the motor's slots, on the side that is reported; idim finds one by its own harmonics [m or rad]): add "
+        "it.",
+    ),
+    (
+        SMALLEST + '[ripple]\nperiod = 0.005\nside = "load"',
+        'ripple: A rigid joint has no load side of its own; use side = "motor".',
+    ),
+    (
+        SMALLEST.replace(JOINT, JOINT + 'friction = "stribeck"\n') + "[ripple]\nperiod = 0.005",
+        "ripple: Stribeck friction, which is in pieces, is not simulated beside a ripple; use symmetric friction, or "
+        "leave the ripple out.",
+    ),
+    (
+        SMALLEST.replace(JOINT, JOINT + 'model = "flexible"\nspring = "backlash"\n') + "[ripple]\nperiod = 0.005",
+        "ripple: A backlash spring, which is in pieces, is not simulated beside a ripple; use a linear spring, or "
+        "leave the ripple out.",
+    ),
+    (
+        SMALLEST + "[parameters]\nharmonic_1_sine = { start = 3 }",
+        "parameters.harmonic_1_sine is not known for a rigid joint with symmetric friction; expected one of inertia, "
+        "viscous, coulomb, offset: leave it out, or set ripple.period.",
     ),
     (
         SMALLEST + "[parameters]\ngravity_cos = { start = 3 }",

@@ -45,10 +45,12 @@ from jointid.models.controllers import (
     SecondOrder,
     StateSpaceController,
 )
-from jointid.models.disturbances import Drift, PositionHarmonics
+from jointid.models.disturbances import Drift
 from jointid.models.friction import AsymmetricFriction, SymmetricFriction
 from jointid.models.gravity import Counterbalance, Gravity
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
+from jointid.models.ripple import PositionHarmonics
+from jointid.models.springs import ElasticLoad
 from jointid.records.columns import Column, known_units
 from jointid.records.drives import Drive, profile_names
 from jointid.records.record import InjectionPoint, Tap, Timing
@@ -147,6 +149,8 @@ JOINTS: list[Joint] = [
     FlexibleJoint(),
     FlexibleJoint(friction=AsymmetricFriction()),
     FlexibleJoint(gravity=Gravity("constant")),
+    RigidJoint(ripple=PositionHarmonics(0.005, 3)),
+    FlexibleJoint(spring=ElasticLoad(), ripple=PositionHarmonics(0.02, side="load")),
 ]
 
 
@@ -213,7 +217,9 @@ def joint_files(draw: st.DrawFn) -> JointFile:
             )
         ),
         parameters={
-            p.name: draw(st.sampled_from((p, p.fixed(3.0), dataclasses.replace(p, upper=5.0))))
+            p.name: draw(
+                st.sampled_from((p, p.fixed(min(3.0, p.upper)), dataclasses.replace(p, upper=min(5.0, p.upper))))
+            )
             for p in joint.parameters
             if p.free and draw(st.booleans())
         },

@@ -12,9 +12,11 @@ from jointid.common.errors import MethodError
 from jointid.diagnostics.validation import validate
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.idim import IDIM
-from jointid.models.disturbances import Drift, PositionHarmonics, effect_columns
+from jointid.models.disturbances import Drift, effect_columns
 from jointid.models.friction import AsymmetricFriction
-from jointid.models.joints import ClosedLoop, Motion, RigidJoint
+from jointid.models.joints import ClosedLoop, RigidJoint
+from jointid.models.motion import Motion
+from jointid.models.ripple import PositionHarmonics
 from jointid.output import json as answers
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering

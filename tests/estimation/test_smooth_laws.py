@@ -13,13 +13,14 @@ from jointid.estimation.identify import identify
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import ClosedLoop, FlexibleJoint
+from jointid.models.ripple import PositionHarmonics
 from jointid.models.springs import SPRINGS
 from jointid.simulation.closed_loop import simulate
 from jointid.simulation.loop_input import prepare
 from tests.estimation.test_stribeck import noisy
 from tests.plants import Case, prismatic
 
-LAWS = ("presliding", "load-dependent", "drifting", "cubic", "hysteretic")
+LAWS = ("presliding", "load-dependent", "drifting", "cubic", "hysteretic", "elastic-load", "ripple")
 
 
 def with_law(case: Case, law: str) -> tuple[ClosedLoop, dict[str, float]]:
@@ -40,8 +41,15 @@ def with_law(case: Case, law: str) -> tuple[ClosedLoop, dict[str, float]]:
         },
         "cubic": {"cubic_stiffness": 0.6 * stiffness / windup**2},
         "hysteretic": {"hysteresis_stiffness": 0.5 * stiffness, "hysteresis_torque": 0.1 * stiffness * windup},
-    }[law]
-    other = replace(joint, friction=FRICTIONS[law]()) if law in FRICTIONS else replace(joint, spring=SPRINGS[law]())
+        "elastic-load": {
+            "swinging_share": 0.4, "swinging_stiffness": 2.5 * stiffness, "swinging_damping": case.truth["damping"]
+        },
+        "ripple": {"harmonic_1_cosine": 0.1 * stiffness * windup, "harmonic_1_sine": -0.05 * stiffness * windup},
+    }[law]  # fmt: skip
+    if law == "ripple":
+        other = replace(joint, ripple=PositionHarmonics(0.1 * travel))
+    else:
+        other = replace(joint, friction=FRICTIONS[law]()) if law in FRICTIONS else replace(joint, spring=SPRINGS[law]())
     return replace(case.loop, joint=other), case.truth | more
 
 

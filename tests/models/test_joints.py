@@ -9,7 +9,8 @@ from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity, adjusted
 from jointid.models.controllers import Cascade
 from jointid.models.friction import AsymmetricFriction, SymmetricFriction, friction_named
-from jointid.models.joints import ClosedLoop, FlexibleJoint, Motion, RigidJoint
+from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
+from jointid.models.motion import Motion
 from jointid.paper.twin import TABLE_2, TABLE_4
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from jointid.common.transmission import OtherSide, Transmission
-from jointid.models.disturbances import Drift, PositionHarmonics, effect_parameters
+from jointid.models.disturbances import Drift, effect_parameters
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
+from jointid.models.ripple import PositionHarmonics
 from jointid.records.record import Channel, Timing, refer_channel
 from tests.geared import TURNED_SCREW
 

@@ -10,7 +10,8 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
-from jointid.models.joints import FlexibleJoint, Motion
+from jointid.models.joints import FlexibleJoint
+from jointid.models.motion import Motion
 from jointid.paper.errata import ERRATA, markdown
 from jointid.paper.published import EXPERIMENT, REGRESSOR, SYMBOLS, TABLES, PublishedTable
 from jointid.paper.recomputed import (

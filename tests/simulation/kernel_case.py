@@ -70,6 +70,7 @@ def run(
     x0: np.ndarray,
     far: float = math.inf,
     beyond: np.ndarray | None = None,
+    places: np.ndarray | None = None,
 ) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
     """Return status, torque (n,), states at the controller's instants (n, 4) and counts; in steps where `beyond` is."""
     late = delay / T
@@ -108,7 +109,17 @@ def run(
     if beyond is not None:
         pushed = np.empty((len(states), 2))
         status = stepped_drive.run(
-            drive(plant), beyond, *loop, float(np.sign(x[1])), far, u, np.empty(0), states, pushed, counts
+            drive(plant),
+            beyond,
+            np.zeros((0, 5)) if places is None else places,
+            *loop,
+            float(np.sign(x[1])),
+            far,
+            u,
+            np.empty(0),
+            states,
+            pushed,
+            counts,
         )
         return status, u, states[:: len(lengths)], counts
     status = kernels.run(

@@ -25,12 +25,20 @@ class Smooth:
     presliding: tuple[float, float] = (0.0, 0.0)
     per_torque: float = 0.0
     drift: tuple[float, float] = (0.0, 0.0)
+    swings: tuple[float, float, float] = (0.0, 0.0, 0.0)  # share of the load, its stiffness and damping
+    ripple: tuple[tuple[int, float, float, float], ...] = ()  # mass, rad per position, of the cosine and the sine
 
     @property
     def row(self) -> np.ndarray:
         """As the kernel takes it."""
         numbers = [self.cubic, self.slider, self.slips, *self.presliding, self.per_torque, *self.drift]
-        return np.array(numbers)
+        return np.array([*numbers, *self.swings])
+
+    @property
+    def places(self) -> np.ndarray:
+        """The ripple as the kernel takes it."""
+        rows = [[cos, sin, 0.0, wave, float(mass)] for mass, wave, cos, sin in self.ripple]
+        return np.array(rows).reshape(-1, 5)
 
 
 class _Motion:
@@ -39,8 +47,9 @@ class _Motion:
     def __init__(self, plant: Plant, more: Smooth, x0: np.ndarray) -> None:
         assert plant.inertia2 is not None
         self.p, self.more, self.time, self.torque = plant, more, 0.0, 0.0
-        self.inertia = plant.inertia1, plant.inertia2
-        self.y = np.array([*x0, 0.0, 0.0, 0.0])
+        share = more.swings[0]
+        self.inertia = plant.inertia1, (1.0 - share) * plant.inertia2, share * plant.inertia2
+        self.y = np.array([*x0, 0.0, 0.0, 0.0, *x0[2:]])
         self.y[4:6] = [float(np.sign(x0[2 * i + 1])) if more.presliding[i] else 0.0 for i in (0, 1)]
         self.mode = [int(np.sign(v)) or int(soft > 0) for v, soft in zip(x0[1::2], more.presliding, strict=True)]
         self.rate, self.sign = 1, 1
@@ -51,7 +60,18 @@ class _Motion:
 
     def push(self, mass: int, y: np.ndarray) -> float:
         spring = self.spring(y)
-        return self.torque - self.p.offset + spring if mass == 0 else -self.p.load_offset - spring
+        held = sum(
+            cos * math.cos(wave * y[2 * mass]) + sin * math.sin(wave * y[2 * mass])
+            for side, wave, cos, sin in self.more.ripple
+            if side == mass
+        )
+        if mass == 0:
+            return float(self.torque - self.p.offset + spring - held)
+        return float(-self.p.load_offset - spring + self.pull(y) - held)
+
+    def pull(self, y: np.ndarray) -> float:
+        share, stiffness, damping = self.more.swings
+        return float(stiffness * (y[7] - y[2]) + damping * (y[8] - y[3])) if share else 0.0
 
     def bound(self, mass: int, y: np.ndarray, direction: int) -> float:
         coulomb = (self.p.fc1, self.p.fc2)[mass][0 if direction > 0 else 1]
@@ -73,7 +93,8 @@ class _Motion:
         ]
         de = y[3] - y[1]
         slider = self.more.slider * de * (1.0 - self.rate * y[6] / self.more.slips) if self.more.slider else 0.0
-        return [y[1], self.acceleration(0, t, y), y[3], self.acceleration(1, t, y), *winding, slider]
+        swings = [y[8], -self.pull(y) / self.inertia[2]] if self.inertia[2] else [0.0, 0.0]
+        return [y[1], self.acceleration(0, t, y), y[3], self.acceleration(1, t, y), *winding, slider, *swings]
 
     def guards(self) -> list[tuple[str, int]]:
         found = [("slide" if self.mode[mass] else "cone", mass) for mass in (0, 1)]
@@ -121,8 +142,8 @@ class _Motion:
             size = max(1e-6, float(np.max(np.abs(self.y[1:4:2]))))
             run = solve_ivp(
                 self.slopes, (self.time, end), self.y, "DOP853", events=[event(guard) for guard in watched],
-                rtol=1e-11, atol=[1e-13 * size] * 4 + [1e-12, 1e-12, 1e-12 * max(self.more.slips, 1.0)],
-                max_step=0.1 * duration,
+                rtol=1e-11, max_step=0.1 * duration,
+                atol=[1e-13 * size] * 4 + [1e-12, 1e-12, 1e-12 * max(self.more.slips, 1.0)] + [1e-13 * size] * 2,
             )  # fmt: skip
             self.time, self.y = float(run.t[-1]), run.y[:, -1].copy()
             for guard, found in zip(watched, run.t_events, strict=True):

@@ -37,18 +37,22 @@ def _law(name: str, plant: Plant, own: FloatArray, duration: float) -> Smooth:
         "hysteretic": Smooth(slider=0.4 * plant.stiffness, slips=0.1 * torque),
         "presliding": Smooth(presliding=(0.01 * travel, 0.03 * travel)),
         "load-dependent": Smooth(per_torque=0.2),
+        "elastic-load": Smooth(swings=(0.4, 4.0 * plant.stiffness, 2.0 * plant.damping)),
+        "ripple": Smooth(ripple=((0, 40.0 / travel, 0.1 * torque, 0.0), (1, 90.0 / travel, 0.0, 0.05 * torque))),
         "drifting": Smooth(drift=(-0.5 * min(plant.fv1) / duration, 0.8 * min(plant.fv2) / duration)),
     }[name]
 
 
-@pytest.mark.parametrize("name", ["cubic", "hysteretic", "presliding", "load-dependent", "drifting"])
+@pytest.mark.parametrize(
+    "name", ["cubic", "hysteretic", "presliding", "load-dependent", "drifting", "elastic-load", "ripple"]
+)
 @pytest.mark.parametrize("seed", SEEDS)
 def test_agrees_with_a_reference_that_locates_every_event(seed: int, name: str) -> None:
     plant, law, w, post, T, delay, before, x0 = random_case(seed)
     _, _, own, _ = run(plant, law, w[:150], post[:150], T, delay, before, x0)
     more = _law(name, plant, own, _PERIODS * T)
     w, post = w[:_PERIODS], post[:_PERIODS]
-    status, u, x, counts = run(plant, law, w, post, T, delay, before, x0, beyond=more.row)
+    status, u, x, counts = run(plant, law, w, post, T, delay, before, x0, beyond=more.row, places=more.places)
     expected_u, expected_x = reference(plant, more, law, w, post, T, delay, before, x0)
     assert status == 0
     assert counts[0] > 5 or seed != EVENTFUL

@@ -262,6 +262,8 @@ def _no_parameter(name: str, joint: JointTable, gravity: GravityTable | None, kn
     for load, names in GRAVITY_PARAMETERS.items():
         if gravity is None and name in names:
             remedy = f'leave it out, or set gravity.load = "{load}".'
+    if name.removeprefix("load_").startswith("harmonic_"):
+        remedy = "leave it out, or set ripple.period."
     model = f"a {joint.model} joint with {joint.friction} friction"
     model += "" if joint.spring == LinearSpring.name else f" and a {joint.spring} spring"
     return f" is not known for {model}; expected one of {', '.join(known)}: {remedy}"

@@ -123,7 +123,7 @@ class JointFile:
         """
         file, draft = _check_tables(tables)
         transmission = file.transmission.transmission(file.joint.kind) if file.transmission else None
-        joint = file.joint.joint(torque_unit(draft, file.joint.kind), transmission, file.gravity)
+        joint = file.joint.joint(torque_unit(draft, file.joint.kind), transmission, file.gravity, file.ripple)
         method = choose_method(draft, file.method.name, joint.model)
         assert method is not None
         known = {parameter.name: parameter for parameter in joint.parameters}
@@ -392,6 +392,7 @@ class JointFile:
             "joint": serialise.joint_table(self.joint, self.name) | serialise.torque_constant(self.drive, self.joint),
             "transmission": {} if gear is None else serialise.settings(gear, "load"),
             "gravity": serialise.gravity_table(self.joint.gravity, gear),
+            "ripple": {} if self.joint.ripple is None else serialise.settings(self.joint.ripple),
             "record": record,
             "drive": serialise.settings(self.drive, "torque_constant", "torque_per_volt"),
             "controller": {}
@@ -442,8 +443,8 @@ def _faults_between(draft: Draft) -> Iterator[str]:
     if draft.method is not None:
         yield from method_faults(draft, draft.method)
         yield from free_faults("method.free", draft.method.free, draft.controller)
-    if draft.gravity_refusal:
-        yield f"gravity{draft.gravity_refusal}"
+    for table, refused in draft.refusals.items():
+        yield f"{table}{refused}"
     yield from parameter_faults(draft)
     yield from record_faults(draft)
     if draft.together is not None:

@@ -18,6 +18,7 @@ from jointid.config.schema import (
     LimitsTable,
     MethodTable,
     ParameterTable,
+    RippleTable,
     TransmissionTable,
 )
 from jointid.config.schema_record import ChannelsTable, ChannelTable, DriveTable, RunTable, TogetherTable
@@ -40,8 +41,10 @@ class Draft:
     Attributes:
         joint: what is identified.
         gravity: of its load.
-        gravity_refusal: the rest of the sentence on a gravity that this joint cannot have.
-        parts: the joint of this model with its gravity, whose parameters are known; None while either is not right.
+        ripple: of the joint.
+        refusals: the rest of the sentence on a gravity or a ripple that this joint cannot have, by the table's name.
+        parts: the joint of this model with its gravity and ripple, whose parameters are known; None while one of them
+            is not right.
         kinds: its kind; every kind, while that is not known.
         model: its model, while that is known.
         transmission: between motor and load.
@@ -62,7 +65,8 @@ class Draft:
 
     joint: JointTable | None
     gravity: GravityTable | None
-    gravity_refusal: str | None
+    ripple: RippleTable | None
+    refusals: Mapping[str, str]
     parts: Joint | None
     kinds: Collection[Kind]
     model: str | None
@@ -96,13 +100,16 @@ class Draft:
         found = () if drive is None or drive.traces is None else drive.traces.channels
         channels, parameters = table_at(raw, "record", "channels"), table_at(raw, "parameters")
         law = next(filter(None, (_part(law, controller) for law in LAW_TABLES)), None)
-        refused = None if joint is None else refusal(lambda: joint.joint(None, gravity=gravity))
-        whole = refused is None and (gravity is not None or "gravity" not in raw)
+        ripple = _part(RippleTable, raw.get("ripple"))
+        refusals = {} if joint is None else _refusals(joint, gravity, ripple)
+        given = {"gravity": gravity, "ripple": ripple}
+        whole = not refusals and not any(part is None and name in raw for name, part in given.items())
         return cls(
             joint=joint,
             gravity=gravity,
-            gravity_refusal=refused,
-            parts=joint.joint(None, gravity=gravity) if joint is not None and whole else None,
+            ripple=ripple,
+            refusals=refusals,
+            parts=joint.joint(None, gravity=gravity, ripple=ripple) if joint is not None and whole else None,
             kinds=[known for known in KINDS if known == kind] or KINDS,
             model=_model(raw.get("joint")),
             transmission=_part(TransmissionTable, raw.get("transmission")),
@@ -132,6 +139,14 @@ class Draft:
     def controller(self) -> Controller | None:
         """The controller's law."""
         return self.law.controller() if self.law else None
+
+
+def _refusals(joint: JointTable, gravity: GravityTable | None, ripple: RippleTable | None) -> dict[str, str]:
+    """Return why a joint cannot have what is said of it beside [joint], by the table's name."""
+    if refused := refusal(lambda: joint.joint(None, gravity=gravity)):
+        return {"gravity": refused}
+    refused = refusal(lambda: joint.joint(None, gravity=gravity, ripple=ripple))
+    return {"ripple": refused} if refused else {}
 
 
 def _part(model: type[T], raw: object) -> T | None:

@@ -55,10 +55,11 @@ from jointid.models.controllers import (
     StateSpaceController,
     as_filter,
 )
-from jointid.models.disturbances import Drift, Effect, PositionHarmonics
+from jointid.models.disturbances import Drift, Effect
 from jointid.models.friction import FRICTIONS, friction_named
 from jointid.models.gravity import Counterbalance, Gravity
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
+from jointid.models.ripple import PositionHarmonics
 from jointid.models.springs import SPRINGS, LinearSpring, spring_named
 from jointid.planning.limits import AxisLimits
 from jointid.records.drives import Drive
@@ -112,12 +113,19 @@ class JointTable(Table):
         return "V" if "V" in text else "A"
 
     def joint(
-        self, torque_unit: str | None, transmission: Transmission | None = None, gravity: GravityTable | None = None
+        self,
+        torque_unit: str | None,
+        transmission: Transmission | None = None,
+        gravity: GravityTable | None = None,
+        ripple: RippleTable | None = None,
     ) -> Joint:
         """Return the joint; `torque_unit` is "A" or "V" for a torque in the drive's units."""
         kind = self.kind if transmission is None else transmission.kind
         weight = None if gravity is None else gravity.gravity(transmission)
-        common = kind, friction_named(self.friction), torque_unit, transmission, weight
+        common = (
+            kind, friction_named(self.friction), torque_unit, transmission, weight,
+            None if ripple is None else ripple.build(),
+        )  # fmt: skip
         return FlexibleJoint(*common, spring_named(self.spring)) if self.model == "flexible" else RigidJoint(*common)
 
     def faults(self) -> Iterator[tuple[str, str]]:
@@ -149,6 +157,16 @@ class GravityTable(Table):
         """Return the gravity, as a joint has it on its side of the transmission."""
         angle = self.angle if transmission is None else self.angle * transmission.torque("load")
         return Gravity(self.load, self.counterbalance.build(), angle)
+
+
+@keys_from(PositionHarmonics, without=("period",))
+class RippleTable(Table):
+    """[ripple]: a force that comes back with the position, identified with the joint by every method."""
+
+    period: Positive = Field(
+        description="of the first harmonic, such as the pitch of a screw or of the motor's slots, on the side that is "
+        "reported; idim finds one by its own harmonics [m or rad]"
+    )
 
 
 @keys_from(Transmission, without=("load", "lead"))
@@ -555,6 +573,7 @@ class FileTable(Table):
     joint: JointTable = Field(description="what is identified")
     transmission: TransmissionTable | None = Field(None, description="what lies between motor and load")
     gravity: GravityTable | None = Field(None, description="what its load weighs, if that matters")
+    ripple: RippleTable | None = Field(None, description="a force that comes back with the position, if there is one")
     record: RecordTable = Field(default_factory=RecordTable, description="the file of the record, and its channels")
     drive: DriveTable = Field(default_factory=DriveTable, description="whose traces they are, and its own units")
     controller: ControllerTable | None = Field(None, description="the controller's law, if it is known")

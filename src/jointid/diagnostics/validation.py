@@ -36,7 +36,8 @@ from jointid.estimation.result.estimate import (
     relative_error,
 )
 from jointid.models.disturbances import effect_parameters
-from jointid.models.joints import ClosedLoop, Motion
+from jointid.models.joints import ClosedLoop
+from jointid.models.motion import Motion
 from jointid.records.checks import check_record
 from jointid.records.record import Record, Resampled
 from jointid.simulation.closed_loop import Initial, Simulation, require_finished

@@ -14,19 +14,22 @@ from jointid.common.arrays import FloatArray
 
 SPRING = ("cubic", "slider", "slips")
 """Cubic stiffness; stiffness and limit of what winds up beside the spring."""
+LOAD = ("swing_share", "swing_stiffness", "swing_damping")
+"""Share of an elastic load that swings on a spring of its own, its stiffness and its damping."""
 SIDE = ("presliding", "drift", "per_torque")
 """Of the friction of one side: the displacement it winds up over; by how much the viscous coefficient grows per second;
 the share of the spring's torque."""
 
 
 def beyond_pieces(spring: Mapping[str, float], motor: Mapping[str, float], load: Mapping[str, float]) -> FloatArray:
-    """Return the numbers of a joint beyond its coefficients, (8,), 0 where it has none.
+    """Return the numbers of a joint beyond its coefficients, (11,), 0 where it has none.
 
     Args:
-        spring: by the names of `SPRING`.
+        spring: by the names of `SPRING` and of `LOAD`.
         motor: by those of `SIDE`.
         load: the same.
     """
     of_spring = [spring.get(name, 0.0) for name in SPRING]
     winds_up, changes = ([side.get(name, 0.0) for side in (motor, load)] for name in ("presliding", "drift"))
-    return np.array([*of_spring, *winds_up, load.get("per_torque", 0.0), *changes])
+    swings = [spring.get(name, 0.0) for name in LOAD]
+    return np.array([*of_spring, *winds_up, load.get("per_torque", 0.0), *changes, *swings])

@@ -1,12 +1,11 @@
-"""Disturbance torques beside inertia and friction: ripple over the position, drift over time.
+"""Disturbance torques beside inertia and friction: ripple over the position (`ripple`), drift over time.
 
 Each effect is linear in its parameters, so that a regression estimates them as further columns. The simulation of a
-loop does not have them.
+loop has those that its joint has.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
@@ -18,7 +17,8 @@ from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
 from jointid.common.settings import check_settings, documented, setting
 from jointid.common.transmission import Side
-from jointid.models.joints import Joint, Motion
+from jointid.models.joints import Joint
+from jointid.models.motion import Motion
 
 
 class Effect(Protocol):
@@ -34,53 +34,6 @@ class Effect(Protocol):
 
     def columns(self, motion: Motion, time: FloatArray) -> FloatArray:
         """Return the columns on the motion of its side, (samples, parameters); `time` in s from the first sample."""
-
-
-@documented
-@dataclass(frozen=True, slots=True)
-class PositionHarmonics:
-    """``sum over k of a_k cos(2 pi k q / period) + b_k sin(2 pi k q / period)``: ripple of a screw, gear or motor.
-
-    A sum of n harmonics of any period lowers the residual of the record it is fitted to; judge it by a cross test.
-    """
-
-    period: float | None = setting(
-        None,
-        "of the first harmonic, such as the pitch of a screw; without it searched for in the record, and refined",
-        unit="m or rad",
-        above=0,
-    )
-    harmonics: int = setting(1, "how many, from the first", at_least=1)
-    side: Side = setting("motor", "whose position it follows and on which side it acts")
-
-    def __post_init__(self) -> None:
-        check_settings(self)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Amplitude of cosine and sine of each harmonic, in the unit of the torque."""
-        prefix, index = ("", "") if self.side == "motor" else ("load_", "2")
-        return tuple(
-            Parameter(f"{prefix}harmonic_{k}_{word}", f"{letter}{index}_{k}", Quantity.FORCE)
-            for k in range(1, self.harmonics + 1)
-            for word, letter in (("cosine", "a"), ("sine", "b"))
-        )
-
-    def columns(self, motion: Motion, time: FloatArray) -> FloatArray:
-        """Return cosine and sine of each harmonic, (samples, 2 harmonics)."""
-        phases = self._phases(motion)
-        return np.stack([np.cos(phases), np.sin(phases)], axis=2).reshape(len(phases), -1)
-
-    def period_column(self, motion: Motion, amplitudes: FloatArray) -> FloatArray:
-        """Return the derivative of the force by the period, (samples,), at amplitudes in the order of `parameters`."""
-        assert self.period is not None
-        phases = self._phases(motion)
-        by_phase = -amplitudes[::2] * np.sin(phases) + amplitudes[1::2] * np.cos(phases)
-        return np.asarray((-phases / self.period * by_phase).sum(axis=1))
-
-    def _phases(self, motion: Motion) -> FloatArray:
-        assert self.period is not None, "a period that is searched for has no columns yet"
-        return np.outer(motion.position, 2 * math.pi / self.period * np.arange(1, self.harmonics + 1))
 
 
 @documented
@@ -141,10 +94,13 @@ def require_effects(effects: Sequence[Effect], joint: Joint) -> None:
         raise MethodError('A rigid joint has no load side of its own; use side = "motor".')
     if joint.model == "rigid" and any(isinstance(effect, EncoderOffset) for effect in effects):
         raise MethodError("A rigid joint has one encoder, whose zero moves nothing; leave EncoderOffset out.")
-    names = [p.name for p in effect_parameters(effects)]
+    names = [p.name for p in (*joint.parameters, *effect_parameters(effects))]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
-        raise MethodError(f"{', '.join(twice)} would be there twice; give each effect once for each side.")
+        raise MethodError(
+            f"{', '.join(twice)} would be there twice; give each effect once for each side, and "
+            "none that the joint itself has."
+        )
 
 
 def effect_parameters(effects: Sequence[Effect]) -> tuple[Parameter, ...]:

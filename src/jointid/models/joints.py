@@ -10,7 +10,8 @@ Flexible, (2) of the paper, motor 1 and load 12, elastic deflection q2 = q12 - q
     0   = ZZ2 a12 + Fv2 v12 + Fc2 sign(v12) + K12 q2 + F12 v2
 
 where ``K12 q2`` may be the torque of another spring, and the friction another law: see `springs`, `friction`. Gravity,
-where a joint has it, adds g(q) to (1), and g(q12) to the second equation of (2): see `gravity`.
+where a joint has it, adds g(q) to (1), and g(q12) to the second equation of (2): see `gravity`; a ripple adds to the
+equation of its side what follows the position there: see `ripple`.
 """
 
 from __future__ import annotations
@@ -31,6 +32,8 @@ from jointid.models.beyond import beyond_pieces
 from jointid.models.controllers import Controller
 from jointid.models.friction import FRICTIONS, Band, Friction, SymmetricFriction
 from jointid.models.gravity import Gravity
+from jointid.models.motion import Motion
+from jointid.models.ripple import PositionHarmonics
 from jointid.models.springs import SPRINGS, LinearSpring, Spring
 
 MODE_DAMPING = 0.02
@@ -40,18 +43,9 @@ _BY_DIDIM = 'simulate and identify the closed loop by the method "didim"'
 _TINY = 1e-300  # keeps a bound on inertias open: a mass of zero has no motion
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Motion:
-    """The motion of one side of a joint, each (samples,)."""
-
-    position: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
-
-
 @dataclass(frozen=True, slots=True)
 class _JointBase:
-    """Common base of the joints: kind of motion, friction, transmission and gravity; see `RigidJoint`."""
+    """Common base of the joints: kind of motion, friction, transmission, gravity and ripple; see `RigidJoint`."""
 
     model: ClassVar[str]
     """Name of the model, as files say it."""
@@ -61,6 +55,7 @@ class _JointBase:
     torque_unit: str | None = None
     transmission: Transmission | None = None
     gravity: Gravity | None = None
+    ripple: PositionHarmonics | None = None
 
     def __post_init__(self) -> None:
         if self.kind not in POSITION_UNIT:
@@ -79,7 +74,15 @@ class _JointBase:
                 f"{self.friction.name.capitalize()} friction follows the torque through a spring; received a rigid "
                 'joint, which has none: use a flexible one, or friction = "symmetric".'
             )
-        if not self.friction.linear and self.gravity is not None and self.gravity.varies:
+        in_pieces = not (self.friction.linear or self.friction.stepped)
+        if self.ripple is not None:
+            self.ripple.require(self.model)
+            if in_pieces:
+                raise MethodError(
+                    f"{self.friction.name.capitalize()} friction, which is in pieces, is not simulated beside a "
+                    "ripple; use symmetric friction, or leave the ripple out."
+                )
+        if in_pieces and self.gravity is not None and self.gravity.varies:
             raise MethodError(
                 f"{self.friction.name.capitalize()} friction is not simulated beside gravity that follows the "
                 "position; expected a constant load or none: use symmetric friction, or leave gravity out."
@@ -93,7 +96,7 @@ class _JointBase:
     @property
     def stepped(self) -> bool:
         """True if one of its laws is smooth, so that its simulation goes in steps of a stated error."""
-        return self.friction.stepped
+        return self.friction.stepped or self.ripple is not None
 
     def require_linear(self, taker: str, instead: str = _BY_DIDIM) -> None:
         """Raise a `MethodError` if a law is not linear.
@@ -124,15 +127,29 @@ class _JointBase:
         follows_load = float(self.model == "flexible")
         return np.array([*self.gravity.coefficients(values)[1:], self.gravity.angle, follows_load])
 
+    def places(self, values: Mapping[str, float]) -> FloatArray:
+        """Return the forces that follow a position, gravity's and the ripple's, (forces, 5), for the simulation."""
+        gravity = self.gravity_coefficients(values)
+        weight = np.zeros((0, 5)) if gravity is None else gravity[np.newaxis]
+        return weight if self.ripple is None else np.concatenate([weight, self.ripple.places(values)])
+
     @property
     def _common_parameters(self) -> tuple[Parameter, ...]:
-        """The offset, fixed where another parameter is a constant, too, and those of gravity."""
+        """The offset, fixed where another parameter is a constant, too, and those of gravity and ripple."""
         offset, gravity = Parameter("offset", "offset", Quantity.FORCE), self.gravity
         identifiable = self.friction.offset_identifiable and (gravity is None or gravity.load != "constant")
-        return (offset if identifiable else offset.fixed(0.0), *(() if gravity is None else gravity.parameters))
+        weight, ripple = (() if one is None else one.parameters for one in (gravity, self.ripple))
+        return (offset if identifiable else offset.fixed(0.0), *weight, *ripple)
 
     def _gravity_columns(self, position: FloatArray) -> FloatArray:
         return np.zeros((position.size, 0)) if self.gravity is None else self.gravity.columns(position)
+
+    def _ripple_columns(self, motor: FloatArray, load: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the columns of the ripple in the equations of motor and load, at their positions."""
+        if self.ripple is None:
+            return np.zeros((motor.size, 0)), np.zeros((motor.size, 0))
+        found = self.ripple.columns_at(load if self.ripple.side == "load" else motor)
+        return (0 * found, found) if self.ripple.side == "load" else (found, 0 * found)
 
     def _gravity_constant(self, values: Mapping[str, float]) -> float:
         return 0.0 if self.gravity is None else self.gravity.coefficients(values)[0]
@@ -150,13 +167,14 @@ class RigidJoint(_JointBase):
         torque_unit: the torque's unit when it is not the kind's own: "A" or "V".
         transmission: between motor and load; all numbers, and `kind`, are then those of its `side`.
         gravity: of what the joint carries; a constant load takes the place of the offset, which is then fixed at 0.
+        ripple: a force that comes back with the position, of a known period; not simulated beside laws in pieces.
     """
 
     model = "rigid"
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Inertia, friction, offset, gravity."""
+        """Inertia, friction, offset, gravity, ripple."""
         return (
             Parameter("inertia", "ZZ", Quantity.INERTIA, lower=_TINY),
             *self.friction.parameters("", ""),
@@ -173,7 +191,8 @@ class RigidJoint(_JointBase):
         """
         self.require_linear("A regression takes")
         friction, gravity = self.friction.columns(motor.velocity), self._gravity_columns(motor.position)
-        rows = [motor.acceleration, *friction.T, np.ones_like(motor.velocity), *gravity.T]
+        ripple, _ = self._ripple_columns(motor.position, motor.position)
+        rows = [motor.acceleration, *friction.T, np.ones_like(motor.velocity), *gravity.T, *ripple.T]
         return np.stack(rows).T[np.newaxis]  # each column is written in one piece
 
     def coefficients(self, values: Mapping[str, float]) -> FloatArray:
@@ -195,8 +214,8 @@ class RigidJoint(_JointBase):
 
     @property
     def linear(self) -> RigidJoint:
-        """The joint with the lines of its friction alone."""
-        return replace(self, friction=self.friction.lines)
+        """The joint with the lines of its friction alone, without a ripple."""
+        return replace(self, friction=self.friction.lines, ripple=None)
 
     def start(self, values: Mapping[str, float], position: float, velocity: float) -> FloatArray:
         """Return the state at rest or in steady motion: position and velocity (the load's are not used)."""
@@ -213,6 +232,7 @@ class FlexibleJoint(_JointBase):
         torque_unit: the torque's unit when it is not the kind's own: "A" or "V"; stiffness is then in A/rad, ...
         transmission: between motor and load; all numbers, and `kind`, are then those of its `side`.
         gravity: of the load; a constant load takes the place of the offset, which is then fixed at 0.
+        ripple: see `RigidJoint`; on the side whose position it follows.
         spring: the law of the spring, linear unless said; another is not simulated beside gravity that follows the
             position.
     """
@@ -223,7 +243,13 @@ class FlexibleJoint(_JointBase):
 
     def __post_init__(self) -> None:
         _JointBase.__post_init__(self)
-        if self.stepped and not all(law.linear or law.stepped for law in (self.friction, self.spring)):
+        if self.ripple is not None and not (self.spring.linear or self.spring.stepped):
+            raise MethodError(
+                f"A {self.spring.name} spring, which is in pieces, is not simulated beside a ripple; use a linear "
+                "spring, or leave the ripple out."
+            )
+        smooth = self.friction.stepped or self.spring.stepped
+        if smooth and not all(law.linear or law.stepped for law in (self.friction, self.spring)):
             raise MethodError(
                 f'The laws "{self.friction.name}" and "{self.spring.name}" of friction and spring are not simulated '
                 "beside each other: one is in pieces, the other is smooth; use a linear spring, or symmetric friction, "
@@ -243,7 +269,7 @@ class FlexibleJoint(_JointBase):
     @property
     def stepped(self) -> bool:
         """True if one of its laws is smooth, so that its simulation goes in steps of a stated error."""
-        return self.friction.stepped or self.spring.stepped
+        return self.friction.stepped or self.spring.stepped or self.ripple is not None
 
     def beyond(self, values: Mapping[str, float]) -> FloatArray | None:
         """Return what its laws have beyond pieces, as `models.beyond` has it; None where they have nothing."""
@@ -254,7 +280,7 @@ class FlexibleJoint(_JointBase):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Motor side, spring and damper, load side, offset: the order of (5) in the paper; then gravity."""
+        """Motor side, spring and damper, load side, offset: the order of (5) in the paper; then gravity, ripple."""
         return (
             Parameter("motor_inertia", "ZZ1", Quantity.INERTIA, lower=_TINY),
             *self.friction.parameters("motor_", "1"),
@@ -267,12 +293,14 @@ class FlexibleJoint(_JointBase):
     @property
     def rigid(self) -> RigidJoint:
         """The joint whose spring does not give: what this one is far below its resonance."""
-        return RigidJoint(self.kind, self.friction.of_whole, self.torque_unit, self.transmission, self.gravity)
+        ripple = None if self.ripple is None or self.ripple.side == "load" else self.ripple
+        return RigidJoint(self.kind, self.friction.of_whole, self.torque_unit, self.transmission, self.gravity, ripple)
 
     @property
     def linear(self) -> FlexibleJoint:
-        """The joint with a linear spring in the place of one in pieces, and the lines of its friction alone."""
-        return replace(self, spring=self.spring if self.spring.linear else LinearSpring(), friction=self.friction.lines)
+        """The joint with a linear spring, the lines of its friction alone, and without a ripple."""
+        spring = self.spring if self.spring.linear else LinearSpring()
+        return replace(self, spring=spring, friction=self.friction.lines, ripple=None)
 
     def require_linear(self, taker: str, instead: str = _BY_DIDIM) -> None:
         """Raise a `MethodError` if the friction or the spring is not linear; see `RigidJoint`."""
@@ -304,10 +332,11 @@ class FlexibleJoint(_JointBase):
         zeros, ones = np.zeros_like(motor.velocity), np.ones_like(motor.velocity)
         deflection, slip = load.position - motor.position, load.velocity - motor.velocity
         motor_friction, load_friction = (self.friction.columns(side.velocity) for side in (motor, load))
-        gravity = self._gravity_columns(load.position)
+        gravity, ripples = self._gravity_columns(load.position), self._ripple_columns(motor.position, load.position)
         first = [motor.acceleration, motor_friction, -deflection, -slip, zeros, 0 * load_friction, ones, 0 * gravity]
         second = [zeros, 0 * motor_friction, deflection, slip, load.acceleration, load_friction, zeros, gravity]
-        return np.stack([np.column_stack(first), np.column_stack(second)])
+        both = zip((first, second), ripples, strict=True)
+        return np.stack([np.column_stack([*columns, ripple]) for columns, ripple in both])
 
     def coefficients(self, values: Mapping[str, float]) -> FloatArray:
         """Return the coefficients of the drive, its spring linear, for the simulation (`simulation.kernels`)."""
@@ -346,6 +375,9 @@ class FlexibleJoint(_JointBase):
             deflection = self.gravity.static_deflection(values, stiffness, position, drag)
         elif stiffness > 0.0:
             deflection = drag / stiffness
+        if stiffness > 0.0 and self.ripple is not None:
+            held = self._ripple_columns(np.array([position]), np.array([position - deflection]))[1]
+            deflection += float(held[0] @ [values[p.name] for p in self.ripple.parameters]) / stiffness
         if stiffness > 0.0 and not self.spring.linear:
             deflection = self.spring.deflection(values, drag + self._gravity_constant(values))
         return np.array([position, velocity, position - deflection, velocity])
@@ -455,7 +487,7 @@ def of_whole(p: Parameter, values: Mapping[str, float]) -> float:
 
 def acts_on_whole(name: str) -> bool:
     """True if a parameter is common to rigid and flexible joints, and not a sum of two sides."""
-    return name == "offset" or name.startswith(("gravity_", "counterbalance_"))
+    return name == "offset" or name.startswith(("gravity_", "counterbalance_", "harmonic_"))
 
 
 def split_by_mode(inertia: float, share: float, hertz: float) -> dict[str, float]:

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import product
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -28,6 +29,8 @@ _DAMPING = Parameter("damping", "F12", Quantity.VISCOUS, lower=0.0)
 _SHARES = (0.1, 0.3)  # of the largest wind-up, from which a search for half the gap begins
 _NEWTON = 50  # steps to the deflection of a smooth spring
 _LEAST = 1e-12  # torque at which a slider slips
+_PARTS, _TIMES = (0.2, 0.5), (1.7, 3.0)  # of the load that swings at so many times the first mode, at a start
+_WHOLE = 0.99  # of a load: the part behind the first spring has some inertia
 _SOFTER, _STIFFER = 0.7, 1.3  # first and last piece at the start of a search, over the linear spring's stiffness
 
 
@@ -72,11 +75,11 @@ class Spring:
         """Return the pieces of one side, by rising deflection; the first begins at 0, with no torque."""
         raise NotImplementedError
 
-    def starts(self, stiffness: float, windup: float) -> Iterator[dict[str, float]]:
-        """Yield values of all but the damping from which a search may begin, beside a linear spring's.
+    def starts(self, linear: Mapping[str, float], windup: float) -> Iterator[dict[str, float]]:
+        """Yield values of all but the damping from which a search may begin, beside those with a linear spring.
 
         Args:
-            stiffness: of the linear spring that fits best.
+            linear: values of the joint with the linear spring that fits best.
             windup: the largest deflection of that.
         """
         raise NotImplementedError
@@ -128,9 +131,9 @@ class LinearSpring(Spring):
         """Return the one piece there is."""
         return (Piece(0.0, 0.0, values["stiffness"], values["damping"]),)
 
-    def starts(self, stiffness: float, windup: float) -> Iterator[dict[str, float]]:
+    def starts(self, linear: Mapping[str, float], windup: float) -> Iterator[dict[str, float]]:
         """Yield the stiffness itself."""
-        yield {"stiffness": stiffness}
+        yield {"stiffness": linear["stiffness"]}
 
     def describe(self, shown: Mapping[str, str]) -> str:
         """Return the stiffness."""
@@ -170,8 +173,9 @@ class PiecewiseSpring(Spring):
                 before = torque
         return tuple(found)
 
-    def starts(self, stiffness: float, windup: float) -> Iterator[dict[str, float]]:
+    def starts(self, linear: Mapping[str, float], windup: float) -> Iterator[dict[str, float]]:
         """Yield a spring that grows stiffer, and one that grows softer, in equal parts of the largest torque."""
+        stiffness = linear["stiffness"]
         names = [p.name for p in self.parameters[:-1]]
         torques = [stiffness * windup * i / self.count for i in range(1, self.count)]
         for shares in ((_SOFTER, _STIFFER), (_STIFFER, _SOFTER)):
@@ -224,10 +228,10 @@ class Backlash(Spring):
         """Return the gap and the spring behind it."""
         return Piece(0.0, 0.0, 0.0, 0.0), Piece(0.5 * values["gap"], 0.0, values["stiffness"], values["damping"])
 
-    def starts(self, stiffness: float, windup: float) -> Iterator[dict[str, float]]:
+    def starts(self, linear: Mapping[str, float], windup: float) -> Iterator[dict[str, float]]:
         """Yield gaps of a part of the deflection; the spring alone is stiffer by that."""
         for share in _SHARES:
-            yield {"stiffness": stiffness / (1 - share), "gap": 2 * share * windup}
+            yield {"stiffness": linear["stiffness"] / (1 - share), "gap": 2 * share * windup}
 
     def describe(self, shown: Mapping[str, str]) -> str:
         """Return the stiffness and the gap before it."""
@@ -269,8 +273,9 @@ class CubicSpring(_SteppedSpring):
         """Return the cubic stiffness."""
         return {"cubic": values["cubic_stiffness"]}
 
-    def starts(self, stiffness: float, windup: float) -> Iterator[dict[str, float]]:
+    def starts(self, linear: Mapping[str, float], windup: float) -> Iterator[dict[str, float]]:
         """Yield a spring that is stiffer, and one that is softer, at the largest deflection."""
+        stiffness = linear["stiffness"]
         for first, last in ((_SOFTER, _STIFFER), (_STIFFER, _SOFTER)):
             yield {"stiffness": first * stiffness, "cubic_stiffness": (last - first) * stiffness / windup**2}
 
@@ -320,8 +325,9 @@ class HystereticSpring(_SteppedSpring):
         """Return stiffness and limit of the slider."""
         return {"slider": values["hysteresis_stiffness"], "slips": values["hysteresis_torque"]}
 
-    def starts(self, stiffness: float, windup: float) -> Iterator[dict[str, float]]:
+    def starts(self, linear: Mapping[str, float], windup: float) -> Iterator[dict[str, float]]:
         """Yield sliders that slip at parts of the largest deflection."""
+        stiffness = linear["stiffness"]
         for share in _SHARES:
             slider = (1.0 - _SOFTER) * stiffness
             limit = share * slider * windup
@@ -337,9 +343,60 @@ class HystereticSpring(_SteppedSpring):
         return torque / values["stiffness"]
 
 
+@dataclass(frozen=True, slots=True)
+class ElasticLoad(_SteppedSpring):
+    """A linear spring, and a part of the load on a second one: three masses, with a second elastic mode.
+
+    The load's inertia ZZ2 is all of it. A share r3 of that swings on K23 and F23, without friction; the load's friction
+    is on the rest, right behind K12. Two masses in its place are as stiff as both springs,
+    ``1/K12 + r3^2/K23``, as long as the motion is slow beside the second mode.
+    """
+
+    name = "elastic-load"
+    label = "linear, and the load elastic"
+    adds, instead = "the part of the load that swings on a spring of its own", "the whole load on the first spring"
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Stiffness, share of the load that swings, stiffness and damping of its spring, damping."""
+        return (
+            Parameter("stiffness", "K12", Quantity.STIFFNESS, lower=0.0),
+            Parameter("swinging_share", "r3", Quantity.RATIO, lower=0.0, upper=_WHOLE),
+            Parameter("swinging_stiffness", "K23", Quantity.STIFFNESS, lower=0.0),
+            Parameter("swinging_damping", "F23", Quantity.VISCOUS, lower=0.0),
+            _DAMPING,
+        )
+
+    def beyond(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return share, stiffness and damping of what swings."""
+        return {f"swing_{word}": values[f"swinging_{word}"] for word in ("share", "stiffness", "damping")}
+
+    def starts(self, linear: Mapping[str, float], windup: float) -> Iterator[dict[str, float]]:
+        """Yield parts of the load that swing at a few times the first mode, damped as that; both springs as stiff."""
+        stiffness, load = linear["stiffness"], linear["load_inertia"]
+        first = stiffness * (1 / linear["motor_inertia"] + 1 / load)  # rad2/s2
+        for share, times in product(_PARTS, _TIMES):
+            second = share * (1 - share) * load * times**2 * first
+            left = 1 / stiffness - share**2 / second
+            damping = linear["damping"] * second / stiffness
+            swings = {"swinging_share": share, "swinging_stiffness": second, "swinging_damping": damping}
+            yield {"stiffness": 1 / left if left > 0.0 else _STIFFER * stiffness} | swings
+
+    def describe(self, shown: Mapping[str, str]) -> str:
+        """Return the stiffness, and what part of the load is on which second one."""
+        return f"{shown['stiffness']}, and {shown['swinging_share']} of the load on {shown['swinging_stiffness']}"
+
+    def deflection(self, values: Mapping[str, float], torque: float) -> float:
+        """Return the deflection of the first spring under a constant torque."""
+        return torque / values["stiffness"]
+
+
 SPRINGS: Mapping[str, type[Spring]] = {
-    law.name: law for law in (LinearSpring, TwoPieceSpring, ThreePieceSpring, Backlash, CubicSpring, HystereticSpring)
-}
+    law.name: law
+    for law in (
+        LinearSpring, TwoPieceSpring, ThreePieceSpring, Backlash, CubicSpring, HystereticSpring, ElasticLoad,
+    )
+}  # fmt: skip
 """Every law of a spring by its name in the joint file."""
 
 

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray, Fresh, Room
 from jointid.common.errors import MethodError
 from jointid.models.controllers import POSITION, REFERENCE, Cascade
-from jointid.models.joints import ClosedLoop, Motion, RigidJoint
+from jointid.models.joints import ClosedLoop, RigidJoint
+from jointid.models.motion import Motion
 from jointid.records.record import Channel, Record
 from jointid.simulation.loop_input import LoopInput, as_logged, prepare, seen_torque
 
@@ -210,6 +211,7 @@ def run(
     try:
         drive, gravity = loop.joint.coefficients(values), loop.joint.gravity_coefficients(values)
         segments, beyond = loop.joint.segments(values), loop.joint.beyond(values)
+        places = loop.joint.places(values)
     except KeyError:
         missing = ", ".join(p.name for p in loop.joint.parameters if p.name not in values)
         raise MethodError(f"A simulation needs a value for every parameter; {missing} has none: give one.") from None
@@ -240,7 +242,7 @@ def run(
             )
         else:
             status = stepped_drive.run(
-                drive, beyond, *common, *beginning, sliding, far, command, tapped, states, accelerations, counts
+                drive, beyond, places, *common, *beginning, sliding, far, command, tapped, states, accelerations, counts
             )
         outcome = _OUTCOMES[status]
     done = int(counts[2])
@@ -323,12 +325,13 @@ def _ordered(segments: FloatArray | None) -> bool:
 
 
 def _winding(beyond: FloatArray | None) -> bool:
-    """True of smooth laws whose numbers are not negative, the share of the spring's torque below 1."""
+    """True of smooth laws whose numbers are not negative, the shares of torque and load below 1."""
     if beyond is None:
         return True
-    _, slider, slips, *distances, share = beyond[:6].tolist()
+    _, slider, slips, *distances, lost, _, _, share, stiffness, damping = beyond.tolist()
     slips_at_all = slider >= 0 and (slips > 0 or slider == 0)
-    return bool(np.all(np.isfinite(beyond)) and slips_at_all and min(distances) >= 0 and 0 <= share < 1)
+    swings = 0 <= share < 1 and min(stiffness, damping) >= 0
+    return bool(np.all(np.isfinite(beyond)) and slips_at_all and min(distances) >= 0 and 0 <= lost < 1 and swings)
 
 
 def wound_up(experiment: LoopInput, velocity: float) -> float:

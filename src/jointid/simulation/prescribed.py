@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
 from jointid.common.parameters import POSITION_UNIT
 from jointid.models.controllers import StateSpaceController
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
@@ -65,6 +66,11 @@ class DriveSide:
 
     def __post_init__(self) -> None:
         self.joint.require_linear("The drive side takes")
+        if self.joint.ripple is not None and self.joint.ripple.side == "load":
+            raise MethodError(
+                "On the drive side the load is simulated without a ripple of its own; received one on the load side: "
+                'give it side = "motor", or identify by the method "didim".'
+            )
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -171,6 +177,9 @@ def simulate_drive_side(
     if joint.gravity is not None and joint.model == "rigid":
         own += [p.name for p in joint.gravity.parameters]
         columns = np.column_stack([columns, joint.gravity.columns(motion.mean_position)])
+    if joint.ripple is not None:
+        own += [p.name for p in joint.ripple.parameters]
+        columns = np.column_stack([columns, joint.ripple.columns_at(motion.mean_position)])
     torque = columns @ np.array([values[name] for name in own])
     derivatives = np.zeros((torque.size, len(names)))
     for i, name in enumerate(names):

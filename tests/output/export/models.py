@@ -20,7 +20,8 @@ PIECES = TABLE_2 | {"gap": 3e-4, "stiffness_2": 1.2e6, "stiffness_3": 1.5e6, "to
 SMOOTH = TABLE_2 | {
     "cubic_stiffness": 1e13, "hysteresis_stiffness": 3e5, "hysteresis_torque": 5.0, "motor_presliding_distance": 1e-3,
     "load_presliding_distance": 4e-4, "load_friction_per_torque": 0.1, "motor_viscous_drift": -100.0,
-    "load_viscous_drift": 200.0,
+    "load_viscous_drift": 200.0, "swinging_share": 0.3, "swinging_stiffness": 1e6, "swinging_damping": 200.0,
+    "harmonic_1_cosine": 3.0, "harmonic_1_sine": -2.0, "harmonic_2_cosine": 0.0, "harmonic_2_sine": 4.0,
 }  # fmt: skip
 """The paper's axis with what smooth laws have, too."""
 
@@ -35,6 +36,7 @@ def answer(joint: Joint, values: Mapping[str, float | None], record: str = "run 
         "friction": joint.friction.name,
         "spring": joint.spring_name,
         "gravity": plain(joint.gravity),
+        "ripple": plain(joint.ripple),
         "transmission": plain(joint.transmission),
         "record": {"name": record, "sample_time": 1e-3, "torque_sha256": "5f1c"},
         "parameters": {

@@ -11,6 +11,7 @@ import pytest
 import jointid as ji
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import Joint
+from jointid.models.ripple import PositionHarmonics
 from jointid.models.springs import SPRINGS, Backlash, Spring, ThreePieceSpring
 from jointid.paper.twin import CONTROLLERS, TABLE_2
 from tests.geared import FLEXIBLE, LAW, RIGID, TURNED_SCREW
@@ -102,10 +103,15 @@ def test_a_spring_in_pieces_gives_our_torque(spring: Spring) -> None:
     assert apart(simulated(ji.FlexibleJoint(), law, reference, PIECES), ours) > 0.01
 
 
-@pytest.mark.parametrize("law", ["cubic", "hysteretic", "presliding", "load-dependent", "drifting"])
+@pytest.mark.parametrize(
+    "law", ["cubic", "hysteretic", "presliding", "load-dependent", "drifting", "elastic-load", "ripple"]
+)
 def test_a_smooth_law_gives_our_torque(law: str) -> None:
     whole = ji.FlexibleJoint()
-    joint = replace(whole, spring=SPRINGS[law]()) if law in SPRINGS else replace(whole, friction=FRICTIONS[law]())
+    if law == "ripple":
+        joint = replace(whole, ripple=PositionHarmonics(0.02, 2))
+    else:
+        joint = replace(whole, spring=SPRINGS[law]()) if law in SPRINGS else replace(whole, friction=FRICTIONS[law]())
     reference = REFERENCE[:600]
     ours = simulated(joint, CONTROLLERS["L19"], reference, SMOOTH)
     assert apart(torque_of(joint, SMOOTH, CONTROLLERS["L19"], reference, steps=16), ours) < 1e-4

@@ -45,12 +45,13 @@ from jointid.models.controllers import Controller
 from jointid.models.disturbances import (
     Effect,
     EncoderOffset,
-    PositionHarmonics,
     effect_columns,
     effect_parameters,
     require_effects,
 )
-from jointid.models.joints import Joint, Motion, acts_on_whole
+from jointid.models.joints import Joint, acts_on_whole
+from jointid.models.motion import Motion
+from jointid.models.ripple import PositionHarmonics
 from jointid.records.record import Record, Timing
 from jointid.records.signals.filtering import Filtering
 from jointid.uncertainty.covariance import band_words, words

@@ -78,9 +78,13 @@ def from_linear_laws(problem: ClosedLoopProblem, found: Solved, tolerance: float
     begins: list[Mapping[str, float]] = [values]
     if joint.friction.softens and isinstance(joint, FlexibleJoint):
         begins.append({**values, "stiffness": _STIFFER * values["stiffness"]})
-    starts = [{**begin, **start, **given} for begin in begins for start in _starts(joint, linear.joint, begin, run)]
+    still = {} if joint.ripple is None else dict.fromkeys((p.name for p in joint.ripple.parameters), 0.0)
+    starts = [
+        {**still, **begin, **start, **given} for begin in begins for start in _starts(joint, linear.joint, begin, run)
+    ]
     laws = [f"{joint.spring.name} spring"] if isinstance(joint, FlexibleJoint) and not joint.spring.linear else []
     laws += [] if joint.friction.linear else [f"{joint.friction.name} friction"]
+    laws += [] if joint.ripple is None else ["ripple"]
     history.progress(f"looking for a {' and '.join(laws)}, from {len(starts)} starts")
     rough = replace(least_squares(problem, _ROUGHLY), evaluations=_FEW)
     ends = [history.solve(problem, rough, problem.vector(start)).solution for start in starts]
@@ -102,7 +106,7 @@ def _starts(joint: Joint, found: Joint, values: Mapping[str, float], run: Simula
     if isinstance(joint, FlexibleJoint) and isinstance(found, FlexibleJoint) and joint.spring != found.spring:
         assert run.load_position is not None
         windup = float(np.max(np.abs(run.motor_position - run.load_position)))
-        springs = list(joint.spring.starts(values["stiffness"], windup))
+        springs = list(joint.spring.starts(values, windup))
     frictions: list[dict[str, float]] = [{}]
     if joint.friction != found.friction:
         sides = {"motor_": (run.motor_position, run.motor_velocity), "load_": (run.load_position, run.load_velocity)}

@@ -20,7 +20,8 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.estimation.problems.rest import moving_weights
 from jointid.models.disturbances import Effect, effect_columns
-from jointid.models.joints import Joint, Motion
+from jointid.models.joints import Joint
+from jointid.models.motion import Motion
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing, require_units
 from jointid.records.signals.filtering import (
     Filtering,

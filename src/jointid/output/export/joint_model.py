@@ -111,6 +111,7 @@ class JointModel:
         side: which side that is; None without a transmission.
         parameters: of the joint, in its order.
         gravity: of the joint, as this side sees it.
+        wave: of the first harmonic of its ripple, rad per unit of this side's position; None without a ripple.
         sample_time: of the record in seconds, None where there were several.
         delay: seconds from the logged torque to the torque that acts.
         origin: where the numbers come from.
@@ -122,6 +123,7 @@ class JointModel:
     side: Side | None
     parameters: tuple[EstimatedParameter, ...]
     gravity: Gravity | None
+    wave: float | None
     sample_time: float | None
     delay: float
     origin: Origin
@@ -262,12 +264,14 @@ class JointModel:
         there = OtherSide(replace(transmission, side=self.side), self.torque_unit)
         # An angle is told per unit of position, which becomes another one.
         turned = None if self.gravity is None else replace(self.gravity, angle=self.gravity.angle * there.ratio)
+        wave = None if self.wave is None else self.wave * there.ratio
         return replace(
             self,
             kind=transmission.kind_of(side),
             side=side,
             parameters=on_other_side(self.parameters, there),
             gravity=turned,
+            wave=wave,
         )
 
     def _mass(self, prefix: str) -> Mass:
@@ -293,7 +297,7 @@ def joint_model(answer: Json, joint: Joint, name: str | None = None, source: str
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError):
         raise RecordError(
             f"{source} is no estimate ({', '.join(SCHEMAS)}) for a {joint.kind} {joint.model} joint with the "
-            "parameters, the transmission and the gravity of this joint file; give what identify "
+            "parameters, the transmission, the gravity and the ripple of this joint file; give what identify "
             "--json wrote with it."
         ) from None
 
@@ -306,10 +310,11 @@ def _read(answer: Json, joint: Joint, name: str) -> JointModel:
         joint.friction.name,
         plain(joint.gravity),
         plain(joint.transmission),
+        plain(joint.ripple),
         joint.spring_name,
     )
     told = tuple(answer[key] for key in ("model", "kind", "friction", "gravity", "transmission"))
-    told = (*told, answer.get("spring", usual))
+    told = (*told, answer.get("ripple"), answer.get("spring", usual))
     if answer["schema"] not in SCHEMAS or told != declared:
         raise ValueError
     found = answer["parameters"]
@@ -322,6 +327,7 @@ def _read(answer: Json, joint: Joint, name: str) -> JointModel:
         None if joint.transmission is None else joint.transmission.side,
         tuple(_parameter(found[p.name], p.name, p.symbol, joint.unit(p)) for p in joint.parameters),
         joint.gravity,
+        None if joint.ripple is None or joint.ripple.period is None else 2 * math.pi / joint.ripple.period,
         rates.pop() if len(rates) == 1 else None,
         number_or_none(answer.get("delay", 0.0)) or 0.0,
         Origin(
@@ -420,6 +426,11 @@ def spring_left_out(model: JointModel) -> tuple[str, ...]:
     """Return the sentence on what a format of linear springs does not have; or none."""
     spring = model.spring
     return (f"{spring.adds}; {spring.instead} is written",) if spring is not None and spring.stepped else ()
+
+
+def ripple_left_out(model: JointModel) -> tuple[str, ...]:
+    """Return the sentence on a ripple in a format that has no force over the position; or none."""
+    return ("the ripple over the position",) if model.joint.ripple is not None else ()
 
 
 def effects_left_out(model: JointModel) -> tuple[str, ...]:

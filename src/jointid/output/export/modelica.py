@@ -19,7 +19,7 @@ from jointid.models.friction import (
     PreslidingFriction,
     StribeckFriction,
 )
-from jointid.models.springs import CubicSpring, HystereticSpring
+from jointid.models.springs import CubicSpring, ElasticLoad, HystereticSpring
 from jointid.output.export.joint_model import JointModel, effects_left_out, identifier, interval, number, remarks
 
 _RESERVED = (
@@ -51,6 +51,9 @@ def modelica(model: JointModel) -> tuple[str, tuple[str, ...]]:
     if model.gravity is not None:
         angle = number(model.gravity.angle)
         lines.append(f'  parameter Real gravity_angle = {angle} "rad of the link per unit of the position";')
+    if model.wave is not None:
+        wave = number(model.wave)
+        lines.append(f'  parameter Real ripple_wave = {wave} "rad of the first harmonic per unit of the position";')
     side = "" if model.side is None else f", on the {model.side} side"
     if model.gear != 1.0:
         side = f", seen on the load side: {number(model.gear)} times its own"
@@ -102,14 +105,16 @@ def _equations(model: JointModel, mass: str, prefix: str) -> Iterator[str]:
     (viscous, coulomb), (viscous_back, coulomb_back) = _friction(model, prefix)
     (holds, holds_back), slow = _holds(model, prefix), _slow(model, prefix, velocity)
     less, more = (f" - {slow}", f" + {slow}") if slow else ("", "")
+    swings = mass == "load" and isinstance(model.spring, ElasticLoad)
+    inertia = f"(1 - swinging_share) * {prefix}inertia" if swings else f"{prefix}inertia"
     yield f"  der({position}) = {velocity};"
     yield f"  {push} = {_push(model, mass)};"
     if _winds_up(model):
         wound, distance = f"{mass}_wound", f"{prefix}presliding_distance"
-        yield f"  {prefix}inertia * der({velocity}) = {push} - {viscous} * {velocity} - {coulomb} * {wound};"
+        yield f"  {inertia} * der({velocity}) = {push} - {viscous} * {velocity} - {coulomb} * {wound};"
         yield f"  der({wound}) = ({velocity} - abs({velocity}) * {wound}) / {distance};"
         return
-    yield f"  {prefix}inertia * der({velocity}) ="
+    yield f"  {inertia} * der({velocity}) ="
     yield f"    if {direction} > 0 then {push} - {viscous} * {velocity} - {coulomb}{less}"
     yield f"    else if {direction} < 0 then {push} - {viscous_back} * {velocity} + {coulomb_back}{more}"
     yield "    else 0;"
@@ -176,6 +181,10 @@ def _spring_variables(model: JointModel) -> Iterator[str]:
         yield f'  Real spring(unit="{force}") "between motor and load";'
     if isinstance(model.spring, HystereticSpring):
         yield f'  Real slider(unit="{force}", start=0, fixed=true) "beside the spring";'
+    if isinstance(model.spring, ElasticLoad):
+        yield f'  output Real swinging_position(unit="{position}", start=0, fixed=true) "of what swings on the load";'
+        yield f'  Real swinging_velocity(unit="{position}/s", start=0, fixed=true);'
+        yield f'  Real pull(unit="{force}") "of what swings on the load";'
 
 
 def _names_spring(model: JointModel) -> bool:
@@ -195,6 +204,11 @@ def _spring_equations(model: JointModel) -> Iterator[str]:
         yield f"  spring = stiffness * windup{more} + damping * {slip};"
     if isinstance(model.spring, HystereticSpring):
         yield f"  der(slider) = hysteresis_stiffness * ({slip} - abs({slip}) * slider / hysteresis_torque);"
+    if isinstance(model.spring, ElasticLoad):
+        swing, swung = "(swinging_position - load_position)", "(swinging_velocity - load_velocity)"
+        yield "  der(swinging_position) = swinging_velocity;"
+        yield f"  pull = swinging_stiffness * {swing} + swinging_damping * {swung};"
+        yield "  swinging_share * load_inertia * der(swinging_velocity) = -pull;"
     if not pieces:
         return
     yield "  spring ="
@@ -215,8 +229,20 @@ def _push(model: JointModel, mass: str) -> str:
     push = "torque - offset" if mass == "motor" else f"-({spring})"
     if mass == "motor" and model.flexible:
         push = f"{push} + {spring}"
+    if mass == "load" and isinstance(model.spring, ElasticLoad):
+        push += " + pull"
+    push += "".join(_ripple_terms(model, mass))
     carries = mass == "load" or not model.flexible
     return push + "".join(_gravity_terms(model, f"{mass}_position")) if carries else push
+
+
+def _ripple_terms(model: JointModel, mass: str) -> Iterator[str]:
+    """Yield what a ripple takes from the push of the mass whose position it follows."""
+    ripple = model.joint.ripple
+    if ripple is None or ripple.side != mass:
+        return
+    for i, p in enumerate(ripple.parameters):
+        yield f" - {p.name} * {'sin' if i % 2 else 'cos'}({i // 2 + 1} * ripple_wave * {mass}_position)"
 
 
 def _gravity_terms(model: JointModel, position: str) -> Iterator[str]:

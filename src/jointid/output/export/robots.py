@@ -30,6 +30,7 @@ from jointid.output.export.joint_model import (
     number,
     one_line,
     remarks,
+    ripple_left_out,
     spring_left_out,
 )
 
@@ -78,7 +79,9 @@ def urdf(model: JointModel) -> tuple[str, tuple[str, ...]]:
         lost.append(f"a constant force of {shown(constant)} {model.torque_unit}")
     if weight is not None and weight.rate:
         lost.append("the spring of the counterbalance")
-    lost += [*friction_left_out(model), *_lost_weight(weight), *effects_left_out(model)]
+    lost += [
+        *friction_left_out(model), *ripple_left_out(model), *_lost_weight(weight), *effects_left_out(model),
+    ]  # fmt: skip
 
     name = identifier(model.name)
     root = ET.Element("robot", name=name)
@@ -122,7 +125,10 @@ def mjcf(model: JointModel, *, timestep: float | None = None) -> tuple[str, tupl
     if timestep is not None and not 0 < timestep < 1:
         raise MethodError(f"A time step is a positive number of seconds below 1; received {timestep}.")
     _require_mechanical(model, "MJCF")
-    lost = [*friction_left_out(model), *spring_left_out(model), *_lost_weight(model.weight), *effects_left_out(model)]
+    lost = [
+        *friction_left_out(model), *spring_left_out(model), *ripple_left_out(model), *_lost_weight(model.weight),
+        *effects_left_out(model),
+    ]  # fmt: skip
     sticks = not isinstance(model.joint.friction, PreslidingFriction)
     if sticks and any(mass.coulomb for mass in model.masses.values()):
         lost.append("true sticking: MuJoCo's friction creeps where it should hold")

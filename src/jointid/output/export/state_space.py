@@ -33,6 +33,7 @@ from jointid.output.export.joint_model import (
     identifier,
     number,
     remarks,
+    ripple_left_out,
 )
 from jointid.output.json import plain
 from jointid.output.json.estimates import Json
@@ -237,7 +238,7 @@ def _not_linear(model: JointModel) -> tuple[str, ...]:
         lost.append("the weight, which follows the cosine and the sine of the position")
     law = model.joint.friction
     lost += [law.adds] if law.adds else []
-    return (*lost, *effects_left_out(model))
+    return (*lost, *ripple_left_out(model), *effects_left_out(model))
 
 
 def _matrices(system: StateSpace) -> Json:

@@ -16,7 +16,8 @@ from jointid.common.errors import MethodError
 from jointid.estimation.result.estimate import Estimate, law_fingerprint
 from jointid.estimation.result.parts import bounds_on_other_side, known_on_other_side, on_other_side
 from jointid.estimation.result.summary import describe_drift
-from jointid.models.disturbances import Drift, Effect, EncoderOffset, PositionHarmonics
+from jointid.models.disturbances import Drift, Effect, EncoderOffset
+from jointid.models.ripple import PositionHarmonics
 
 Json: TypeAlias = dict[str, Any]
 Shape: TypeAlias = "str | Callable[[Any], object] | Mapping[str, Shape]"
@@ -153,6 +154,7 @@ _JOINT: dict[str, Shape] = {
     "friction": "settings.joint.friction.name",
     "spring": lambda estimate: estimate.settings.joint.spring_name,
     "gravity": "settings.joint.gravity",
+    "ripple": "settings.joint.ripple",
 }
 
 _OF_ONE_RECORD: Shape = {

@@ -155,7 +155,7 @@ def _whole(digits: str) -> int:
 def _identified(answer: Json, joint: Joint, loop: ClosedLoop | None) -> IdentifiedJoint:
     found = answer["parameters"]
     same = answer["schema"] == ESTIMATE_SCHEMA and (answer["model"], answer["kind"]) == (joint.model, joint.kind)
-    same = same and answer.get("gravity") == plain(joint.gravity)
+    same = same and all(answer.get(part) == plain(getattr(joint, part)) for part in ("gravity", "ripple"))
     if not same or any(found[p.name]["unit"] != joint.unit(p) for p in joint.parameters):
         raise ValueError
     effects = tuple(EFFECTS[given.pop("kind")](**given) for given in map(dict, answer.get("effects", [])))

@@ -1,12 +1,13 @@
 """The simulation of a drive with smooth laws, in steps whose error is controlled, compiled.
 
 A cubic or hysteretic spring, friction that winds up over a displacement, that grows with the torque through the spring
-or changes with time: none has an affine map (`kernels.drive`). So the motion is integrated by the pair of orders 5 and
-4 of J. R. Dormand and P. J. Prince (A family of embedded Runge-Kutta formulae, Journal of Computational and Applied
-Mathematics 6, 1980), whose difference bounds the error of a step. Between two events the laws are smooth, and the
-events are located: a mass that stops or comes loose, as in `kernels.drive`, the reversals from which friction or spring
-wind up anew, and the torque of the spring through 0. A guard is positive until its event; where one is negative at the
-end of a step, or at the bottom of a dip between both ends, the step is made shorter, to the guard's root.
+or changes with time, a force that follows the position: none has an affine map (`kernels.drive`). So the motion is
+integrated by the pair of orders 5 and 4 of J. R. Dormand and P. J. Prince (A family of embedded Runge-Kutta formulae,
+Journal of Computational and Applied Mathematics 6, 1980), whose difference bounds the error of a step. Between two
+events the laws are smooth, and the events are located: a mass that stops or comes loose, as in `kernels.drive`, the
+reversals from which friction or spring wind up anew, and the torque of the spring through 0. A guard is positive until
+its event; where one is negative at the end of a step, or at the bottom of a dip between both ends, the step is made
+shorter, to the guard's root.
 
 What winds up over a displacement follows a law of P. R. Dahl (Solid friction damping of mechanical vibrations, AIAA
 Journal 14, 1976), which is integrated in closed form, as a function of the displacement since the last reversal: with
@@ -14,7 +15,8 @@ the force ``F0`` there, the limit ``L`` and the stiffness ``k``, in the directio
 
     F(x) = d L + (F0 - d L) exp(-k |x - x0| / L)
 
-State ``y`` = motor position, motor velocity, load position, load velocity.
+State ``y`` = position and velocity of the motor, of the load, and of the part of an elastic load that swings, which
+follows the load with a spring and a damper of its own, without friction.
 """
 
 from __future__ import annotations
@@ -40,6 +42,7 @@ from jointid.simulation.kernels.drive import (
 
 _TOLERANCE = 1e-9  # of the largest velocity so far: the error of one step
 _FIRST = 0.05  # of the time in which the drive's own motion changes: the first step
+_TURN = 1.0  # rad of a force that follows the position: a longer step might miss one
 _EVENTS = 1000  # per period; a physical drive has a handful
 _WORK = 20  # steps a simulation may take, per period: bounds the time an absurd candidate can cost
 _NEAR, _DIPS = 1e-2, 12  # of a guard's ends: a cubic may err by less; steps to the bottom of a dip
@@ -61,7 +64,7 @@ _DIFFERENCE = np.array([71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200
 
 
 class _Beyond(NamedTuple):
-    """What the laws have beyond lines: the row of numbers that `run` is given."""
+    """What the laws have beyond lines: the numbers that `run` is given, and the forces that follow a position."""
 
     cubic: float
     slope: float
@@ -71,6 +74,10 @@ class _Beyond(NamedTuple):
     loss: float
     drift1: float
     drift2: float
+    share: float
+    stiffness2: float
+    damping2: float
+    places: FloatArray
 
 
 class _Modes(NamedTuple):
@@ -98,16 +105,33 @@ def _wound(direction: int, begun: float, way: float) -> float:
 
 
 @inlined
-def _spring(p: Drive, b: _Beyond, m: _Modes, q1: float, v1: float, q2: float, v2: float) -> tuple[float, float]:
+def _spring(p: Drive, b: _Beyond, m: _Modes, y: FloatArray) -> tuple[float, float]:
     """Return the torque of spring and damper, and the slope of the first over the deflection."""
-    e = q2 - q1
-    torque = (p.stiffness + b.cubic * e * e) * e + p.damping * (v2 - v1)
+    e = y[2] - y[0]
+    torque = (p.stiffness + b.cubic * e * e) * e + p.damping * (y[3] - y[1])
     slope = p.stiffness + 3.0 * b.cubic * e * e
     if b.slope > 0.0:
         wound = _wound(m.rate, m.wound, (e - m.since) * b.slope / b.limit)
         torque += b.limit * wound
         slope += b.slope * (1.0 - m.rate * wound)
     return torque, slope
+
+
+@inlined
+def _pull(b: _Beyond, y: FloatArray) -> float:
+    """Return the torque by which the part of an elastic load that swings pulls the rest of it."""
+    return b.stiffness2 * (y[4] - y[2]) + b.damping2 * (y[5] - y[3]) if b.share > 0.0 else 0.0
+
+
+@inlined
+def _held_back(b: _Beyond, side: int, q: float) -> float:
+    """Return the force on a side that follows its position."""
+    force = 0.0
+    for i in range(b.places.shape[0]):
+        if b.places[i, 4] == side:
+            phase = b.places[i, 3] * q
+            force += b.places[i, 0] * math.cos(phase) + b.places[i, 1] * math.sin(phase) + b.places[i, 2] * q
+    return force
 
 
 @inlined
@@ -123,57 +147,66 @@ def _friction(
 
 
 @inlined
-def _pushes(
-    p: Drive, b: _Beyond, m: _Modes, y0: float, y1: float, y2: float, y3: float, torque: float
-) -> tuple[float, float, float]:
+def _pushes(p: Drive, b: _Beyond, m: _Modes, y: FloatArray, torque: float) -> tuple[float, float, float]:
     """Return what pushes motor and load but their friction, and the spring's torque."""
-    spring, _ = _spring(p, b, m, y0, y1, y2, y3)
-    return torque - p.offset1 + spring, -p.offset2 - spring, spring
+    spring, _ = _spring(p, b, m, y)
+    motor = torque - p.offset1 + spring - _held_back(b, 0, y[0])
+    return motor, -p.offset2 - spring + _pull(b, y) - _held_back(b, 1, y[2]), spring
 
 
 @inlined
 def _accelerations(
-    p: Drive, b: _Beyond, m: _Modes, y0: float, y1: float, y2: float, y3: float, time: float, torque: float
-) -> tuple[float, float]:
-    """Return the accelerations of motor and load."""
-    push1, push2, spring = _pushes(p, b, m, y0, y1, y2, y3, torque)
+    p: Drive, b: _Beyond, m: _Modes, y: FloatArray, time: float, torque: float
+) -> tuple[float, float, float]:
+    """Return the accelerations of motor and load, and of what swings on it."""
+    push1, push2, spring = _pushes(p, b, m, y, torque)
     a1, a2 = 0.0, 0.0
     if m.motor != 0:
         drift = b.drift1 * time
         drag = _friction(
-            m.motor, y1, p.viscous1 + drift, p.viscous1_back + drift, p.coulomb1, p.coulomb1_back, b.soft1, m.wound1,
-            m.from1, y0,
+            m.motor, y[1], p.viscous1 + drift, p.viscous1_back + drift, p.coulomb1, p.coulomb1_back, b.soft1, m.wound1,
+            m.from1, y[0],
         )  # fmt: skip
         a1 = (push1 - drag) / p.inertia1
     if m.load != 0:
         drift, more = b.drift2 * time, b.loss * m.torque * spring
         drag = _friction(
-            m.load, y3, p.viscous2 + drift, p.viscous2_back + drift, p.coulomb2 + more, p.coulomb2_back + more, b.soft2,
-            m.wound2, m.from2, y2,
+            m.load, y[3], p.viscous2 + drift, p.viscous2_back + drift, p.coulomb2 + more, p.coulomb2_back + more,
+            b.soft2, m.wound2, m.from2, y[2],
         )  # fmt: skip
-        a2 = (push2 - drag) / p.inertia2
-    return a1, a2
+        a2 = (push2 - drag) / ((1.0 - b.share) * p.inertia2)
+    return a1, a2, -_pull(b, y) / (b.share * p.inertia2) if b.share > 0.0 else 0.0
 
 
 @compiled
 def _step(
-    p: Drive, b: _Beyond, m: _Modes, y: FloatArray, k: FloatArray, new: FloatArray, time: float, h: float, torque: float
+    p: Drive,
+    b: _Beyond,
+    m: _Modes,
+    y: FloatArray,
+    k: FloatArray,
+    new: FloatArray,
+    time: float,
+    h: float,
+    torque: float,
 ) -> tuple[float, float]:
     """Write the state after `h` seconds into `new` and the slopes of the stages into `k`; return both errors.
 
     These are of the velocities, and of the positions: of the lower of both orders, over one step.
     """
     for stage in range(7):
-        for i in range(4):
+        for i in range(y.size):
             new[i] = y[i]
         for j in range(stage):
             weight = h * _WEIGHTS[stage, j]
-            for i in range(4):
+            for i in range(y.size):
                 new[i] += weight * k[j, i]
-        a1, a2 = _accelerations(p, b, m, new[0], new[1], new[2], new[3], time + _NODES[stage] * h, torque)
-        k[stage, 0], k[stage, 1], k[stage, 2], k[stage, 3] = new[1], a1, new[3], a2
+        k[stage, 0], k[stage, 2] = new[1], new[3]
+        k[stage, 1], k[stage, 3], last = _accelerations(p, b, m, new, time + _NODES[stage] * h, torque)
+        if y.size > 4:
+            k[stage, 4], k[stage, 5] = new[5], last
     fast, far = 0.0, 0.0
-    for i in range(4):
+    for i in range(y.size):
         error = 0.0
         for j in range(7):
             error += _DIFFERENCE[j] * k[j, i]
@@ -188,16 +221,17 @@ def _guards(
     b: _Beyond,
     m: _Modes,
     y: FloatArray,
-    a1: float,
-    a2: float,
+    rates: FloatArray,
     torque: float,
     guards: FloatArray,
     slopes: FloatArray,
 ) -> None:
-    """Write what is positive until an event happens, and how fast it changes."""
-    push1, push2, spring = _pushes(p, b, m, y[0], y[1], y[2], y[3], torque)
-    _, slope = _spring(p, b, m, y[0], y[1], y[2], y[3])
+    """Write what is positive until an event happens, and how fast it changes; `rates` are those of the state."""
+    push1, push2, spring = _pushes(p, b, m, y, torque)
+    _, slope = _spring(p, b, m, y)
+    a1, a2, a3 = rates[1], rates[3], rates[5]
     rate = slope * (y[3] - y[1]) + p.damping * (a2 - a1)
+    pulled = b.stiffness2 * (y[5] - y[3]) + b.damping2 * (a3 - a2) if b.share > 0.0 else 0.0
     for i in range(_GUARDS):
         guards[i], slopes[i] = 1.0, 0.0
     if m.motor != 0:
@@ -209,8 +243,8 @@ def _guards(
         guards[1], slopes[1] = m.load * y[3], m.load * a2
     else:
         more, growth = b.loss * m.torque * spring, b.loss * m.torque * rate
-        guards[1], slopes[1] = p.coulomb2 + more - push2, growth + rate
-        guards[5], slopes[5] = p.coulomb2_back + more + push2, growth - rate
+        guards[1], slopes[1] = p.coulomb2 + more - push2, growth + rate - pulled
+        guards[5], slopes[5] = p.coulomb2_back + more + push2, growth - rate + pulled
     if b.slope > 0.0:
         guards[2], slopes[2] = m.rate * (y[3] - y[1]), m.rate * (a2 - a1)
     if b.loss > 0.0:
@@ -245,7 +279,7 @@ def _locate(
         if not low < at < high:
             at = 0.5 * (low + high)
         _step(p, b, m, y, k, new, time, at * h, torque)
-        _guards(p, b, m, new, k[6, 1], k[6, 3], torque, guards, slopes)
+        _guards(p, b, m, new, k[6], torque, guards, slopes)
         if guards[which] < 0.0:
             high, below = at, guards[which]
         else:
@@ -264,7 +298,7 @@ def _bottom(
     low, high, at, value = 0.0, 1.0, dip, 1.0
     for _ in range(_DIPS):
         _step(p, b, m, y, k, new, time, at * h, torque)
-        _guards(p, b, m, new, k[6, 1], k[6, 3], torque, guards, slopes)
+        _guards(p, b, m, new, k[6], torque, guards, slopes)
         value = guards[which]
         if value < 0.0:
             break
@@ -277,7 +311,7 @@ def _bottom(
 
 
 @inlined
-def _turned(p: Drive, b: _Beyond, m: _Modes, y: FloatArray, mass: int, mode: int) -> _Modes:
+def _turned(b: _Beyond, m: _Modes, y: FloatArray, mass: int, mode: int) -> _Modes:
     """Return the modes after a mass took another; what its friction is wound up to is kept."""
     motor, load = m.motor, m.load
     wound1, from1, wound2, from2 = m.wound1, m.from1, m.wound2, m.from2
@@ -293,7 +327,7 @@ def _turned(p: Drive, b: _Beyond, m: _Modes, y: FloatArray, mass: int, mode: int
 
 
 @inlined
-def _reversed(p: Drive, b: _Beyond, m: _Modes, y: FloatArray, rate: int) -> _Modes:
+def _reversed(b: _Beyond, m: _Modes, y: FloatArray, rate: int) -> _Modes:
     """Return the modes after the spring began to wind up the other way."""
     e = y[2] - y[0]
     wound = _wound(m.rate, m.wound, (e - m.since) * b.slope / b.limit)
@@ -309,10 +343,10 @@ def _through(m: _Modes, torque: int) -> _Modes:
 @compiled
 def _settled(p: Drive, b: _Beyond, m: _Modes, y: FloatArray, time: float, torque: float) -> _Modes:
     """Return the modes of what stands still for a moment: held, or the way it is pushed."""
-    _, _, spring = _pushes(p, b, m, y[0], y[1], y[2], y[3], torque)
+    _, _, spring = _pushes(p, b, m, y, torque)
     if b.loss > 0.0 and m.torque * spring < 0.0:
         m = _through(m, -m.torque)
-    push1, push2, spring = _pushes(p, b, m, y[0], y[1], y[2], y[3], torque)
+    push1, push2, spring = _pushes(p, b, m, y, torque)
     more = b.loss * abs(spring)
     for mass in range(2):
         if y[1 + 2 * mass] != 0.0:
@@ -332,11 +366,11 @@ def _settled(p: Drive, b: _Beyond, m: _Modes, y: FloatArray, time: float, torque
         elif push < -backwards:
             new = -1
         if new != mode:
-            m = _turned(p, b, m, y, mass, new)
+            m = _turned(b, m, y, mass, new)
     if b.slope > 0.0 and y[3] == y[1]:
-        a1, a2 = _accelerations(p, b, m, y[0], y[1], y[2], y[3], time, torque)
+        a1, a2, _ = _accelerations(p, b, m, y, time, torque)
         if m.rate * (a2 - a1) < 0.0:
-            m = _reversed(p, b, m, y, -m.rate)
+            m = _reversed(b, m, y, -m.rate)
     return m
 
 
@@ -344,6 +378,7 @@ def _settled(p: Drive, b: _Beyond, m: _Modes, y: FloatArray, time: float, torque
 def run(
     drive: FloatArray,
     beyond: FloatArray,
+    places: FloatArray,
     lengths: FloatArray,
     lags: IntArray,
     z: FloatArray,
@@ -364,9 +399,12 @@ def run(
 
     Args:
         drive: (14,) the coefficients, as in `kernels.drive.run`.
-        beyond: (8,) a cubic stiffness; stiffness and limit of what a spring has that winds up, after Dahl; lengths
+        beyond: (11,) a cubic stiffness; stiffness and limit of what a spring has that winds up, after Dahl; lengths
             over which the Coulomb friction of motor and load winds up (0: it sticks); the load's friction per torque
-            through the spring; by how much the viscous coefficients of motor and load rise per second.
+            through the spring; by how much the viscous coefficients of motor and load rise per second; the share of the
+            load that swings on a spring of its own, its stiffness and damping.
+        places: (forces, 5) that follow a position, each as gravity in `kernels.drive.run`, on the side in the last
+            column: 0 for the motor's.
         lengths: of the parts of a period, as there.
         lags: of the torque in each, as there.
         z: state of the feedback, overwritten.
@@ -386,10 +424,20 @@ def run(
     """
     n, parts = w.shape[1], lengths.size
     p = drive_of(drive)
-    b = _Beyond(beyond[0], beyond[1], beyond[2], beyond[3], beyond[4], beyond[5], beyond[6], beyond[7])
+    b = _Beyond(
+        beyond[0], beyond[1], beyond[2], beyond[3], beyond[4], beyond[5], beyond[6], beyond[7],
+        beyond[8], beyond[9], beyond[10], places,
+    )  # fmt: skip
     mobility = 1.0 / p.inertia1 + 1.0 / p.inertia2
     rate = math.sqrt((p.stiffness + b.slope) * mobility) + p.damping * mobility + 1.0 / np.max(lengths)
-    y, new, k = x.copy(), np.zeros(4), np.zeros((7, 4))
+    if b.share > 0.0:
+        mobility2 = 1.0 / ((1.0 - b.share) * p.inertia2) + 1.0 / (b.share * p.inertia2)
+        rate += math.sqrt(b.stiffness2 * mobility2) + b.damping2 * mobility2
+    finest = float(np.max(np.abs(places[:, 3]))) if places.shape[0] > 0 else 0.0
+    y = np.zeros(6 if b.share > 0.0 else 4)
+    new, k = np.zeros(y.size), np.zeros((7, 6))
+    y[:4] = x
+    y[4:] = x[2 : y.size - 2]  # what swings moves with the load
     first, second = (1 if x[1] >= 0.0 else -1), (1 if x[3] >= 0.0 else -1)
     spring = p.stiffness * (x[2] - x[0])
     m = _Modes(
@@ -399,7 +447,7 @@ def run(
     guards, slopes, ends, lasts = np.zeros(_GUARDS), np.zeros(_GUARDS), np.zeros(_GUARDS), np.zeros(_GUARDS)
     fresh, raw, cut = np.empty(z.size), np.zeros(w.shape[0]), np.zeros(w.shape[0])
     events, steps, clipped, status = 0, 0, 0, FINISHED
-    fastest, wanted = 0.0, _FIRST / rate
+    fastest, wanted = 0.0, float(_FIRST / rate)
     keep = states.shape[0] > 0
     period = np.sum(lengths)
     i = 0
@@ -420,11 +468,13 @@ def run(
             m = _settled(p, b, m, y, time, torque)
             if keep:
                 row = i * parts + part
-                a1, a2 = _accelerations(p, b, m, y[0], y[1], y[2], y[3], time, torque)
-                states[row] = y
+                a1, a2, _ = _accelerations(p, b, m, y, time, torque)
+                states[row] = y[:4]
                 accelerations[row, 0], accelerations[row, 1] = a1, a2
             left = lengths[part]
             while left > 0.0 and status == FINISHED:
+                if wanted * fastest * finest > _TURN:
+                    wanted = _TURN / (fastest * finest)
                 h = left if wanted >= left else (wanted if wanted >= 0.5 * left else min(wanted, 0.5 * left))
                 fast, away = _step(p, b, m, y, k, new, time, h, torque)
                 steps += 1
@@ -436,16 +486,16 @@ def run(
                     if wanted < 1e-12 * period or steps > _WORK * n + 10_000:
                         status = TOO_STIFF
                     continue
-                _guards(p, b, m, y, k[0, 1], k[0, 3], torque, guards, slopes)
-                _guards(p, b, m, new, k[6, 1], k[6, 3], torque, ends, lasts)
+                _guards(p, b, m, y, k[0], torque, guards, slopes)
+                _guards(p, b, m, new, k[6], torque, ends, lasts)
                 share, which = 1.0, -1
                 for guard in range(_GUARDS):
                     if ends[guard] < 0.0:
                         start, end = guards[guard], ends[guard]
                         at = _locate(p, b, m, y, k, new, time, h, torque, guard, start, end, slopes, lasts)
                         _step(p, b, m, y, k, new, time, h, torque)
-                        _guards(p, b, m, y, k[0, 1], k[0, 3], torque, guards, slopes)
-                        _guards(p, b, m, new, k[6, 1], k[6, 3], torque, ends, lasts)
+                        _guards(p, b, m, y, k[0], torque, guards, slopes)
+                        _guards(p, b, m, new, k[6], torque, ends, lasts)
                         if which < 0 or at < share:
                             share, which = at, guard
                 dip, dipped = 1.0, -1
@@ -464,7 +514,7 @@ def run(
                     _step(p, b, m, y, k, new, time, share * h, torque)
                 elif which < 0:
                     wanted = h * min(max(0.9 * max(error, 1e-10) ** -0.2, 0.3), 5.0)
-                for j in range(4):
+                for j in range(y.size):
                     y[j] = new[j]
                 time += share * h
                 left = 0.0 if share == 1.0 and h == left else left - share * h
@@ -477,7 +527,7 @@ def run(
                 if steps > _WORK * n + 10_000:
                     status = TOO_STIFF
         i += 1
-    x[:] = y
+    x[:] = y[:4]
     counts[0], counts[1], counts[2], counts[3] = events, steps, i, min(clipped, i)
     return status
 
@@ -486,15 +536,15 @@ def run(
 def _after(p: Drive, b: _Beyond, m: _Modes, y: FloatArray, which: int, time: float, torque: float) -> _Modes:
     """Return the modes after the event of a guard; a velocity that fell to 0 is 0."""
     if which == 2:
-        m = _reversed(p, b, m, y, -m.rate)
+        m = _reversed(b, m, y, -m.rate)
     elif which == 3:
         m = _through(m, -m.torque)
     else:
         mass = which % 4
         mode, soft = (m.motor, b.soft1) if mass == 0 else (m.load, b.soft2)
         if mode == 0:
-            m = _turned(p, b, m, y, mass, 1 if which < 2 else -1)
+            m = _turned(b, m, y, mass, 1 if which < 2 else -1)
         else:
             y[1 + 2 * mass] = 0.0
-            m = _turned(p, b, m, y, mass, -mode) if soft > 0.0 else _settled(p, b, m, y, time, torque)
+            m = _turned(b, m, y, mass, -mode) if soft > 0.0 else _settled(p, b, m, y, time, torque)
     return m

@@ -1,0 +1,58 @@
+"""How much longer a simulation with smooth laws takes than the plain joint's, and its derivatives, side by side.
+
+    python -m benchmarks.smooth_laws
+
+On a prismatic and a rotary axis of 22 to 24 s, each law large enough to show. The ratio is that of the shortest of
+several turns, which plain joint and law take one after the other.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from jointid.simulation.closed_loop import simulate_torque
+from jointid.simulation.loop_input import prepare
+from jointid.simulation.sensitivities import simulate_sensitivities
+from tests.estimation.test_smooth_laws import LAWS, with_law
+from tests.plants import prismatic, rotary
+
+TURNS, DERIVED = 7, 3
+
+
+def ratio(law: Callable[[], object], plain: Callable[[], object], turns: int) -> float:
+    """Return by what factor a law's shortest turn is longer than the plain joint's."""
+    shortest = [float("inf"), float("inf")]
+    for turn in range(turns + 1):
+        for i, run in enumerate((law, plain)):
+            begun = time.perf_counter()
+            run()
+            if turn:  # the first one compiles
+                shortest[i] = min(shortest[i], time.perf_counter() - begun)
+    return shortest[0] / shortest[1]
+
+
+def main() -> None:
+    """Print a row for each law and axis."""
+    print("axis, law: simulation, derivatives")
+    for make in (prismatic, rotary):
+        case = make(1)
+        experiment, own = prepare(case.loop, case.clean), list(case.truth)
+        for name in LAWS:
+            loop, values = with_law(case, name)
+            names = [p.name for p in loop.joint.parameters]
+            whole = ratio(
+                lambda: simulate_torque(loop, experiment, values),  # noqa: B023
+                lambda: simulate_torque(case.loop, experiment, case.truth),  # noqa: B023
+                TURNS,
+            )
+            slopes = ratio(
+                lambda: simulate_sensitivities(loop, experiment, values, names),  # noqa: B023
+                lambda: simulate_sensitivities(case.loop, experiment, case.truth, own),  # noqa: B023
+                DERIVED,
+            )
+            print(f"{make.__name__}, {name}: {whole:.1f}, {slopes:.1f}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
