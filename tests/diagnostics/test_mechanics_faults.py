@@ -87,6 +87,15 @@ def test_a_spring_that_is_not_linear_has_no_stiffness_to_rely_on() -> None:
     assert 5 <= int(said[1]) <= 100 * made.size  # at least so much, and not more than it is
 
 
+@pytest.mark.slow
+def test_a_stiffness_beside_a_friction_that_grows_with_the_load_is_not_relied_on() -> None:
+    made = spoiled(3003, "load-dependent friction")
+    assert made is not None
+    found = ji.identify(made.record, made.axis.loop)
+    assert Reason.FRICTION_NOT_AS_MODELLED in found.answer.trust.values["reasons"]
+    assert 'set joint.friction = "load-dependent"' in str(check_loop(found, made.record).sentences)
+
+
 def test_a_rigid_joint_has_no_spring() -> None:
     axis = ji.twin(noise="white")
     rigid = ji.ClosedLoop(ji.RigidJoint(kind=axis.loop.joint.kind), axis.loop.controller)

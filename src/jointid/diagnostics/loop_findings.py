@@ -193,7 +193,8 @@ class LoopCheck(Documented):
         values |= {"p_value": s.p_value, "changes": {name: change.by for name, change in finding.changes.items()}}
         clause = self._describe_fault(finding, spread=False)
         clause += f", {self._also(s, alike)}" if s.alike else ""
-        code = Reason.SPRING_NOT_LINEAR if s.name in _SPRINGS else Reason.LOOP_NOT_AS_DECLARED
+        code = Reason.FRICTION_NOT_AS_MODELLED if s.name in MECHANICS else Reason.LOOP_NOT_AS_DECLARED
+        code = Reason.SPRING_NOT_LINEAR if s.name in _SPRINGS else code
         return Message(code, said, values, clause)
 
     def _say_what_to_declare(self, finding: Finding) -> str:

@@ -21,7 +21,7 @@ from jointid.models.joints import ClosedLoop
 from jointid.simulation.closed_loop import ClosedLoopRun, Initial, Outcome, Response, in_threads, run, wound_up
 from jointid.simulation.loop_input import LoopInput
 
-_STEP = 1e-4  # of a value, or of a small one's size in this motion
+_STEP = 3e-4  # of a value, or of a small one's size in this motion
 _SMALL = 1e-2  # of that size: what a value below it is stepped by a share of
 _BEGINS, _BEGINS_AT = 1e-7, 1e-6  # of travel and of speed: the motor's start is moved by less than friction holds
 _FROM_NOTHING = 1e-2  # the step from a number of the controller that is 0, to its right alone: of a delay in periods

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from jointid.estimation.result.parts import EstimatedParameter
 
 _ASKED = ("stiffness", "inertia", "load_inertia", "motor_inertia")  # the first of them that is free is the answer
+_OF_MECHANICS = (Reason.SPRING_NOT_LINEAR, Reason.FRICTION_NOT_AS_MODELLED)
 _OF_SPRING = ("stiffness", "damping")  # what the difference of both encoders tells
 _WIDE = 0.5  # of the value: a wider 2-sigma interval says its order of magnitude only
 
@@ -246,13 +247,13 @@ def _failed(estimate: Estimate, asked: EstimatedParameter) -> list[Message]:
         words = f"{listed(held)} {'end' if len(held) > 1 else 'ends'} at a bound"
         found = [*found, Message(Against.HELD, words)]
         return [loop.reasons[0], *found]
-    # Such a spring has no one stiffness, whatever a correction of first order changes.
-    springs = [one for one in loop.reasons if one.code is Reason.SPRING_NOT_LINEAR and asked.name in _OF_SPRING]
+    # Such a spring has no one stiffness, and such a friction is taken for one: corrections are of first order only.
+    mechanics = [one for one in loop.reasons if one.code in _OF_MECHANICS and asked.name in _OF_SPRING]
     gross = not any("changes" in reason.values for reason in loop.reasons)
     unexplained = any(one.code is Against.TORQUE_UNEXPLAINED for one in found)
     if gross or unexplained or asked.name in moved_by_loop(estimate, beyond=2.0):
         return [loop.reasons[0], *found]
-    return [*springs, *found]
+    return [*mechanics, *found]
 
 
 def _effects(estimate: Estimate, asked: EstimatedParameter) -> Iterator[Message]:

@@ -47,24 +47,12 @@ _EVENTS = 1000  # per period; a physical drive has a handful
 _WORK = 20  # steps a simulation may take, per period: bounds the time an absurd candidate can cost
 _NEAR, _DIPS = 1e-2, 12  # of a guard's ends: a cubic may err by less; steps to the bottom of a dip
 _ROOT = 1e-13  # of a step: where an event is located to
+_STATES = 6
 _GUARDS = 6  # of motor, load, reversing spring, spring's torque; of motor and load the other way while they rest
-
-# Nodes and weights of the pair, and the weights of the difference of both orders.
-_NODES = np.array([0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0])
-_WEIGHTS = np.array([
-    [0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-    [1 / 5, 0.0, 0.0, 0.0, 0.0, 0.0],
-    [3 / 40, 9 / 40, 0.0, 0.0, 0.0, 0.0],
-    [44 / 45, -56 / 15, 32 / 9, 0.0, 0.0, 0.0],
-    [19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729, 0.0, 0.0],
-    [9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656, 0.0],
-    [35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84],
-])  # fmt: skip
-_DIFFERENCE = np.array([71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40])
 
 
 class _Beyond(NamedTuple):
-    """What the laws have beyond lines: the numbers that `run` is given, and the forces that follow a position."""
+    """What the laws have beyond lines: the row of numbers that `run` is given."""
 
     cubic: float
     slope: float
@@ -77,7 +65,17 @@ class _Beyond(NamedTuple):
     share: float
     stiffness2: float
     damping2: float
-    places: FloatArray
+
+
+class _State(NamedTuple):
+    """Positions and velocities of motor and load, and of what swings on an elastic one."""
+
+    q1: float
+    v1: float
+    q2: float
+    v2: float
+    q3: float
+    v3: float
 
 
 class _Modes(NamedTuple):
@@ -105,10 +103,10 @@ def _wound(direction: int, begun: float, way: float) -> float:
 
 
 @inlined
-def _spring(p: Drive, b: _Beyond, m: _Modes, y: FloatArray) -> tuple[float, float]:
+def _spring(p: Drive, b: _Beyond, m: _Modes, s: _State) -> tuple[float, float]:
     """Return the torque of spring and damper, and the slope of the first over the deflection."""
-    e = y[2] - y[0]
-    torque = (p.stiffness + b.cubic * e * e) * e + p.damping * (y[3] - y[1])
+    e = s.q2 - s.q1
+    torque = (p.stiffness + b.cubic * e * e) * e + p.damping * (s.v2 - s.v1)
     slope = p.stiffness + 3.0 * b.cubic * e * e
     if b.slope > 0.0:
         wound = _wound(m.rate, m.wound, (e - m.since) * b.slope / b.limit)
@@ -118,19 +116,19 @@ def _spring(p: Drive, b: _Beyond, m: _Modes, y: FloatArray) -> tuple[float, floa
 
 
 @inlined
-def _pull(b: _Beyond, y: FloatArray) -> float:
+def _pull(b: _Beyond, s: _State) -> float:
     """Return the torque by which the part of an elastic load that swings pulls the rest of it."""
-    return b.stiffness2 * (y[4] - y[2]) + b.damping2 * (y[5] - y[3]) if b.share > 0.0 else 0.0
+    return b.stiffness2 * (s.q3 - s.q2) + b.damping2 * (s.v3 - s.v2) if b.share > 0.0 else 0.0
 
 
 @inlined
-def _held_back(b: _Beyond, side: int, q: float) -> float:
+def _held_back(places: FloatArray, side: int, q: float) -> float:
     """Return the force on a side that follows its position."""
     force = 0.0
-    for i in range(b.places.shape[0]):
-        if b.places[i, 4] == side:
-            phase = b.places[i, 3] * q
-            force += b.places[i, 0] * math.cos(phase) + b.places[i, 1] * math.sin(phase) + b.places[i, 2] * q
+    for i in range(places.shape[0]):
+        if places[i, 4] == side:
+            phase = places[i, 3] * q
+            force += places[i, 0] * math.cos(phase) + places[i, 1] * math.sin(phase) + places[i, 2] * q
     return force
 
 
@@ -147,41 +145,59 @@ def _friction(
 
 
 @inlined
-def _pushes(p: Drive, b: _Beyond, m: _Modes, y: FloatArray, torque: float) -> tuple[float, float, float]:
+def _pushes(
+    p: Drive, b: _Beyond, places: FloatArray, m: _Modes, s: _State, torque: float
+) -> tuple[float, float, float]:
     """Return what pushes motor and load but their friction, and the spring's torque."""
-    spring, _ = _spring(p, b, m, y)
-    motor = torque - p.offset1 + spring - _held_back(b, 0, y[0])
-    return motor, -p.offset2 - spring + _pull(b, y) - _held_back(b, 1, y[2]), spring
+    spring, _ = _spring(p, b, m, s)
+    motor = torque - p.offset1 + spring - _held_back(places, 0, s.q1)
+    return motor, -p.offset2 - spring + _pull(b, s) - _held_back(places, 1, s.q2), spring
 
 
 @inlined
 def _accelerations(
-    p: Drive, b: _Beyond, m: _Modes, y: FloatArray, time: float, torque: float
+    p: Drive, b: _Beyond, places: FloatArray, m: _Modes, s: _State, time: float, torque: float
 ) -> tuple[float, float, float]:
     """Return the accelerations of motor and load, and of what swings on it."""
-    push1, push2, spring = _pushes(p, b, m, y, torque)
+    push1, push2, spring = _pushes(p, b, places, m, s, torque)
     a1, a2 = 0.0, 0.0
     if m.motor != 0:
         drift = b.drift1 * time
         drag = _friction(
-            m.motor, y[1], p.viscous1 + drift, p.viscous1_back + drift, p.coulomb1, p.coulomb1_back, b.soft1, m.wound1,
-            m.from1, y[0],
+            m.motor, s.v1, p.viscous1 + drift, p.viscous1_back + drift, p.coulomb1, p.coulomb1_back, b.soft1, m.wound1,
+            m.from1, s.q1,
         )  # fmt: skip
         a1 = (push1 - drag) / p.inertia1
     if m.load != 0:
         drift, more = b.drift2 * time, b.loss * m.torque * spring
         drag = _friction(
-            m.load, y[3], p.viscous2 + drift, p.viscous2_back + drift, p.coulomb2 + more, p.coulomb2_back + more,
-            b.soft2, m.wound2, m.from2, y[2],
+            m.load, s.v2, p.viscous2 + drift, p.viscous2_back + drift, p.coulomb2 + more, p.coulomb2_back + more,
+            b.soft2, m.wound2, m.from2, s.q2,
         )  # fmt: skip
         a2 = (push2 - drag) / ((1.0 - b.share) * p.inertia2)
-    return a1, a2, -_pull(b, y) / (b.share * p.inertia2) if b.share > 0.0 else 0.0
+    return a1, a2, -_pull(b, s) / (b.share * p.inertia2) if b.share > 0.0 else 0.0
+
+
+@inlined
+def _state(y: FloatArray) -> _State:
+    return _State(y[0], y[1], y[2], y[3], y[4], y[5])
+
+
+@inlined
+def _slopes(
+    p: Drive, b: _Beyond, places: FloatArray, m: _Modes, y: FloatArray, time: float, torque: float, k: FloatArray
+) -> None:
+    """Write how fast the state changes into `k`."""
+    s = _state(y)
+    a1, a2, a3 = _accelerations(p, b, places, m, s, time, torque)
+    k[0], k[1], k[2], k[3], k[4], k[5] = s.v1, a1, s.v2, a2, s.v3, a3
 
 
 @compiled
 def _step(
     p: Drive,
     b: _Beyond,
+    places: FloatArray,
     m: _Modes,
     y: FloatArray,
     k: FloatArray,
@@ -194,23 +210,41 @@ def _step(
 
     These are of the velocities, and of the positions: of the lower of both orders, over one step.
     """
-    for stage in range(7):
-        for i in range(y.size):
-            new[i] = y[i]
-        for j in range(stage):
-            weight = h * _WEIGHTS[stage, j]
-            for i in range(y.size):
-                new[i] += weight * k[j, i]
-        k[stage, 0], k[stage, 2] = new[1], new[3]
-        k[stage, 1], k[stage, 3], last = _accelerations(p, b, m, new, time + _NODES[stage] * h, torque)
-        if y.size > 4:
-            k[stage, 4], k[stage, 5] = new[5], last
+    _slopes(p, b, places, m, y, time, torque, k[0])
+    for i in range(_STATES):
+        new[i] = y[i] + h * (1 / 5 * k[0, i])
+    _slopes(p, b, places, m, new, time + 1 / 5 * h, torque, k[1])
+    for i in range(_STATES):
+        new[i] = y[i] + h * (3 / 40 * k[0, i] + 9 / 40 * k[1, i])
+    _slopes(p, b, places, m, new, time + 3 / 10 * h, torque, k[2])
+    for i in range(_STATES):
+        new[i] = y[i] + h * (44 / 45 * k[0, i] - 56 / 15 * k[1, i] + 32 / 9 * k[2, i])
+    _slopes(p, b, places, m, new, time + 4 / 5 * h, torque, k[3])
+    for i in range(_STATES):
+        new[i] = y[i] + h * (
+            19372 / 6561 * k[0, i] - 25360 / 2187 * k[1, i] + 64448 / 6561 * k[2, i] - 212 / 729 * k[3, i]
+        )
+    _slopes(p, b, places, m, new, time + 8 / 9 * h, torque, k[4])
+    for i in range(_STATES):
+        new[i] = y[i] + h * (
+            9017 / 3168 * k[0, i]
+            - 355 / 33 * k[1, i]
+            + 46732 / 5247 * k[2, i]
+            + 49 / 176 * k[3, i]
+            - 5103 / 18656 * k[4, i]
+        )
+    _slopes(p, b, places, m, new, time + h, torque, k[5])
+    for i in range(_STATES):
+        new[i] = y[i] + h * (
+            35 / 384 * k[0, i] + 500 / 1113 * k[2, i] + 125 / 192 * k[3, i] - 2187 / 6784 * k[4, i] + 11 / 84 * k[5, i]
+        )
+    _slopes(p, b, places, m, new, time + h, torque, k[6])
     fast, far = 0.0, 0.0
-    for i in range(y.size):
-        error = 0.0
-        for j in range(7):
-            error += _DIFFERENCE[j] * k[j, i]
-        error = abs(h * error)
+    for i in range(_STATES):
+        error = abs(h * (
+            71 / 57600 * k[0, i] - 71 / 16695 * k[2, i] + 71 / 1920 * k[3, i] - 17253 / 339200 * k[4, i]
+            + 22 / 525 * k[5, i] - 1 / 40 * k[6, i]
+        ))  # fmt: skip
         fast, far = (max(fast, error), far) if i % 2 else (fast, max(far, error))
     return fast, far
 
@@ -219,6 +253,7 @@ def _step(
 def _guards(
     p: Drive,
     b: _Beyond,
+    places: FloatArray,
     m: _Modes,
     y: FloatArray,
     rates: FloatArray,
@@ -227,8 +262,9 @@ def _guards(
     slopes: FloatArray,
 ) -> None:
     """Write what is positive until an event happens, and how fast it changes; `rates` are those of the state."""
-    push1, push2, spring = _pushes(p, b, m, y, torque)
-    _, slope = _spring(p, b, m, y)
+    s = _state(y)
+    push1, push2, spring = _pushes(p, b, places, m, s, torque)
+    _, slope = _spring(p, b, m, s)
     a1, a2, a3 = rates[1], rates[3], rates[5]
     rate = slope * (y[3] - y[1]) + p.damping * (a2 - a1)
     pulled = b.stiffness2 * (y[5] - y[3]) + b.damping2 * (a3 - a2) if b.share > 0.0 else 0.0
@@ -269,8 +305,8 @@ def _dip(start: float, slope: float, end: float, last: float, h: float) -> float
 
 @compiled
 def _locate(
-    p: Drive, b: _Beyond, m: _Modes, y: FloatArray, k: FloatArray, new: FloatArray, time: float, h: float,
-    torque: float, which: int, start: float, end: float, guards: FloatArray, slopes: FloatArray,
+    p: Drive, b: _Beyond, places: FloatArray, m: _Modes, y: FloatArray, k: FloatArray, new: FloatArray, time: float,
+    h: float, torque: float, which: int, start: float, end: float, guards: FloatArray, slopes: FloatArray,
 ) -> float:  # fmt: skip
     """Return the share of a step after which a guard is 0: the secant that keeps its bracket, and halves it in turn."""
     low, high, below, above = 0.0, 1.0, end, max(start, 0.0)
@@ -278,8 +314,8 @@ def _locate(
         at = low + (high - low) * above / (above - below) if count % 3 < 2 else 0.5 * (low + high)
         if not low < at < high:
             at = 0.5 * (low + high)
-        _step(p, b, m, y, k, new, time, at * h, torque)
-        _guards(p, b, m, new, k[6], torque, guards, slopes)
+        _step(p, b, places, m, y, k, new, time, at * h, torque)
+        _guards(p, b, places, m, new, k[6], torque, guards, slopes)
         if guards[which] < 0.0:
             high, below = at, guards[which]
         else:
@@ -291,14 +327,14 @@ def _locate(
 
 @compiled
 def _bottom(
-    p: Drive, b: _Beyond, m: _Modes, y: FloatArray, k: FloatArray, new: FloatArray, time: float, h: float,
-    torque: float, which: int, dip: float, guards: FloatArray, slopes: FloatArray,
+    p: Drive, b: _Beyond, places: FloatArray, m: _Modes, y: FloatArray, k: FloatArray, new: FloatArray, time: float,
+    h: float, torque: float, which: int, dip: float, guards: FloatArray, slopes: FloatArray,
 ) -> tuple[float, float]:  # fmt: skip
     """Return a share of a step at which a guard is below 0, or lowest, near where its cubic is; and the guard there."""
     low, high, at, value = 0.0, 1.0, dip, 1.0
     for _ in range(_DIPS):
-        _step(p, b, m, y, k, new, time, at * h, torque)
-        _guards(p, b, m, new, k[6], torque, guards, slopes)
+        _step(p, b, places, m, y, k, new, time, at * h, torque)
+        _guards(p, b, places, m, new, k[6], torque, guards, slopes)
         value = guards[which]
         if value < 0.0:
             break
@@ -341,12 +377,13 @@ def _through(m: _Modes, torque: int) -> _Modes:
 
 
 @compiled
-def _settled(p: Drive, b: _Beyond, m: _Modes, y: FloatArray, time: float, torque: float) -> _Modes:
+def _settled(p: Drive, b: _Beyond, places: FloatArray, m: _Modes, y: FloatArray, time: float, torque: float) -> _Modes:
     """Return the modes of what stands still for a moment: held, or the way it is pushed."""
-    _, _, spring = _pushes(p, b, m, y, torque)
+    s = _state(y)
+    _, _, spring = _pushes(p, b, places, m, s, torque)
     if b.loss > 0.0 and m.torque * spring < 0.0:
         m = _through(m, -m.torque)
-    push1, push2, spring = _pushes(p, b, m, y, torque)
+    push1, push2, spring = _pushes(p, b, places, m, s, torque)
     more = b.loss * abs(spring)
     for mass in range(2):
         if y[1 + 2 * mass] != 0.0:
@@ -368,7 +405,7 @@ def _settled(p: Drive, b: _Beyond, m: _Modes, y: FloatArray, time: float, torque
         if new != mode:
             m = _turned(b, m, y, mass, new)
     if b.slope > 0.0 and y[3] == y[1]:
-        a1, a2, _ = _accelerations(p, b, m, y, time, torque)
+        a1, a2, _ = _accelerations(p, b, places, m, _state(y), time, torque)
         if m.rate * (a2 - a1) < 0.0:
             m = _reversed(b, m, y, -m.rate)
     return m
@@ -426,7 +463,7 @@ def run(
     p = drive_of(drive)
     b = _Beyond(
         beyond[0], beyond[1], beyond[2], beyond[3], beyond[4], beyond[5], beyond[6], beyond[7],
-        beyond[8], beyond[9], beyond[10], places,
+        beyond[8], beyond[9], beyond[10],
     )  # fmt: skip
     mobility = 1.0 / p.inertia1 + 1.0 / p.inertia2
     rate = math.sqrt((p.stiffness + b.slope) * mobility) + p.damping * mobility + 1.0 / np.max(lengths)
@@ -434,10 +471,10 @@ def run(
         mobility2 = 1.0 / ((1.0 - b.share) * p.inertia2) + 1.0 / (b.share * p.inertia2)
         rate += math.sqrt(b.stiffness2 * mobility2) + b.damping2 * mobility2
     finest = float(np.max(np.abs(places[:, 3]))) if places.shape[0] > 0 else 0.0
-    y = np.zeros(6 if b.share > 0.0 else 4)
-    new, k = np.zeros(y.size), np.zeros((7, 6))
+    y, new, k = np.zeros(_STATES), np.zeros(_STATES), np.zeros((7, _STATES))
     y[:4] = x
-    y[4:] = x[2 : y.size - 2]  # what swings moves with the load
+    if b.share > 0.0:
+        y[4:] = x[2:]  # what swings moves with the load
     first, second = (1 if x[1] >= 0.0 else -1), (1 if x[3] >= 0.0 else -1)
     spring = p.stiffness * (x[2] - x[0])
     m = _Modes(
@@ -465,10 +502,10 @@ def run(
         for part in range(parts):
             source = i - lags[part]
             torque = u[source] + post[source] if source >= 0 else before
-            m = _settled(p, b, m, y, time, torque)
+            m = _settled(p, b, places, m, y, time, torque)
             if keep:
                 row = i * parts + part
-                a1, a2, _ = _accelerations(p, b, m, y, time, torque)
+                a1, a2, _ = _accelerations(p, b, places, m, _state(y), time, torque)
                 states[row] = y[:4]
                 accelerations[row, 0], accelerations[row, 1] = a1, a2
             left = lengths[part]
@@ -476,7 +513,7 @@ def run(
                 if wanted * fastest * finest > _TURN:
                     wanted = _TURN / (fastest * finest)
                 h = left if wanted >= left else (wanted if wanted >= 0.5 * left else min(wanted, 0.5 * left))
-                fast, away = _step(p, b, m, y, k, new, time, h, torque)
+                fast, away = _step(p, b, places, m, y, k, new, time, h, torque)
                 steps += 1
                 scale = max(fastest, abs(new[1]), abs(new[3]), 1e-3 * h * max(abs(k[0, 1]), abs(k[0, 3])))
                 error = max(fast, away * rate) / (_TOLERANCE * scale) if scale > 0.0 else 0.0
@@ -486,16 +523,16 @@ def run(
                     if wanted < 1e-12 * period or steps > _WORK * n + 10_000:
                         status = TOO_STIFF
                     continue
-                _guards(p, b, m, y, k[0], torque, guards, slopes)
-                _guards(p, b, m, new, k[6], torque, ends, lasts)
+                _guards(p, b, places, m, y, k[0], torque, guards, slopes)
+                _guards(p, b, places, m, new, k[6], torque, ends, lasts)
                 share, which = 1.0, -1
                 for guard in range(_GUARDS):
                     if ends[guard] < 0.0:
                         start, end = guards[guard], ends[guard]
-                        at = _locate(p, b, m, y, k, new, time, h, torque, guard, start, end, slopes, lasts)
-                        _step(p, b, m, y, k, new, time, h, torque)
-                        _guards(p, b, m, y, k[0], torque, guards, slopes)
-                        _guards(p, b, m, new, k[6], torque, ends, lasts)
+                        at = _locate(p, b, places, m, y, k, new, time, h, torque, guard, start, end, slopes, lasts)
+                        _step(p, b, places, m, y, k, new, time, h, torque)
+                        _guards(p, b, places, m, y, k[0], torque, guards, slopes)
+                        _guards(p, b, places, m, new, k[6], torque, ends, lasts)
                         if which < 0 or at < share:
                             share, which = at, guard
                 dip, dipped = 1.0, -1
@@ -506,22 +543,24 @@ def run(
                 bottom = 2.0
                 if dip < share:
                     start = guards[dipped]
-                    bottom, end = _bottom(p, b, m, y, k, new, time, h, torque, dipped, dip, ends, lasts)
+                    bottom, end = _bottom(p, b, places, m, y, k, new, time, h, torque, dipped, dip, ends, lasts)
                     if end < 0.0:
-                        at = _locate(p, b, m, y, k, new, time, bottom * h, torque, dipped, start, end, slopes, lasts)
+                        at = _locate(
+                            p, b, places, m, y, k, new, time, bottom * h, torque, dipped, start, end, slopes, lasts
+                        )
                         share, which = at * bottom, dipped
                 if share < 1.0 or bottom < 1.0:
-                    _step(p, b, m, y, k, new, time, share * h, torque)
+                    _step(p, b, places, m, y, k, new, time, share * h, torque)
                 elif which < 0:
                     wanted = h * min(max(0.9 * max(error, 1e-10) ** -0.2, 0.3), 5.0)
-                for j in range(y.size):
+                for j in range(_STATES):
                     y[j] = new[j]
                 time += share * h
                 left = 0.0 if share == 1.0 and h == left else left - share * h
                 fastest = max(fastest, abs(y[1]), abs(y[3]))
                 if which >= 0:
                     events += 1
-                    m = _after(p, b, m, y, which, time, torque)
+                    m = _after(p, b, places, m, y, which, time, torque)
                     if events - before_part > _EVENTS:
                         status = CHATTERING
                 if steps > _WORK * n + 10_000:
@@ -533,7 +572,9 @@ def run(
 
 
 @compiled
-def _after(p: Drive, b: _Beyond, m: _Modes, y: FloatArray, which: int, time: float, torque: float) -> _Modes:
+def _after(
+    p: Drive, b: _Beyond, places: FloatArray, m: _Modes, y: FloatArray, which: int, time: float, torque: float
+) -> _Modes:
     """Return the modes after the event of a guard; a velocity that fell to 0 is 0."""
     if which == 2:
         m = _reversed(b, m, y, -m.rate)
@@ -546,5 +587,5 @@ def _after(p: Drive, b: _Beyond, m: _Modes, y: FloatArray, which: int, time: flo
             m = _turned(b, m, y, mass, 1 if which < 2 else -1)
         else:
             y[1 + 2 * mass] = 0.0
-            m = _turned(b, m, y, mass, -mode) if soft > 0.0 else _settled(p, b, m, y, time, torque)
+            m = _turned(b, m, y, mass, -mode) if soft > 0.0 else _settled(p, b, places, m, y, time, torque)
     return m
