@@ -170,8 +170,8 @@ class Spoiled:
     def stiffness(self, spring: str) -> float:
         """Return the stiffness that a spring of that name has; of a load that swings in itself, that of both springs.
 
-        An elastic load has the first of them alone. A load of which a share hangs on a second spring lags behind the motor, where it is accelerated, as one does
-        whose spring is as soft as both: by `1/K12 + share^2/K23`.
+        An elastic load has the first of them alone. A load of which a share hangs on a second spring lags behind the
+        motor, where it is accelerated, as one does whose spring is as soft as both: by `1/K12 + share^2/K23`.
         """
         first, third = self.axis.truth["stiffness"], self.truth.get("third_inertia", 0.0)
         if not third or spring == ElasticLoad.name:

@@ -85,7 +85,7 @@ def from_linear_laws(problem: ClosedLoopProblem, found: Solved, tolerance: float
     laws = [f"{joint.spring.name} spring"] if isinstance(joint, FlexibleJoint) and not joint.spring.linear else []
     laws += [] if joint.friction.linear else [f"{joint.friction.name} friction"]
     laws += [] if joint.ripple is None else ["ripple"]
-    history.progress(f"looking for a {' and '.join(laws)}, from {len(starts)} starts")
+    history.progress(f"looking for a {' and '.join(laws)}, from {counted(len(starts), 'start')}")
     rough = replace(least_squares(problem, _ROUGHLY), evaluations=_FEW)
     ends = [history.solve(problem, rough, problem.vector(start)).solution for start in starts]
     best = min(ends, key=lambda end: float(np.linalg.norm(end.residual)))
