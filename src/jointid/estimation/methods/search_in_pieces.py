@@ -15,6 +15,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.common.text import counted
 from jointid.estimation.methods.search import History, Solved, least_squares
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.friction import PARTS, Friction, MotionSize
