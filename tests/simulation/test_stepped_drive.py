@@ -10,11 +10,15 @@ import pytest
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.models.controllers import numbers_of
+from jointid.models.controllers import Cascade, numbers_of
 from jointid.models.friction import FRICTIONS
+from jointid.models.gravity import Gravity
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint, frictions_beside, springs_beside
+from jointid.models.ripple import PositionHarmonics
 from jointid.models.springs import SPRINGS
+from jointid.records.record import Channel, Record
 from jointid.simulation.closed_loop import Initial, Outcome, simulate
+from jointid.simulation.excitation import trapezoids
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.sensitivities import simulate_sensitivities
 from tests.plants import Case, prismatic, rotary
@@ -101,6 +105,37 @@ def test_differences_are_the_exact_derivatives_where_both_are_there(make: Callab
             column, expected = getattr(found, signal)[:, i], getattr(exact, signal)[:, i]
             within = (0.15 if first else 0.04) * np.linalg.norm(expected)
             assert np.linalg.norm(column - expected) <= within, (name, signal)
+
+
+def test_gravity_beside_a_ripple_is_that_of_the_exact_drive() -> None:
+    """The exact drive holds what gravity is over each period, at an error of second order in it."""
+    plain = RigidJoint("revolute", gravity=Gravity("link", angle=0.7))
+    values = {"inertia": 0.2, "viscous": 0.5, "coulomb": 1.0, "offset": 0.3, "gravity_cos": 4.0, "gravity_sin": -2.0}
+    joint, still = replace(plain, ripple=PositionHarmonics(0.3)), {"harmonic_1_cosine": 0.0, "harmonic_1_sine": 0.0}
+    reference = Record(reference=Channel(trapezoids([2.0, 6.0], 40.0, 3.0, 1e-3, duration=4.0), "rad", 1e-3))
+    loop = ClosedLoop(plain, Cascade(position_gain=30.0, velocity_gain=20.0))
+    exact = simulate(loop, prepare(loop, reference), values).torque
+    found = simulate(replace(loop, joint=joint), prepare(loop, reference), values | still).torque
+    rippled = simulate(replace(loop, joint=joint), prepare(loop, reference), values | dict.fromkeys(still, 1.0)).torque
+    assert np.abs(found - exact).max() < 1e-5 * np.abs(exact).max()
+    assert np.abs(rippled - exact).max() > 0.1
+
+
+def test_the_inverse_model_of_a_run_is_its_torque() -> None:
+    """The columns of a ripple are those that a regression has."""
+    case = prismatic(1)
+    for side in ("motor", "load"):
+        ripple = PositionHarmonics(0.05, 2, side)  # type: ignore[arg-type]
+        joint = replace(case.loop.joint, ripple=ripple)
+        loop, values = replace(case.loop, joint=joint), case.truth | {p.name: 3.0 for p in ripple.parameters}
+        run = simulate(loop, prepare(loop, case.clean), values)
+        moving = (run.motor.velocity != 0) & (run.motor.acceleration != 0)
+        assert run.load is not None
+        moving &= run.load.velocity != 0
+        columns = joint.regressor(run.motor, run.load)
+        found = columns @ np.array([values[p.name] for p in joint.parameters])
+        np.testing.assert_allclose(found[0][moving], run.torque[moving], atol=1e-6 * np.abs(run.torque).max())
+        np.testing.assert_allclose(found[1][moving], 0.0, atol=1e-6 * np.abs(run.torque).max())
 
 
 def test_a_run_that_fails_has_no_derivatives() -> None:
