@@ -52,7 +52,6 @@ from jointid.estimation.result.build_estimate import (
 )
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import Checks, Data, Fit, Windows
-from jointid.models.friction import DriftingFriction
 from jointid.models.joints import ClosedLoop
 from jointid.records.chunks import LongRecord
 from jointid.records.record import Record
@@ -84,10 +83,11 @@ def identify_log(
     chosen = method or default_method(loop, loop.joint.model)()
     if not isinstance(chosen, DIDIM | FlexibleDIDIM):
         raise MethodError("A long record is identified by simulating its loop; give the method didim.")
-    if isinstance(loop.joint.friction, DriftingFriction):
+    if loop.joint.friction.follows_time:
         raise MethodError(
-            "Drifting friction changes with the time from the first sample, and each window would begin it anew; "
-            'identify the record whole, or with friction = "symmetric", whose windows show the drift.'
+            f"{loop.joint.friction.name.capitalize()} friction changes with the time from the first sample, and each "
+            'window would begin it anew; identify the record whole, or with friction = "symmetric", whose windows show '
+            "the drift."
         )
     filtering, wanted = filtering or Filtering(), adjusted(loop.joint.parameters, parameters or {})
     sample_time = source.sample_time

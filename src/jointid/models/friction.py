@@ -113,6 +113,8 @@ class Friction:
     coefficients: ClassVar[tuple[Coefficient, ...]]
     softens: ClassVar[bool] = False
     """True if without it a spring is found that is much too soft."""
+    follows_time: ClassVar[bool] = False
+    """Whether it changes with the time since the first sample, which each window of a long log would begin anew."""
     adds: ClassVar[str] = ""
     """What it has beside its lines, in words; "" of lines alone."""
     instead: ClassVar[str] = ""
@@ -414,6 +416,7 @@ class DriftingFriction(_SteppedFriction):
 
     name = "drifting"
     label = "the same, changing with time"
+    follows_time = True
     adds, instead = "the change of viscous friction with time", "what it is at the first sample"
 
     def parameters(self, prefix: str = "", index: str = "") -> tuple[Parameter, ...]:
