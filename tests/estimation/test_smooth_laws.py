@@ -38,6 +38,8 @@ def with_law(case: Case, law: str) -> tuple[ClosedLoop, dict[str, float]]:
         "drifting": {
             "motor_viscous_drift": -0.4 * case.truth["motor_viscous"] / duration,
             "load_viscous_drift": -0.4 * case.truth["load_viscous"] / duration,
+            "motor_coulomb_drift": -0.3 * case.truth["motor_coulomb"] / duration,
+            "load_coulomb_drift": -0.2 * case.truth["load_coulomb"] / duration,
         },
         "cubic": {"cubic_stiffness": 0.6 * stiffness / windup**2},
         "hysteretic": {"hysteresis_stiffness": 0.5 * stiffness, "hysteresis_torque": 0.1 * stiffness * windup},

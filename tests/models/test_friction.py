@@ -26,7 +26,7 @@ LAWS = [law() for law in FRICTIONS.values()]
 EVERY_LAW = pytest.mark.parametrize("law", LAWS, ids=list(FRICTIONS))
 CHANNELS = ("torque", "motor_position", "load_position")
 MORE = {"stribeck_force": 4.0, "stribeck_speed": 0.02, "presliding_distance": 2e-3, "friction_per_torque": 0.1}
-MORE |= {"viscous_drift": -1.5}
+MORE |= {"viscous_drift": -1.5, "coulomb_drift": -0.4}
 WHOLE = pytest.mark.parametrize("law", [law for law in LAWS if law.of_whole == law], ids=lambda law: law.name)
 CASCADE = Cascade(position_gain=60.0, velocity_gain=500.0)
 

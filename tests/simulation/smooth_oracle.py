@@ -25,6 +25,7 @@ class Smooth:
     presliding: tuple[float, float] = (0.0, 0.0)
     per_torque: float = 0.0
     drift: tuple[float, float] = (0.0, 0.0)
+    fade: tuple[float, float] = (0.0, 0.0)
     swings: tuple[float, float, float] = (0.0, 0.0, 0.0)  # share of the load, its stiffness and damping
     ripple: tuple[tuple[int, float, float, float], ...] = ()  # mass, rad per position, of the cosine and the sine
 
@@ -32,7 +33,7 @@ class Smooth:
     def row(self) -> np.ndarray:
         """As the kernel takes it."""
         numbers = [self.cubic, self.slider, self.slips, *self.presliding, self.per_torque, *self.drift]
-        return np.array([*numbers, *self.swings])
+        return np.array([*numbers, *self.swings, *self.fade])
 
     @property
     def places(self) -> np.ndarray:
@@ -73,8 +74,8 @@ class _Motion:
         share, stiffness, damping = self.more.swings
         return float(stiffness * (y[7] - y[2]) + damping * (y[8] - y[3])) if share else 0.0
 
-    def bound(self, mass: int, y: np.ndarray, direction: int) -> float:
-        coulomb = (self.p.fc1, self.p.fc2)[mass][0 if direction > 0 else 1]
+    def bound(self, mass: int, t: float, y: np.ndarray, direction: int) -> float:
+        coulomb = (self.p.fc1, self.p.fc2)[mass][0 if direction > 0 else 1] + self.more.fade[mass] * t
         return coulomb + (self.more.per_torque * self.sign * self.spring(y) if mass == 1 else 0.0)
 
     def acceleration(self, mass: int, t: float, y: np.ndarray) -> float:
@@ -83,7 +84,7 @@ class _Motion:
             return 0.0
         viscous = (self.p.fv1, self.p.fv2)[mass][0 if mode > 0 else 1] + self.more.drift[mass] * t
         wound = y[4 + mass] if self.more.presliding[mass] else mode
-        friction = viscous * y[2 * mass + 1] + wound * self.bound(mass, y, mode)
+        friction = viscous * y[2 * mass + 1] + wound * self.bound(mass, t, y, mode)
         return (self.push(mass, y) - friction) / self.inertia[mass]
 
     def slopes(self, t: float, y: np.ndarray) -> list[float]:
@@ -101,13 +102,13 @@ class _Motion:
         found += [("rate", 0)] if self.more.slider else []
         return found + ([("sign", 0)] if self.more.per_torque else [])
 
-    def value(self, guard: tuple[str, int], y: np.ndarray) -> float:
+    def value(self, guard: tuple[str, int], t: float, y: np.ndarray) -> float:
         kind, mass = guard
         if kind == "slide":
             return float(self.mode[mass] * y[2 * mass + 1])
         if kind == "cone":
             push = self.push(mass, y)
-            return min(self.bound(mass, y, 1) - push, self.bound(mass, y, -1) + push)
+            return min(self.bound(mass, t, y, 1) - push, self.bound(mass, t, y, -1) + push)
         return float(self.rate * (y[3] - y[1])) if kind == "rate" else self.sign * self.spring(y)
 
     def settle(self) -> None:
@@ -119,11 +120,11 @@ class _Motion:
                 continue
             push = self.push(mass, self.y)
             if self.more.presliding[mass]:
-                rest = push - self.y[4 + mass] * self.bound(mass, self.y, self.mode[mass])
+                rest = push - self.y[4 + mass] * self.bound(mass, self.time, self.y, self.mode[mass])
                 self.mode[mass] = int(np.sign(rest)) or self.mode[mass]
             else:
-                over = push > self.bound(mass, self.y, 1)
-                self.mode[mass] = 1 if over else (-1 if push < -self.bound(mass, self.y, -1) else 0)
+                over = push > self.bound(mass, self.time, self.y, 1)
+                self.mode[mass] = 1 if over else (-1 if push < -self.bound(mass, self.time, self.y, -1) else 0)
 
     def advance(self, duration: float, torque: float) -> None:
         self.torque = torque
@@ -134,7 +135,7 @@ class _Motion:
 
             def event(guard: tuple[str, int]):
                 def value(t: float, y: np.ndarray) -> float:
-                    return self.value(guard, y) + 1e-300
+                    return self.value(guard, t, y) + 1e-300
 
                 value.terminal, value.direction = True, -1.0
                 return value

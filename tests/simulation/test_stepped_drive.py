@@ -43,7 +43,10 @@ def _law(name: str, plant: Plant, own: FloatArray, duration: float) -> Smooth:
         "load-dependent": Smooth(per_torque=0.2),
         "elastic-load": Smooth(swings=(0.4, 4.0 * plant.stiffness, 2.0 * plant.damping)),
         "ripple": Smooth(ripple=((0, 40.0 / travel, 0.1 * torque, 0.0), (1, 90.0 / travel, 0.0, 0.05 * torque))),
-        "drifting": Smooth(drift=(-0.5 * min(plant.fv1) / duration, 0.8 * min(plant.fv2) / duration)),
+        "drifting": Smooth(
+            drift=(-0.5 * min(plant.fv1) / duration, 0.8 * min(plant.fv2) / duration),
+            fade=(0.6 * min(plant.fc1) / duration, -0.7 * min(plant.fc2) / duration),
+        ),
     }[name]
 
 

@@ -37,7 +37,7 @@ class Quantity(StrEnum):
     GAIN = "gain"
 
 
-ADDED = (Quantity.INERTIA, Quantity.VISCOUS, Quantity.FORCE, Quantity.VISCOUS_DRIFT)
+ADDED = (Quantity.INERTIA, Quantity.VISCOUS, Quantity.FORCE, Quantity.VISCOUS_DRIFT, Quantity.FORCE_DRIFT)
 """Quantities of which a joint without a spring has the sum of both sides."""
 
 

@@ -39,7 +39,8 @@ _MORE = 0.002  # of the error that is left: a law that takes less of it where it
 _NOTHING = 1e-6  # of the torque: less than that is left by rounding
 _UNKNOWN = 10.0  # times its value: a deviation so large tells nothing
 _MAY_VANISH = (  # a gap, a damping, a share of the torque, a drift, a cube
-    Quantity.POSITION, Quantity.VISCOUS, Quantity.RATIO, Quantity.VISCOUS_DRIFT, Quantity.CUBIC_STIFFNESS,
+    Quantity.POSITION, Quantity.VISCOUS, Quantity.RATIO, Quantity.VISCOUS_DRIFT, Quantity.FORCE_DRIFT,
+    Quantity.CUBIC_STIFFNESS,
 )  # fmt: skip
 _BESIDE = 1e-3  # standard errors: so little is 0
 _ROUGHLY, _EVALUATIONS = 1e-5, 20  # of those without a part, which begin where the whole record's ended

@@ -201,7 +201,7 @@ class LoopCheck(Documented):
         """Return which law of spring or friction has what was found, as the end of a sentence; "" where none has."""
         test = finding.test
         key = "spring" if test.name in _SPRINGS else "friction"
-        if test.name not in _LAWS or (test.name == CHANGING_FRICTION and test.shape == COULOMB):
+        if test.name not in _LAWS:
             return ""
         named = [n for n in (test.name, *test.alike, *finding.rivals) if (n in _SPRINGS) == (key == "spring")]
         laws = dict.fromkeys(law for name in named for law in _LAWS.get(name, ()) if law in self.laws)

@@ -27,7 +27,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.diagnostics.fault_signature import FaultSignature
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.models.friction import DriftingFriction, LoadDependentFriction, Part
+from jointid.models.friction import LoadDependentFriction, Part
 from jointid.models.joints import FlexibleJoint
 from jointid.records.record import Tap
 from jointid.simulation.closed_loop import Simulation
@@ -80,10 +80,10 @@ def _forces(
         yield BACKLASH, share * largest, missing, -missing
     if not isinstance(joint.friction, LoadDependentFriction):
         yield LOAD_DEPENDENT_FRICTION, None, np.zeros_like(torque), -np.abs(torque) * np.sign(run.load_velocity)
+    if joint.friction.follows_time:
+        return
     late, speeds = run.time / run.time[-1], (run.motor_velocity, run.load_velocity)
     shapes: dict[Part, float] = {"viscous": VISCOUS, "coulomb": COULOMB}
-    if isinstance(joint.friction, DriftingFriction):
-        del shapes["viscous"]
     for part, shape in shapes.items():
         motor, load = (
             late * _friction(joint, values, f"{side}_", part, speed) for side, speed in zip(_SIDES, speeds, strict=True)

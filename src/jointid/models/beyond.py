@@ -16,13 +16,13 @@ SPRING = ("cubic", "slider", "slips")
 """Cubic stiffness; stiffness and limit of what winds up beside the spring."""
 LOAD = ("swing_share", "swing_stiffness", "swing_damping")
 """Share of an elastic load that swings on a spring of its own, its stiffness and its damping."""
-SIDE = ("presliding", "drift", "per_torque")
-"""Of the friction of one side: the displacement it winds up over; by how much the viscous coefficient grows per second;
-the share of the spring's torque."""
+SIDE = ("presliding", "drift", "fade", "per_torque")
+"""Of the friction of one side: the displacement it winds up over; by how much the viscous and the Coulomb friction grow
+per second; the share of the spring's torque."""
 
 
 def beyond_pieces(spring: Mapping[str, float], motor: Mapping[str, float], load: Mapping[str, float]) -> FloatArray:
-    """Return the numbers of a joint beyond its coefficients, (11,), 0 where it has none.
+    """Return the numbers of a joint beyond its coefficients, (13,), 0 where it has none.
 
     Args:
         spring: by the names of `SPRING` and of `LOAD`.
@@ -30,6 +30,6 @@ def beyond_pieces(spring: Mapping[str, float], motor: Mapping[str, float], load:
         load: the same.
     """
     of_spring = [spring.get(name, 0.0) for name in SPRING]
-    winds_up, changes = ([side.get(name, 0.0) for side in (motor, load)] for name in ("presliding", "drift"))
+    winds_up, viscous, coulomb = ([side.get(name, 0.0) for side in (motor, load)] for name in SIDE[:3])
     swings = [spring.get(name, 0.0) for name in LOAD]
-    return np.array([*of_spring, *winds_up, load.get("per_torque", 0.0), *changes, *swings])
+    return np.array([*of_spring, *winds_up, load.get("per_torque", 0.0), *viscous, *swings, *coulomb])

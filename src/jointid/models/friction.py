@@ -48,7 +48,7 @@ _SHORTEST = 1e-12  # displacement over which friction winds up, in the joint's u
 _DISTANCES = (3e-4, 3e-3)  # of the travel: where a search for that begins
 _MOST = 0.9  # of the torque through the spring: a friction that grows by all of it lets nothing through
 _LOSS = 0.03  # of the torque through the spring: where a search for a friction that grows with it begins
-_WARMED = 0.2  # of the viscous friction, lost at the end: where a search for a change with time begins
+_WARMED = 0.2  # of the friction, lost at the end: where a search for a change with time begins
 
 
 @dataclass(frozen=True, slots=True)
@@ -409,7 +409,7 @@ class LoadDependentFriction(_SteppedFriction):
 
 @dataclass(frozen=True, slots=True)
 class DriftingFriction(_SteppedFriction):
-    """Symmetric friction whose viscous coefficient changes steadily with time, as oil grows warm: ``(Fv + dFv t) v``.
+    """Symmetric friction that changes steadily with time, as oil grows warm: ``(Fv + dFv t) v + (Fc + dFc t) sign(v)``.
 
     The time counts from the first sample. A change that goes on for much longer than a record is nearly steady in it.
     """
@@ -417,20 +417,22 @@ class DriftingFriction(_SteppedFriction):
     name = "drifting"
     label = "the same, changing with time"
     follows_time = True
-    adds, instead = "the change of viscous friction with time", "what it is at the first sample"
+    adds, instead = "the change of friction with time", "what it is at the first sample"
 
     def parameters(self, prefix: str = "", index: str = "") -> tuple[Parameter, ...]:
-        """Return Fv and Fc, then by how much Fv grows per second."""
-        drift = Parameter(f"{prefix}viscous_drift", f"dFv{index}", Quantity.VISCOUS_DRIFT)
-        return (*Friction.parameters(self, prefix, index), drift)
+        """Return Fv and Fc, then by how much each grows per second."""
+        viscous = Parameter(f"{prefix}viscous_drift", f"dFv{index}", Quantity.VISCOUS_DRIFT)
+        coulomb = Parameter(f"{prefix}coulomb_drift", f"dFc{index}", Quantity.FORCE_DRIFT)
+        return (*Friction.parameters(self, prefix, index), viscous, coulomb)
 
     def beyond(self, values: Mapping[str, float], prefix: str = "") -> dict[str, float]:
-        """Return the change per second."""
-        return {"drift": values[f"{prefix}viscous_drift"]}
+        """Return the changes per second."""
+        return {"drift": values[f"{prefix}viscous_drift"], "fade": values[f"{prefix}coulomb_drift"]}
 
     def starts(self, motion: MotionSize, prefix: str = "") -> Iterator[dict[str, float]]:
-        """Yield a fall by a part of the viscous friction."""
-        yield {f"{prefix}viscous_drift": -_WARMED * motion.viscous / motion.duration}
+        """Yield a fall by a part of both."""
+        fallen = {"viscous": motion.viscous, "coulomb": motion.coulomb}
+        yield {f"{prefix}{part}_drift": -_WARMED * size / motion.duration for part, size in fallen.items()}
 
 
 FRICTIONS: Mapping[str, type[Friction]] = {

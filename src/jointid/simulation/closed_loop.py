@@ -225,7 +225,7 @@ def run(
     accelerations = array("accelerations", (kept if beyond is not None else 0, 2))
     counts = np.zeros(4, dtype=np.int64)
     outcome, before = Outcome.INVALID, 0.0
-    possible = _possible(drive, gravity) and _ordered(segments) and _winding(beyond)
+    possible = _possible(drive, gravity) and _ordered(segments) and _smooth(beyond, drive, periods * law.period)
     if possible and math.isfinite(position) and math.isfinite(velocity):
         state, first = first_state(experiment, position, velocity, initial.torque)
         before = first + experiment.after_limit[0]
@@ -324,11 +324,14 @@ def _ordered(segments: FloatArray | None) -> bool:
     return bool(rising and np.min(segments[:, 2:4]) >= 0 and cones >= 0)
 
 
-def _winding(beyond: FloatArray | None) -> bool:
-    """True of smooth laws whose numbers are not negative, the shares of torque and load below 1."""
+def _smooth(beyond: FloatArray | None, drive: FloatArray, duration: float) -> bool:
+    """True of smooth laws whose numbers are not negative, shares below 1, and of friction that never is below 0."""
     if beyond is None:
         return True
-    _, slider, slips, *distances, lost, _, _, share, stiffness, damping = beyond.tolist()
+    _, slider, slips, *distances, lost, _, _, share, stiffness, damping, motor, load = beyond.tolist()
+    faded = (min(drive[6:8]) + motor * duration, min(drive[10:12]) + load * duration)
+    if min(motor, load) < 0 and min(faded) < 0:
+        return False
     slips_at_all = slider >= 0 and (slips > 0 or slider == 0)
     swings = 0 <= share < 1 and min(stiffness, damping) >= 0
     return bool(np.all(np.isfinite(beyond)) and slips_at_all and min(distances) >= 0 and 0 <= lost < 1 and swings)

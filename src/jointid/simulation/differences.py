@@ -161,6 +161,7 @@ class _Sizes:
             Quantity.CUBIC_STIFFNESS: self.torque / self.windup**3,
             Quantity.FORCE_RATE: self.torque / self.travel,
             Quantity.VISCOUS_DRIFT: self.torque / self.speed,
+            Quantity.FORCE_DRIFT: self.torque,
             Quantity.RATIO: 1.0,
         }.get(p.quantity, 0.0)
 

@@ -158,7 +158,7 @@ def _friction(model: JointModel, prefix: str) -> tuple[tuple[str, str], tuple[st
     forwards, backwards = (tuple("0" if name is None else f"{prefix}{name}" for name in names) for names in named)
     viscous, coulomb = "{}", "{}"
     if isinstance(law, DriftingFriction):
-        viscous = f"({{}} + {prefix}viscous_drift * time)"
+        viscous, coulomb = (f"({{}} + {prefix}{part}_drift * time)" for part in PARTS)
     if isinstance(law, LoadDependentFriction) and prefix != "motor_":
         coulomb = f"({{}} + {prefix}friction_per_torque * abs(spring))"
     (one, other), (back, behind) = forwards, backwards

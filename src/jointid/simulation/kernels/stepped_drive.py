@@ -65,6 +65,8 @@ class _Beyond(NamedTuple):
     share: float
     stiffness2: float
     damping2: float
+    fade1: float
+    fade2: float
 
 
 class _State(NamedTuple):
@@ -162,14 +164,14 @@ def _accelerations(
     push1, push2, spring = _pushes(p, b, places, m, s, torque)
     a1, a2 = 0.0, 0.0
     if m.motor != 0:
-        drift = b.drift1 * time
+        drift, more = b.drift1 * time, b.fade1 * time
         drag = _friction(
-            m.motor, s.v1, p.viscous1 + drift, p.viscous1_back + drift, p.coulomb1, p.coulomb1_back, b.soft1, m.wound1,
-            m.from1, s.q1,
+            m.motor, s.v1, p.viscous1 + drift, p.viscous1_back + drift, p.coulomb1 + more, p.coulomb1_back + more,
+            b.soft1, m.wound1, m.from1, s.q1,
         )  # fmt: skip
         a1 = (push1 - drag) / p.inertia1
     if m.load != 0:
-        drift, more = b.drift2 * time, b.loss * m.torque * spring
+        drift, more = b.drift2 * time, b.fade2 * time + b.loss * m.torque * spring
         drag = _friction(
             m.load, s.v2, p.viscous2 + drift, p.viscous2_back + drift, p.coulomb2 + more, p.coulomb2_back + more,
             b.soft2, m.wound2, m.from2, s.q2,
@@ -257,6 +259,7 @@ def _guards(
     m: _Modes,
     y: FloatArray,
     rates: FloatArray,
+    time: float,
     torque: float,
     guards: FloatArray,
     slopes: FloatArray,
@@ -273,12 +276,13 @@ def _guards(
     if m.motor != 0:
         guards[0], slopes[0] = m.motor * y[1], m.motor * a1
     else:
-        guards[0], slopes[0] = p.coulomb1 - push1, -rate
-        guards[4], slopes[4] = p.coulomb1_back + push1, rate
+        more = b.fade1 * time
+        guards[0], slopes[0] = p.coulomb1 + more - push1, b.fade1 - rate
+        guards[4], slopes[4] = p.coulomb1_back + more + push1, b.fade1 + rate
     if m.load != 0:
         guards[1], slopes[1] = m.load * y[3], m.load * a2
     else:
-        more, growth = b.loss * m.torque * spring, b.loss * m.torque * rate
+        more, growth = b.fade2 * time + b.loss * m.torque * spring, b.fade2 + b.loss * m.torque * rate
         guards[1], slopes[1] = p.coulomb2 + more - push2, growth + rate - pulled
         guards[5], slopes[5] = p.coulomb2_back + more + push2, growth - rate + pulled
     if b.slope > 0.0:
@@ -315,7 +319,7 @@ def _locate(
         if not low < at < high:
             at = 0.5 * (low + high)
         _step(p, b, places, m, y, k, new, time, at * h, torque)
-        _guards(p, b, places, m, new, k[6], torque, guards, slopes)
+        _guards(p, b, places, m, new, k[6], time + at * h, torque, guards, slopes)
         if guards[which] < 0.0:
             high, below = at, guards[which]
         else:
@@ -334,7 +338,7 @@ def _bottom(
     low, high, at, value = 0.0, 1.0, dip, 1.0
     for _ in range(_DIPS):
         _step(p, b, places, m, y, k, new, time, at * h, torque)
-        _guards(p, b, places, m, new, k[6], torque, guards, slopes)
+        _guards(p, b, places, m, new, k[6], time + at * h, torque, guards, slopes)
         value = guards[which]
         if value < 0.0:
             break
@@ -384,11 +388,11 @@ def _settled(p: Drive, b: _Beyond, places: FloatArray, m: _Modes, y: FloatArray,
     if b.loss > 0.0 and m.torque * spring < 0.0:
         m = _through(m, -m.torque)
     push1, push2, spring = _pushes(p, b, places, m, s, torque)
-    more = b.loss * abs(spring)
+    fade1, more = b.fade1 * time, b.fade2 * time + b.loss * abs(spring)
     for mass in range(2):
         if y[1 + 2 * mass] != 0.0:
             continue
-        push, forwards, backwards = push1, p.coulomb1, p.coulomb1_back
+        push, forwards, backwards = push1, p.coulomb1 + fade1, p.coulomb1_back + fade1
         soft, mode, wound, since, q = b.soft1, m.motor, m.wound1, m.from1, y[0]
         if mass == 1:
             push, forwards, backwards = push2, p.coulomb2 + more, p.coulomb2_back + more
@@ -436,10 +440,11 @@ def run(
 
     Args:
         drive: (14,) the coefficients, as in `kernels.drive.run`.
-        beyond: (11,) a cubic stiffness; stiffness and limit of what a spring has that winds up, after Dahl; lengths
+        beyond: (13,) a cubic stiffness; stiffness and limit of what a spring has that winds up, after Dahl; lengths
             over which the Coulomb friction of motor and load winds up (0: it sticks); the load's friction per torque
             through the spring; by how much the viscous coefficients of motor and load rise per second; the share of the
-            load that swings on a spring of its own, its stiffness and damping.
+            load that swings on a spring of its own, its stiffness and damping; by how much the Coulomb friction of
+            motor and load rises per second.
         places: (forces, 5) that follow a position, each as gravity in `kernels.drive.run`, on the side in the last
             column: 0 for the motor's.
         lengths: of the parts of a period, as there.
@@ -463,7 +468,7 @@ def run(
     p = drive_of(drive)
     b = _Beyond(
         beyond[0], beyond[1], beyond[2], beyond[3], beyond[4], beyond[5], beyond[6], beyond[7],
-        beyond[8], beyond[9], beyond[10],
+        beyond[8], beyond[9], beyond[10], beyond[11], beyond[12],
     )  # fmt: skip
     mobility = 1.0 / p.inertia1 + 1.0 / p.inertia2
     rate = math.sqrt((p.stiffness + b.slope) * mobility) + p.damping * mobility + 1.0 / np.max(lengths)
@@ -523,16 +528,16 @@ def run(
                     if wanted < 1e-12 * period or steps > _WORK * n + 10_000:
                         status = TOO_STIFF
                     continue
-                _guards(p, b, places, m, y, k[0], torque, guards, slopes)
-                _guards(p, b, places, m, new, k[6], torque, ends, lasts)
+                _guards(p, b, places, m, y, k[0], time, torque, guards, slopes)
+                _guards(p, b, places, m, new, k[6], time + h, torque, ends, lasts)
                 share, which = 1.0, -1
                 for guard in range(_GUARDS):
                     if ends[guard] < 0.0:
                         start, end = guards[guard], ends[guard]
                         at = _locate(p, b, places, m, y, k, new, time, h, torque, guard, start, end, slopes, lasts)
                         _step(p, b, places, m, y, k, new, time, h, torque)
-                        _guards(p, b, places, m, y, k[0], torque, guards, slopes)
-                        _guards(p, b, places, m, new, k[6], torque, ends, lasts)
+                        _guards(p, b, places, m, y, k[0], time, torque, guards, slopes)
+                        _guards(p, b, places, m, new, k[6], time + h, torque, ends, lasts)
                         if which < 0 or at < share:
                             share, which = at, guard
                 dip, dipped = 1.0, -1
