@@ -292,7 +292,7 @@ def test_ripple() -> None:
     assert file.joint == FlexibleJoint(ripple=PositionHarmonics(0.005, side="load"))
     assert file.parameters["load_harmonic_1_sine"].start == 0.5
     assert [p.name for p in file.joint.parameters[-2:]] == ["load_harmonic_1_cosine", "load_harmonic_1_sine"]
-    assert file.joint.rigid == RigidJoint()
+    assert file.joint.rigid == RigidJoint(ripple=PositionHarmonics(0.005))
 
 
 def test_a_state_space_law() -> None:

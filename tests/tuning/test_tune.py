@@ -23,6 +23,7 @@ from jointid.models.controllers import PD, PID, Cascade, StateSpaceController
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
+from jointid.models.ripple import PositionHarmonics
 from jointid.output.figures import draw
 from jointid.output.json import dumps, to_dict
 from jointid.paper.twin import TABLE_2, twin
@@ -395,3 +396,9 @@ def test_a_model_or_a_loop_in_doubt_is_said_before_its_gains_are_used(estimate: 
         "loop or log are not as declared, and all of this is of the declared one: velocity_gain is larger than declared"
         in said
     )
+
+
+def test_a_ripple_that_is_left_out_is_said(estimate: Estimate) -> None:
+    rippled = replace(estimate.settings.joint, ripple=PositionHarmonics(0.02))
+    said = tune(estimate.amended(settings={"joint": rippled}), Tuning(notch=False)).notes
+    assert "the ripple over the position is left out of the loop and of the feed-forward" in said

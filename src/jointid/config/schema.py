@@ -161,7 +161,7 @@ class GravityTable(Table):
 
 @keys_from(PositionHarmonics, without=("period",))
 class RippleTable(Table):
-    """[ripple]: a force that comes back with the position, identified with the joint by every method."""
+    """[ripple]: a force that comes back with the position, simulated and identified with the joint."""
 
     period: Positive = Field(
         description="of the first harmonic, such as the pitch of a screw or of the motor's slots, on the side that is "

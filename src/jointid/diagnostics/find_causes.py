@@ -311,8 +311,8 @@ def _as_flexible(declared: Hypothesis, found: Sequence[_Found]) -> _Found | None
     Its further parameters make up for a part of other causes, so as good as they is not enough.
     """
     rigid = declared.loops[0].joint
-    joint = FlexibleJoint(rigid.kind, rigid.friction, rigid.torque_unit, rigid.transmission, rigid.gravity)
-    loop = replace(declared.loops[0], joint=joint)
+    assert isinstance(rigid, RigidJoint)
+    loop = replace(declared.loops[0], joint=rigid.flexible)
     try:
         best = next(iter(fit_flexible((replace(declared, loops=(loop,)),), loop)), None)
     except (JointidError, np.linalg.LinAlgError):  # the other causes stand

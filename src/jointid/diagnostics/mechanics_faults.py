@@ -107,8 +107,15 @@ def _through_the_spring(
     from scipy.signal import bilinear, lfilter
 
     k, c = values["stiffness"], values["damping"]
-    load = [values["load_inertia"], c + viscous, k]
-    return np.asarray(lfilter(*bilinear([c, k], load, 1.0 / sample_time), force))
+    load, passed = np.array([values["load_inertia"], c + viscous, k]), np.array([c, k])
+    share = values.get("swinging_share", 0.0)
+    if share > 0.0:  # a part of the load follows the rest through a spring of its own
+        second = [values["swinging_damping"], values["swinging_stiffness"]]
+        swings = [share * values["load_inertia"], *second]
+        rest = load - [share * values["load_inertia"], 0.0, 0.0]
+        load = np.polyadd(np.polymul(rest, swings), np.polymul([swings[0], 0.0, 0.0], second))
+        passed = np.polymul(passed, swings)
+    return np.asarray(lfilter(*bilinear(passed, load, 1.0 / sample_time), force))
 
 
 def _with_force(problem: ClosedLoopProblem, x: FloatArray, force: FloatArray) -> FloatArray:

@@ -167,7 +167,7 @@ def _rigid(solved: Solved, record: Record, loop: ClosedLoop, tolerance: float, h
         if p.name in known:
             own.append(known[p.name])
             continue
-        sides = [f"{side}_{p.name}" for side in ("motor", "load")]
+        sides = [name for side in ("motor", "load") if (name := f"{side}_{p.name}") in known]
         sums[p.name] = of_whole(p, values)
         own.append(p if any(known[name].free for name in sides) else p.fixed(sums[p.name]))
     beside = problem.parameters[len(flexible.parameters) :]

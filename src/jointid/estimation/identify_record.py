@@ -84,6 +84,8 @@ def _require_fit(method: Method, joint: Joint, loop: ClosedLoop | None) -> None:
         raise MethodError(f"{type(method).__name__} is not for a {joint.model} joint; use {remedy.__name__}.")
     if not method.any_law:
         joint.require_linear(f"{method.title} takes")
+    if method.name == "drive_side":
+        DriveSide(joint)  # which says what it does not take
 
 
 def _find_beyond(record: Record, estimate: Estimate, wanted: tuple[Parameter, ...]) -> Parameter | None:

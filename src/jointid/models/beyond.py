@@ -33,3 +33,11 @@ def beyond_pieces(spring: Mapping[str, float], motor: Mapping[str, float], load:
     winds_up, viscous, coulomb = ([side.get(name, 0.0) for side in (motor, load)] for name in SIDE[:3])
     swings = [spring.get(name, 0.0) for name in LOAD]
     return np.array([*of_spring, *winds_up, load.get("per_torque", 0.0), *viscous, *swings, *coulomb])
+
+
+def swinging_part(beyond: FloatArray | None) -> tuple[float, float, float]:
+    """Return share, stiffness and damping of what swings on a load; zeros of one that is rigid."""
+    if beyond is None:
+        return 0.0, 0.0, 0.0
+    share, stiffness, damping = beyond[8:11].tolist()
+    return share, stiffness, damping

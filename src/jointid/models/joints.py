@@ -26,7 +26,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import ADDED, POSITION_UNIT, TORQUE_UNIT, Parameter, Quantity, unit_of
-from jointid.common.transmission import Transmission
+from jointid.common.transmission import Side, Transmission
 from jointid.common.units import Kind
 from jointid.models.beyond import beyond_pieces
 from jointid.models.controllers import Controller
@@ -97,6 +97,12 @@ class _JointBase:
     def stepped(self) -> bool:
         """True if one of its laws is smooth, so that its simulation goes in steps of a stated error."""
         return self.friction.stepped or self.ripple is not None
+
+    def require_no_ripple(self, taker: str, instead: str, side: Side | None = None) -> None:
+        """Raise a `MethodError` if there is a ripple, on any side or on one; see `require_linear`."""
+        if self.ripple is not None and side in (None, self.ripple.side):
+            there = "" if side is None else f" on the {side}'s side"
+            raise MethodError(f"{taker} a joint without a ripple{there}; received one that has it: {instead}.")
 
     def require_linear(self, taker: str, instead: str = _BY_DIDIM) -> None:
         """Raise a `MethodError` if a law is not linear.
@@ -217,6 +223,13 @@ class RigidJoint(_JointBase):
         """The joint with the lines of its friction alone, without a ripple."""
         return replace(self, friction=self.friction.lines, ripple=None)
 
+    @property
+    def flexible(self) -> FlexibleJoint:
+        """The joint if there were a linear spring between motor and load."""
+        return FlexibleJoint(
+            self.kind, self.friction, self.torque_unit, self.transmission, self.gravity, self.ripple
+        )  # fmt: skip
+
     def start(self, values: Mapping[str, float], position: float, velocity: float) -> FloatArray:
         """Return the state at rest or in steady motion: position and velocity (the load's are not used)."""
         return np.array([position, velocity, 0.0, 0.0])
@@ -293,7 +306,7 @@ class FlexibleJoint(_JointBase):
     @property
     def rigid(self) -> RigidJoint:
         """The joint whose spring does not give: what this one is far below its resonance."""
-        ripple = None if self.ripple is None or self.ripple.side == "load" else self.ripple
+        ripple = None if self.ripple is None else replace(self.ripple, side="motor")
         return RigidJoint(self.kind, self.friction.of_whole, self.torque_unit, self.transmission, self.gravity, ripple)
 
     @property
@@ -369,27 +382,42 @@ class FlexibleJoint(_JointBase):
 
         At rest the load's Coulomb force may carry any part of it up to its own size; it is taken to carry nothing.
         """
-        drag = self.friction.drag(values, velocity, self._gravity_constant(values), "load_")
+        load = self.friction.drag(values, velocity, self._gravity_constant(values), "load_")
         deflection, stiffness = 0.0, values["stiffness"]
+        if self.ripple is not None:
+            here = np.array([position])
+            load += float(self._ripple_columns(here, here)[1][0] @ [values[p.name] for p in self.ripple.parameters])
         if stiffness > 0.0 and self.gravity is not None:
-            deflection = self.gravity.static_deflection(values, stiffness, position, drag)
+            deflection = self.gravity.static_deflection(values, stiffness, position, load)
         elif stiffness > 0.0:
-            deflection = drag / stiffness
-        if stiffness > 0.0 and self.ripple is not None:
-            held = self._ripple_columns(np.array([position]), np.array([position - deflection]))[1]
-            deflection += float(held[0] @ [values[p.name] for p in self.ripple.parameters]) / stiffness
+            deflection = load / stiffness
         if stiffness > 0.0 and not self.spring.linear:
-            deflection = self.spring.deflection(values, drag + self._gravity_constant(values))
+            deflection = self.spring.deflection(values, load + self._gravity_constant(values))
         return np.array([position, velocity, position - deflection, velocity])
 
     @staticmethod
     def frequencies(values: Mapping[str, float]) -> dict[str, float]:
-        """Return the three frequencies of a flexible joint in Hz, each named by its boundary condition.
+        """Return the frequencies of a flexible joint in Hz, each named by its boundary condition.
 
         ``free_free`` is a pole from torque to motor position; ``motor_locked`` the anti-resonance the motor sees;
-        ``load_locked`` the motor against the held load.
+        ``load_locked`` the motor against the held load. Of an elastic load the first two are the lower ones, and
+        ``second_free_free`` is the other pole.
         """
         motor, load, stiffness = values["motor_inertia"], values["load_inertia"], values["stiffness"]
+        share = values.get("swinging_share", 0.0)
+        if share > 0.0:
+            masses = np.array([motor, (1 - share) * load, share * load])
+            second = values["swinging_stiffness"]
+            springs = stiffness * np.outer([1, -1, 0], [1, -1, 0]) + second * np.outer([0, 1, -1], [0, 1, -1])
+            swinging = springs / np.sqrt(np.outer(masses, masses))
+            _, free, other = np.sqrt(np.maximum(np.linalg.eigvalsh(swinging), 0.0)) / (2 * math.pi)
+            held = np.sqrt(np.maximum(np.linalg.eigvalsh(swinging[1:, 1:]), 0.0)) / (2 * math.pi)
+            return {
+                "free_free": float(free),
+                "motor_locked": float(held[0]),
+                "load_locked": math.sqrt(stiffness / motor) / (2 * math.pi),
+                "second_free_free": float(other),
+            }
         return {
             "free_free": math.sqrt(stiffness * (1 / motor + 1 / load)) / (2 * math.pi),
             "motor_locked": math.sqrt(stiffness / load) / (2 * math.pi),
@@ -481,7 +509,7 @@ def of_whole(p: Parameter, values: Mapping[str, float]) -> float:
     """Return a rigid joint's parameter from a flexible joint's: the sum of both sides, of a speed the mean."""
     if p.name in values:
         return values[p.name]
-    sides = values[f"motor_{p.name}"], values[f"load_{p.name}"]
+    sides = [values[name] for name in (f"motor_{p.name}", f"load_{p.name}") if name in values]  # a ripple has one
     return sum(sides) / (1 if p.quantity in ADDED else len(sides))
 
 

@@ -5,7 +5,8 @@ While neither velocity changes its sign Coulomb friction is a constant, and what
     ZZ1 a1  + Fv1 v1  - K12 (q12 - q1) - F12 (v12 - v1) = tau
     ZZ2 a12 + Fv2 v12 + K12 (q12 - q1) + F12 (v12 - v1) + rate q12 = 0
 
-A rigid joint has the first line alone, without the spring. `rate` is of a spring that carries the load
+A rigid joint has the first line alone, without the spring; of an elastic load (`springs.ElasticLoad`) a part of ZZ2 is
+a third mass. `rate` is of a spring that carries the load
 (`models.gravity`), which stands on the motor's line where the joint is rigid; a weight that turns is not linear.
 """
 
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.models.beyond import swinging_part
 from jointid.models.joints import FlexibleJoint, Joint
 
 ComplexArray: TypeAlias = NDArray[np.complex128]
@@ -30,11 +32,16 @@ SNAP = 1e-6
 """Of a period: instants closer than this are the same, and a delay of nearly a whole number of periods is one."""
 
 OUTPUTS: tuple[Output, ...] = ("motor_position", "motor_velocity", "load_position", "load_velocity")
-"""The states of a flexible joint, in their order; a rigid one has the first two."""
+"""The states of a flexible joint, in their order; a rigid one has the first two, an elastic load two more."""
 
 
 def drive_matrices(
-    inertia: Sequence[float], viscous: Sequence[float], stiffness: float = 0.0, damping: float = 0.0, rate: float = 0.0
+    inertia: Sequence[float],
+    viscous: Sequence[float],
+    stiffness: float = 0.0,
+    damping: float = 0.0,
+    rate: float = 0.0,
+    swings: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> tuple[FloatArray, FloatArray]:
     """Return A, (states, states), and B, (states,), of ``x' = A x + B tau`` (the module's equation).
 
@@ -44,11 +51,13 @@ def drive_matrices(
         stiffness: of the spring.
         damping: of the spring.
         rate: of a spring that carries the load.
+        swings: share of the load that swings on a spring of its own, that one's stiffness and damping.
     """
     motor, own = inertia[0], viscous[0]
     if len(inertia) == 1:
         return np.array([[0.0, 1.0], [-rate / motor, -own / motor]]), np.array([0.0, 1.0 / motor])
-    load, its = inertia[1], viscous[1]
+    share, second, damped = swings
+    load, its = (1.0 - share) * inertia[1], viscous[1]
     A = np.array(
         [
             [0.0, 1.0, 0.0, 0.0],
@@ -57,7 +66,16 @@ def drive_matrices(
             [stiffness / load, damping / load, -(stiffness + rate) / load, -(its + damping) / load],
         ]
     )
-    return A, np.array([0.0, 1.0 / motor, 0.0, 0.0])
+    B = np.array([0.0, 1.0 / motor, 0.0, 0.0])
+    if share == 0.0:
+        return A, B
+    swinging = share * inertia[1]
+    whole = np.zeros((6, 6))
+    whole[:4, :4] = A
+    whole[3, 2:] += [-second / load, -damped / load, second / load, damped / load]
+    whole[4, 5] = 1.0
+    whole[5, 2:] = [second / swinging, damped / swinging, -second / swinging, -damped / swinging]
+    return whole, np.append(B, [0.0, 0.0])
 
 
 def hold_torque(A: FloatArray, B: FloatArray, seconds: float) -> tuple[FloatArray, FloatArray]:
@@ -203,8 +221,9 @@ def linear_joints(joint: Joint, candidates: Sequence[Mapping[str, float]]) -> Li
     ways = (0, 1) if joint.friction.depends_on_direction("viscous") else (0,)  # forwards, backwards
     masses = 2 if isinstance(joint, FlexibleJoint) else 1
     made = [
-        drive_matrices((c[0], c[1])[:masses], (c[4 + way], c[8 + way])[:masses], c[2], c[3])
-        for c in map(joint.coefficients, candidates)
+        drive_matrices((c[0], c[1])[:masses], (c[4 + way], c[8 + way])[:masses], c[2], c[3], swings=swings)
+        for values in candidates
+        for c, swings in [(joint.coefficients(values), swinging_part(joint.beyond(values)))]
         for way in ways
     ]
     return LinearJoints(np.array([A for A, _ in made]), np.array([B for _, B in made]))

@@ -384,7 +384,8 @@ class ElasticLoad(_SteppedSpring):
 
     def describe(self, shown: Mapping[str, str]) -> str:
         """Return the stiffness, and what part of the load is on which second one."""
-        return f"{shown['stiffness']}, and {shown['swinging_share']} of the load on {shown['swinging_stiffness']}"
+        share = shown["swinging_share"].removesuffix(" 1")  # the unit of a share
+        return f"{shown['stiffness']}, and a share of {share} of the load on {shown['swinging_stiffness']}"
 
     def deflection(self, values: Mapping[str, float], torque: float) -> float:
         """Return the deflection of the first spring under a constant torque."""

@@ -342,11 +342,11 @@ def _place(problem: ClosedLoopProblem, values: Mapping[str, float]) -> FloatArra
 
 def _holding_torque(loop: ClosedLoop, values: Mapping[str, float], position: float) -> float:
     """Return the torque that holds the joint at a position: an axis at rest has it before the test begins."""
-    gravity, held = loop.joint.gravity, values.get("offset", 0.0)
-    if gravity is None:
-        return held
-    weights = np.array([values[p.name] for p in gravity.parameters])
-    return held + float(gravity.columns(np.array([position]))[0] @ weights)
+    gravity, ripple, held = loop.joint.gravity, loop.joint.ripple, values.get("offset", 0.0)
+    here, forces = np.array([position]), list[tuple[FloatArray, tuple[Parameter, ...]]]()
+    forces += [] if gravity is None else [(gravity.columns(here)[0], gravity.parameters)]
+    forces += [] if ripple is None else [(ripple.columns_at(here)[0], ripple.parameters)]
+    return held + sum(float(columns @ [values[p.name] for p in own]) for columns, own in forces)
 
 
 def _require_told(problem: ClosedLoopProblem, J: FloatArray) -> None:

@@ -31,7 +31,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import MethodError
 from jointid.common.parameters import POSITION_UNIT
 from jointid.models.controllers import StateSpaceController
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
@@ -66,11 +65,7 @@ class DriveSide:
 
     def __post_init__(self) -> None:
         self.joint.require_linear("The drive side takes")
-        if self.joint.ripple is not None and self.joint.ripple.side == "load":
-            raise MethodError(
-                "On the drive side the load is simulated without a ripple of its own; received one on the load side: "
-                'give it side = "motor", or identify by the method "didim".'
-            )
+        self.joint.require_no_ripple("The drive side takes", 'identify by the method "didim"', "load")
 
     @property
     def channels(self) -> tuple[str, ...]:

@@ -24,7 +24,7 @@ from jointid.common.parameters import Quantity
 from jointid.common.text import number
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import SampledLaw
-from jointid.models.joints import MODE_DAMPING, FlexibleJoint, Joint, RigidJoint, split_by_mode
+from jointid.models.joints import MODE_DAMPING, FlexibleJoint, Joint, split_by_mode
 from jointid.tuning.margins import JointSet, joint_set
 
 _MOVES = (Quantity.INERTIA, Quantity.VISCOUS, Quantity.STIFFNESS)
@@ -234,8 +234,3 @@ def lowest_mode(modes: Sequence[float], kept: Sequence[bool]) -> float | None:
             break
         lowest = mode
     return lowest if kept[-1] else None
-
-
-def flexible_of(joint: RigidJoint) -> FlexibleJoint:
-    """Return the model of a rigid joint that had a spring."""
-    return FlexibleJoint(joint.kind, joint.friction, joint.torque_unit, joint.transmission, joint.gravity)

@@ -32,7 +32,6 @@ from jointid.models.linear import ComplexArray, linear_joints, state_response
 from jointid.tuning.interval import (
     Interval,
     find_worst_case,
-    flexible_of,
     joint_with_mode,
     lowest_mode,
     possible_joints,
@@ -236,6 +235,8 @@ def _notes(case: _Case, present: LoopMargins, proposed: LoopMargins | None) -> l
             found.append(_with_a_mode(case, "the proposed loop keeps the asked margins", proposed, asked=True))
     if joint.gravity is not None and joint.gravity.varies:
         found.append("gravity that follows the position is left out of the loop and of the constant feed-forward")
+    if joint.ripple is not None:
+        found.append("the ripple over the position is left out of the loop and of the feed-forward")
     if isinstance(joint.friction, StribeckFriction):
         found.append(
             "margins and feed-forward are those of a joint that moves faster than its Stribeck speeds: where friction "
@@ -261,7 +262,7 @@ def _with_a_mode(case: _Case, said: str, loop: LoopMargins, *, asked: bool) -> s
     first = min(max(loop.crossover, 1e-3 / law.period), 0.4 / law.period)
     modes = np.geomspace(first, 0.5 / law.period, _MODES).tolist()
     made = [joint_with_mode(common, friction, values["inertia"], share, mode) for mode in modes for share in _SHARES]
-    margins = joint_set(flexible_of(estimate.settings.joint), made, law).margins(law).reshape(_MODES, len(_SHARES), -1)
+    margins = joint_set(estimate.settings.joint.flexible, made, law).margins(law).reshape(_MODES, len(_SHARES), -1)
     least = 0.98 * case.settings.asked if asked else np.zeros(margins.shape[-1])
     good = [bool(np.all(one >= least) and np.all(one[:, -1] > 0)) for one in margins]
     lowest = lowest_mode(modes, good)

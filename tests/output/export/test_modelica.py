@@ -78,6 +78,18 @@ def test_the_other_side_of_a_screw_that_turns_round_gives_the_same_torque(
     assert apart(there, ours) < 1e-6
 
 
+def test_a_ripple_seen_from_the_other_side_of_a_turned_screw_gives_the_same_torque() -> None:
+    transmission = ji.Transmission(load="prismatic", lead=0.010, sign=-1, side="motor")
+    joint = ji.RigidJoint("revolute", transmission=transmission, ripple=PositionHarmonics(3.0, 2))
+    values = RIGID | {"harmonic_1_cosine": 0.1, "harmonic_1_sine": 0.3, "harmonic_2_cosine": 0.0}
+    values |= {"harmonic_2_sine": -0.2}
+    reference = ji.excitation.trapezoids([20.0, 60.0], 800.0, 20.0, 1e-3, duration=2.0)
+    ours = simulated(joint, LAW, reference, values)
+    there = torque_of(joint, values, LAW, reference, "load", TURNED_SCREW.motor_per_load)
+    assert apart(there, ours) < 1e-4
+    assert apart(simulated(replace(joint, ripple=None), LAW, reference, RIGID), ours) > 0.01
+
+
 def test_what_was_identified_stands_in_it_and_a_hostile_name_does_not_break_it() -> None:
     name = 'axis"; end axis;\nmodel evil // */'
     record = 'run\u2028"7"\nend x; \\'

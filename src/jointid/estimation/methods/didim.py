@@ -102,6 +102,7 @@ class DIDIM(Method):
         problem = with_linear_laws(declared)
         if problem is not declared and self.form != "least-squares":
             declared.joint.require_linear("A fixed point of a regressor takes", _LEAST_ERROR)
+            declared.joint.require_no_ripple("A fixed point of a regressor takes", _LEAST_ERROR)
         search = RigidSearch(self, problem.size, History(task.progress))
         began, starts = self._starts(problem, task.progress)
         end, how = self._searched(search, problem, starts)

@@ -50,6 +50,7 @@ from jointid.uncertainty.position_dependent_error import uncertainty
 from jointid.uncertainty.verdict import only_sums_verdict
 
 _LOWER = (4.0, 16.0)  # times lower cut-offs of the rigid start, where no end explains the torque
+_LEAST_SQUARES = 'set method.minimiser = "least-squares"'
 _TOLERANCE, _SIMPLEX_TOLERANCE = 1e-8, 1e-4  # the latter is that of fminsearch
 _NOTHING = 0.5  # of the torque: an end that leaves so much is no answer
 
@@ -173,7 +174,8 @@ class FlexibleDIDIM(Method):
         if joint == joint.linear:
             return _searched(problem, task, self, history)
         if self.minimiser != "least-squares":
-            joint.require_linear("Nelder-Mead takes", 'set method.minimiser = "least-squares"')
+            joint.require_linear("Nelder-Mead takes", _LEAST_SQUARES)
+            joint.require_no_ripple("Nelder-Mead takes", _LEAST_SQUARES)
         linear = with_linear_laws(problem)
         own = replace(task, loop=linear.loop, joint=linear.joint)
         solved, simulations = _searched(linear, own, self, history)

@@ -15,7 +15,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.text import counted
+from jointid.common.text import counted, listed
 from jointid.estimation.methods.search import History, Solved, least_squares
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.friction import PARTS, Friction, MotionSize
@@ -44,10 +44,10 @@ def with_linear_laws(problem: ClosedLoopProblem) -> ClosedLoopProblem:
         return problem
     found = _with_joint(problem, problem.joint.linear)
     if not found.free_joint:
-        names = ", ".join(p.name for p in problem.free_joint)
+        names = listed([p.name for p in problem.free_joint])
         raise MethodError(
-            f"Of the joint only {names} is free, which a law in pieces adds; expected a parameter that it has without "
-            "them, too: leave its Coulomb friction or its inertia free."
+            f"Of the joint only what its laws add to a plain one is free, {names}; expected a parameter that the plain "
+            "one has, too, with which the search begins: leave its Coulomb friction or its inertia free."
         )
     return found
 
@@ -107,6 +107,11 @@ def _starts(joint: Joint, found: Joint, values: Mapping[str, float], run: Simula
     if isinstance(joint, FlexibleJoint) and isinstance(found, FlexibleJoint) and joint.spring != found.spring:
         assert run.load_position is not None
         windup = float(np.max(np.abs(run.motor_position - run.load_position)))
+        if not (values["stiffness"] > 0.0 and windup > 0.0):
+            raise MethodError(
+                f"A {joint.spring.name} spring is looked for from a linear one, and the record shows none; identify "
+                'the joint with spring = "linear", or as rigid.'
+            )
         springs = list(joint.spring.starts(values, windup))
     frictions: list[dict[str, float]] = [{}]
     if joint.friction != found.friction:

@@ -29,6 +29,7 @@ from jointid.common.parameters import ADDED, Bounds, Parameter, Quantity
 from jointid.estimation.methods.flexible_search import frequency_of
 from jointid.estimation.methods.search import crossover
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.models.joints import acts_on_whole
 from jointid.records.signals.filtering import Filtering
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt, damped_step
 from jointid.solvers.solve import solve
@@ -267,7 +268,7 @@ def friction_on_motor(parameters: Sequence[Parameter], rigid: Mapping[str, float
     """
     values = {}
     for p in parameters:
-        of_motor = p.name.startswith("motor_") or p.quantity not in ADDED
+        of_motor = p.name.startswith("motor_") or p.quantity not in ADDED or acts_on_whole(p.name.removeprefix("load_"))
         whole = p.name.removeprefix("motor_").removeprefix("load_") if of_motor else p.name
         values[p.name] = rigid.get(p.name, rigid.get(whole, 0.0))
     return values

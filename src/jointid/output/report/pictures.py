@@ -34,7 +34,10 @@ from jointid.diagnostics.report_data import ReportData
 from jointid.estimation.result.estimate import Estimate
 from jointid.output.figures import liveliest, torque_word
 
-_MODES = {"free_free": "free-free", "motor_locked": "motor locked", "load_locked": "load locked"}
+_MODES = {
+    "free_free": "free-free", "motor_locked": "motor locked", "load_locked": "load locked",
+    "second_free_free": "second free-free",
+}  # fmt: skip
 _JUMP = 1.01  # times the residual before: a step of a search goes down
 _SAMPLES = 30_000  # of a signal over time that are drawn: 25 s at 1 kHz are drawn as they are
 _MOVING = 4_000  # of the motion, which has no noise to be shown

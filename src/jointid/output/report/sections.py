@@ -190,6 +190,7 @@ def _modes_table(given: ReportData) -> Table | None:
         "free_free": ("free-free", "both sides free: the peak, and the pole a controller meets"),
         "motor_locked": ("motor locked", "the load on its spring: the dip the motor sees"),
         "load_locked": ("load locked", "the motor on its spring, the load held"),
+        "second_free_free": ("second free-free", "the other peak, of the part of the load that swings"),
     }
     rows = tuple((*words[name], f"{hertz:.2f}") for name, hertz in given.response.modes.items())
     return Table(("frequency", "what it is", "Hz"), rows, "The three frequencies", words=(0, 1))

@@ -1,0 +1,134 @@
+"""A ripple over the position, and a load that swings in itself, wherever a joint is taken for something else."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jointid as ji
+from jointid.common.errors import MethodError
+from jointid.models.joints import FlexibleJoint, RigidJoint, of_whole
+from jointid.models.linear import frequency_response, linear_joints
+from jointid.models.motion import Motion
+from jointid.models.ripple import PositionHarmonics
+from jointid.models.springs import ElasticLoad, spring_named
+from jointid.output import json as answers
+from jointid.paper.twin import TABLE_2
+from jointid.planning.foretell import _holding_torque
+from jointid.simulation.prescribed import DriveSide, prescribed_motion, simulate_drive_side
+
+RIGID = {"inertia": 100.0, "viscous": 200.0, "coulomb": 20.0, "offset": -3.0}
+WAVED = {"harmonic_1_cosine": 8.0, "harmonic_1_sine": -5.0}
+RIPPLE = PositionHarmonics(0.02)
+SWINGS = {"swinging_share": 0.4, "swinging_stiffness": 9e5, "swinging_damping": 30.0}
+
+
+def test_a_ripple_on_the_load_is_one_of_the_whole_where_the_spring_does_not_give() -> None:
+    joint = FlexibleJoint(ripple=replace(RIPPLE, side="load"))
+    assert joint.rigid == RigidJoint(ripple=RIPPLE)
+    values = TABLE_2 | {f"load_{name}": value for name, value in WAVED.items()}
+    found = {p.name: of_whole(p, values) for p in joint.rigid.parameters}
+    assert {name: found[name] for name in WAVED} == WAVED
+    assert joint.linear == FlexibleJoint()
+    assert RigidJoint(ripple=RIPPLE).flexible == FlexibleJoint(ripple=RIPPLE)
+
+
+@pytest.mark.parametrize("spring", [None, "cubic", "elastic-load"])
+def test_the_spring_carries_the_ripple_of_a_load_at_rest(spring: str | None) -> None:
+    joint = FlexibleJoint(ripple=replace(RIPPLE, side="load"))
+    joint = joint if spring is None else replace(joint, spring=spring_named(spring))
+    values = TABLE_2 | SWINGS | {"cubic_stiffness": 0.0, "load_harmonic_1_cosine": 80.0, "load_harmonic_1_sine": 0.0}
+    start = joint.start(values, 0.0, 0.0)
+    assert start[0] - start[2] == pytest.approx(80.0 / TABLE_2["stiffness"])
+
+
+def test_the_drive_side_has_the_ripple_of_the_motor() -> None:
+    t = np.arange(4000) * 1e-3
+    q = 0.05 * np.sin(2 * np.pi * 0.7 * t)
+    names = tuple(WAVED)
+    motion = prescribed_motion(q, 1e-3)
+    run = simulate_drive_side(RigidJoint(ripple=RIPPLE), motion, RIGID | WAVED, names)
+    plain = simulate_drive_side(RigidJoint(), motion, RIGID)
+    columns = RIPPLE.columns_at(motion.mean_position)
+    np.testing.assert_allclose(run.torque - plain.torque, columns @ list(WAVED.values()), atol=1e-9)
+    np.testing.assert_allclose(run.derivatives, columns)
+    with pytest.raises(MethodError, match="takes a joint without a ripple on the load's side; received one that has"):
+        DriveSide(FlexibleJoint(ripple=replace(RIPPLE, side="load")))
+
+
+def test_a_regression_has_its_columns() -> None:
+    rng = np.random.default_rng(1)
+    motor, load = (Motion(*rng.standard_normal((3, 50))) for _ in range(2))
+    for side, row in (("motor", 0), ("load", 1)):
+        joint = FlexibleJoint(ripple=PositionHarmonics(0.3, 2, side))  # type: ignore[arg-type]
+        columns = joint.regressor(motor, load)[:, :, -4:]
+        moved = (motor, load)[row].position
+        np.testing.assert_allclose(columns[row], PositionHarmonics(0.3, 2).columns_at(moved))
+        assert not np.any(columns[1 - row])
+
+
+@pytest.fixture(scope="module")
+def rippled() -> tuple[ji.Record, ji.ClosedLoop]:
+    axis = ji.twin(noise="white")
+    loop = ji.ClosedLoop(RigidJoint(ripple=RIPPLE), axis.loop.controller)
+    reference = ji.excitation.trapezoids((0.05, 0.1), 0.8, 0.1, 1e-3, duration=6.0)
+    noise = 0.5 * np.random.default_rng(1).standard_normal(reference.size)
+    return ji.simulated_record(loop, reference, RIGID | WAVED, sample_time=1e-3, torque_noise=noise), loop
+
+
+def test_it_is_identified_from_torque_and_reference_written_and_read_back(
+    rippled: tuple[ji.Record, ji.ClosedLoop], tmp_path: Path
+) -> None:
+    record, loop = rippled
+    found = ji.identify(record.without("motor_position"), loop, filtering=ji.Filtering(cutoff=40.0))
+    for name, value in (RIGID | WAVED).items():
+        assert abs(found[name].value - value) < 4 * found[name].stderr, name
+    answer = answers.to_dict(found)
+    assert answer["ripple"] == {"kind": "harmonics", "period": 0.02, "harmonics": 1, "side": "motor"}
+    path = tmp_path / "answer.json"
+    answers.write(answer, path)
+    read = answers.read_identified(path, loop.joint, loop)
+    assert read.values["harmonic_1_sine"] == found["harmonic_1_sine"].value
+    with pytest.raises(ji.RecordError):
+        answers.read_identified(path, RigidJoint(ripple=PositionHarmonics(0.03)), loop)
+
+
+def test_a_fixed_point_does_not_take_one(rippled: tuple[ji.Record, ji.ClosedLoop]) -> None:
+    record, loop = rippled
+    with pytest.raises(MethodError, match=r"takes a joint without a ripple; .* set method.form"):
+        ji.identify(record, loop, ji.DIDIM.paper())
+
+
+def test_what_holds_a_joint_holds_it_on_its_ripple() -> None:
+    axis = ji.twin()
+    loop = ji.ClosedLoop(RigidJoint(ripple=RIPPLE), axis.loop.controller)
+    assert _holding_torque(loop, RIGID | WAVED, 0.0) == pytest.approx(-3.0 + 8.0)
+    assert _holding_torque(loop, RIGID | WAVED, 0.005) == pytest.approx(-3.0 - 5.0)
+
+
+def test_modes_and_response_of_an_elastic_load_are_those_of_three_masses() -> None:
+    joint, values = FlexibleJoint(spring=ElasticLoad()), TABLE_2 | SWINGS
+    A = linear_joints(joint, [values]).A[0]
+    undamped = linear_joints(joint, [values | dict.fromkeys(
+        ("motor_viscous", "load_viscous", "damping", "swinging_damping"), 0.0
+    )]).A[0]  # fmt: skip
+    poles = np.unique(np.round(np.abs(np.linalg.eigvals(undamped)) / (2 * np.pi), 6))
+    modes = joint.frequencies(values)
+    np.testing.assert_allclose(poles[-2:], [modes["free_free"], modes["second_free_free"]], rtol=1e-6)
+    assert A.shape == (6, 6)
+    hertz = np.array([modes["motor_locked"] * 0.5, modes["second_free_free"]])
+    rigid_part = frequency_response(FlexibleJoint(), TABLE_2, hertz)
+    none = frequency_response(joint, TABLE_2 | SWINGS | {"swinging_share": 0.0}, hertz)
+    np.testing.assert_allclose(none, rigid_part)
+    assert frequency_response(joint, values, hertz)[1].real > 20 * rigid_part[1].real  # a peak, in phase
+
+
+def test_an_elastic_load_begins_its_search_as_stiff_as_the_linear_spring() -> None:
+    starts = list(ElasticLoad().starts(TABLE_2, 1e-4))
+    assert len(starts) == 4
+    for start in starts:
+        both = 1 / start["stiffness"] + start["swinging_share"] ** 2 / start["swinging_stiffness"]
+        assert both == pytest.approx(1 / TABLE_2["stiffness"])
