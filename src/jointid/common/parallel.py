@@ -17,6 +17,16 @@ from jointid.common.errors import JointidError
 Result = TypeVar("Result")
 
 _ENDINGS = (signal.SIGINT, signal.SIGTERM)
+_THREADS = "JOINTID_THREADS"
+
+ONE_THREAD = dict.fromkeys((_THREADS, "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"), "1")
+"""The environment of a worker beside others: the cores are theirs already."""
+
+
+def threads() -> int:
+    """Return how many threads a computation may use: one for each core, or as JOINTID_THREADS says."""
+    said = os.environ.get(_THREADS, "")
+    return max(int(said), 1) if said.isdecimal() else os.cpu_count() or 1
 
 
 class Aside(Generic[Result]):
@@ -67,7 +77,7 @@ class Aside(Generic[Result]):
         return self._call()
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
     """Wait for the end of the process that made this one: who is killed ends nobody, and none is left to answer to."""
     parent = multiprocessing.parent_process()
     assert parent is not None
@@ -76,7 +86,7 @@ def _end_with_parent() -> None:
 
 
 def _send(call: Callable[[], Any], sender: Connection) -> None:
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=end_with_parent, daemon=True).start()
     for ending in _ENDINGS:
         signal.signal(ending, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _ENDINGS)

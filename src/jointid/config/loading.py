@@ -67,15 +67,24 @@ def load(
         JointFileError: the file cannot be read, is no TOML, or has faults; `faults` has a sentence for each.
     """
     path = Path(path)
+    text = read_text(path)
+    return replace(loads(text, path.parent, changes, method=method, filtering=filtering, friction=friction), path=path)
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a joint file, or of another file of the user's in TOML.
+
+    Raises:
+        JointFileError: it cannot be read, or is no text.
+    """
     if "\0" in str(path):
         raise JointFileError(f"{path} is no path: it holds a zero byte; correct it.")
     try:
-        text = _read(path)
+        return _read(path)
     except OSError as error:
         raise JointFileError(f"{path} cannot be opened ({_reason(error)}); check the path.") from error
     except UnicodeDecodeError as error:
         raise JointFileError(f"{path} is not text in UTF-8 (byte {error.start}); save it as UTF-8.") from error
-    return replace(loads(text, path.parent, changes, method=method, filtering=filtering, friction=friction), path=path)
 
 
 def _read(path: Path) -> str:
@@ -107,7 +116,7 @@ def load_to_learn(path: str | os.PathLike[str], changes: Iterable[str] = ()) -> 
     """
     changes = list(changes)
     try:
-        tables = apply_changes(_parse(_read(Path(path))), changes)
+        tables = apply_changes(parse_toml(_read(Path(path))), changes)
         said = table_at(tables, "controller")
     except (OSError, ValueError, JointFileError):  # said by `load`, with the remedy
         return load(path, changes)
@@ -142,7 +151,7 @@ def loads(
         filtering: as of `load`.
         friction: as of `load`.
     """
-    tables, changes = _parse(text), list(changes)
+    tables, changes = parse_toml(text), list(changes)
     if method is not None:
         # A change may bring the controller by which the file's own method is known, but not that method's name.
         changed = apply_changes(tables, changes)
@@ -281,7 +290,7 @@ def with_table(text: str, written: str) -> str:
     Raises:
         JointFileError: the text is no TOML.
     """
-    tables, replaced = _parse(text), tomllib.loads(written)
+    tables, replaced = parse_toml(text), tomllib.loads(written)
     (name,) = replaced
     return _checked(_join(split_sections(text), written, re.compile(_HEADING.format(name))), tables | replaced)
 
@@ -300,7 +309,7 @@ def with_paths(text: str, before: Path, after: Path) -> str:
     Raises:
         JointFileError: the text is no TOML.
     """
-    expected = _parse(text)
+    expected = parse_toml(text)
     if before.resolve() == after.resolve():
         return text
     listed = expected.get("records")
@@ -328,7 +337,7 @@ def with_record(text: str, file: str) -> str:
     Raises:
         JointFileError: the text is no TOML.
     """
-    expected, line = _parse(text), json.dumps(file, ensure_ascii=False)
+    expected, line = parse_toml(text), json.dumps(file, ensure_ascii=False)
     expected["record"] = {**expected.get("record", {}), "file": file}
     sections = split_sections(text)
     for i, one in enumerate(sections):
@@ -375,7 +384,7 @@ def _join(sections: list[str], written: str, heading: re.Pattern[str]) -> str:
     return "".join(kept[:place]) + written + ("\n" if after else "") + after
 
 
-def _parse(text: str) -> dict[str, Any]:
+def parse_toml(text: str) -> dict[str, Any]:
     """Return the tables of a TOML text."""
     if deepest_key(text) > _DEEPEST:
         raise JointFileError("The joint file nests lists or tables too deeply; no key of it needs that.")

@@ -277,13 +277,13 @@ def _not_nan(value: float) -> float:
     return value
 
 
-def _dotted(value: object) -> object:
+def dotted(value: object) -> object:
     """Return a table of tables as one, of names with points: TOML reads ``filter.depth = 0.1`` as a table below."""
     if not isinstance(value, dict):
         return value
     found: dict[str, object] = {}
     for key, below in value.items():
-        inner = _dotted(below)
+        inner = dotted(below)
         found |= {f"{key}.{name}": one for name, one in inner.items()} if isinstance(inner, dict) else {key: inner}
     return found
 
@@ -313,7 +313,7 @@ Names = Annotated[list[Text], Says("a list of names in quotes")]
 Numbers = Annotated[list[Number], Says("a list of numbers")]
 Coefficients = Annotated[list[Number], Field(min_length=1), Says("a list of one or more numbers")]
 Matrix = Annotated[list[list[Number]], Says("a list of rows, each a list of numbers")]
-ControllerNumbers = Annotated[dict[str, Number], BeforeValidator(_dotted)]
+ControllerNumbers = Annotated[dict[str, Number], BeforeValidator(dotted)]
 """By their names, those of a filter with points."""
 
 _PLAIN: Mapping[Any, Any] = {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, Fresh, Room
 from jointid.common.errors import MethodError
+from jointid.common.parallel import threads
 from jointid.models.controllers import POSITION, REFERENCE, Cascade
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.motion import Motion
@@ -409,8 +409,8 @@ def simulate_many(
 
 
 def in_threads(function: Callable[[T], R], items: Sequence[T], workers: int | None = None) -> list[R]:
-    """Map a function over items with threads, one per core."""
-    workers = min(workers or os.cpu_count() or 1, max(len(items), 1))
+    """Map a function over items with threads, one per core; see `jointid.common.parallel.threads`."""
+    workers = min(workers or threads(), max(len(items), 1))
     if workers == 1:
         return [function(item) for item in items]
     with ThreadPoolExecutor(workers) as pool:

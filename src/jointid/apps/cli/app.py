@@ -22,6 +22,7 @@ from cyclopts import App, CycloptsError, UnknownOptionError
 
 from jointid import __version__
 from jointid.apps.cli import SIGNALLED, endings, streams
+from jointid.apps.cli import campaign as campaigns
 from jointid.apps.cli.console import clear_bars, tell
 from jointid.apps.cli.data import convert, inspect
 from jointid.apps.cli.diagnose import friction, intervals, loop, methods, sensors, springs
@@ -48,11 +49,13 @@ app = App(
 )
 data = App(name="data", help="Look into files of records, and convert them.", help_format="plaintext")
 diagnose = App(name="diagnose", help="Ask what an estimate is worth, one question a command.", help_format="plaintext")
+campaign = App(name="campaign", help="Many joints and many runs, here or on a cluster.", help_format="plaintext")
 for parent, commands in (
     (app, (demo, doctor, identify, validate, report, compare)),
     (diagnose, (methods, springs, friction, intervals, loop, sensors)),
-    (app, (diagnose, controller, tune, design, simulate, export, data, serve, reproduce)),
+    (app, (diagnose, controller, tune, design, simulate, export, data, campaign, serve, reproduce)),
     (data, (inspect, convert)),
+    (campaign, (campaigns.run, campaigns.work, campaigns.status, campaigns.export)),
 ):
     for command in commands:
         parent.command(command)

@@ -1,0 +1,122 @@
+"""`jointid campaign`: many joints and many runs, on one machine and on a cluster."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from jointid.apps.cli.console import Flag, Quiet, fresh_folder, listen, ready, show
+from jointid.apps.cli.places import Outputs
+from jointid.common.errors import MethodError
+
+if TYPE_CHECKING:
+    from jointid.campaigns.campaign_file import Campaign
+    from jointid.common.messages import Progress
+
+
+def run(
+    campaign: Path,
+    /,
+    *,
+    out: Path,
+    workers: int = 0,
+    again: Flag = False,
+    quiet: Quiet = False,
+) -> None:
+    """Identify all that a campaign file names, or simulates, on all cores; given again, it goes on where it was ended.
+
+    Every result is kept as it comes, once; Ctrl-C, a kill or a full disk loses none of them.
+
+    Args:
+        campaign: the campaign file (TOML).
+        out: folder of the results, on a local disk; it is made if it is not there.
+        workers: processes; without it one for each core.
+        again: also try again what was refused, failed or set aside.
+        quiet: say nothing of the progress.
+    """
+    from jointid.campaigns.engines import LocalProcesses
+    from jointid.campaigns.run import run_cases
+    from jointid.campaigns.store import open_database
+
+    _require_workers(workers)
+    outputs, listener = Outputs(folders={"--out": out}), listen(quiet)
+    outputs.spare("CAMPAIGN", campaign)
+    asked = _load(campaign, listener)
+    with fresh_folder(out, "--out"), open_database(out) as database:
+        if again:
+            database.forget_unidentified()
+        ready(listener)
+        ran = run_cases(asked.cases, LocalProcesses(workers), database, name=asked.name, progress=listener)
+    show(ran)
+    show(f"What came of them: jointid campaign report {out}")
+
+
+def work(campaign: Path, /, *, shard: str, out: Path, workers: int = 1, quiet: Quiet = False) -> None:
+    """Carry out a part of a campaign without a client: a task of a SLURM array, or a pod of a Kubernetes job.
+
+    Every shard appends its results to a file of its own; status, report and export read all files of a folder as one.
+
+    Args:
+        campaign: the campaign file (TOML).
+        shard: number of this part and how many there are, as 1/4 to 4/4.
+        out: folder of the results, which all shards share; it is made if it is not there.
+        workers: processes.
+        quiet: say nothing of the progress.
+    """
+    from jointid.campaigns.engines import LocalProcesses
+    from jointid.campaigns.run import run_cases
+    from jointid.campaigns.shards import Shard, open_shard
+
+    part = Shard.of(shard)
+    _require_workers(workers)
+    outputs, listener = Outputs(folders={"--out": out}), listen(quiet)
+    outputs.spare("CAMPAIGN", campaign)
+    asked = _load(campaign, listener)
+    with fresh_folder(out, "--out"), open_shard(out, part) as results:
+        ready(listener)
+        engine = LocalProcesses(workers or os.cpu_count() or 1)
+        show(run_cases(asked.cases, engine, results, name=asked.name, has=part.has, progress=listener))
+
+
+def status(folder: Path, /, *, details: Flag = False) -> None:
+    """Say how a campaign is getting on, while it runs and after: how many are done, the rate, and the time left.
+
+    Args:
+        folder: of the results.
+        details: also every reason for which there is no answer.
+    """
+    from jointid.campaigns.folder import read_status
+
+    show(read_status(folder), details=details)
+
+
+def export(folder: Path, /, *, out: Path) -> None:
+    """Write the results of a campaign as a table: a row for each case, with versions, settings and hashes.
+
+    Args:
+        folder: of the results.
+        out: the file to write, .csv or .parquet.
+    """
+    from jointid.campaigns.export import export_rows, require_ending
+    from jointid.campaigns.folder import read_results
+
+    Outputs({"--out": out})
+    require_ending(out)
+    results = read_results(folder)
+    export_rows(results.rows, out)
+    show(f"Written: {out}, {len(results.rows)} of {results.cases} cases")
+
+
+def _load(path: Path, listener: Progress) -> Campaign:
+    from jointid.campaigns.campaign_file import load_campaign
+
+    campaign = load_campaign(path)
+    if campaign.left_out:
+        listener(campaign.left_out)
+    return campaign
+
+
+def _require_workers(workers: int) -> None:
+    if workers < 0:
+        raise MethodError(f"--workers is {workers}; expected a whole number, 0 or more: 0 is one for each core.")

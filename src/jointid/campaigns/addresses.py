@@ -1,0 +1,129 @@
+"""Addresses of records: paths of this machine or of a shared folder, and URLs that fsspec opens on the worker."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
+from typing import Any
+from urllib.parse import urlsplit
+
+from jointid.common.errors import ExtraError, RecordError, extra
+from jointid.common.messages import either
+
+_REMOTE = ("s3", "s3a", "gs", "gcs", "az", "abfs", "adl", "http", "https", "sftp", "smb", "hdfs", "webhdfs", "file")
+_BLOCK = 2**20
+
+
+def is_remote(address: str) -> bool:
+    """Return whether an address is a URL."""
+    return "://" in address
+
+
+def require_known(address: str) -> None:
+    """Refuse a URL of a kind that is not known to hold files and nothing else: some of fsspec's run templates.
+
+    Raises:
+        RecordError: it is one.
+    """
+    kind = address.partition("://")[0]
+    if is_remote(address) and kind not in _REMOTE:
+        raise RecordError(f"{address} begins with {kind}://; expected a path, or one of {either(_REMOTE)}: correct it.")
+
+
+@contextlib.contextmanager
+def fetched(address: str) -> Iterator[Path]:
+    """Yield the path of a record; one behind a URL is fetched into a folder that is removed afterwards.
+
+    Raises:
+        RecordError: it cannot be fetched.
+        ExtraError: fsspec is not installed.
+    """
+    if not is_remote(address):
+        yield Path(address)
+        return
+    require_known(address)
+    fsspec = extra("fsspec", "remote", "A record behind a URL")
+    with TemporaryDirectory(prefix="jointid-") as folder:
+        path = Path(folder) / PurePosixPath(urlsplit(address).path).name
+        try:
+            with fsspec.open(address, "rb") as source, path.open("wb") as target:
+                shutil.copyfileobj(source, target, _BLOCK)
+        except Exception as error:  # of any of a dozen libraries
+            raise _refusal(address, error) from error
+        yield path
+
+
+def listed(pattern: str) -> dict[str, str]:
+    """Return the addresses that a pattern with * and ? matches, in their order, each with its stamp.
+
+    Raises:
+        RecordError: they cannot be listed.
+        ExtraError: fsspec is not installed.
+    """
+    if not is_remote(pattern):
+        root = Path(pattern).anchor
+        found = Path(root).glob(str(Path(pattern).relative_to(root))) if root else Path().glob(pattern)
+        return {str(path): stamp_of(path) for path in sorted(found)}
+    require_known(pattern)
+    fsspec = extra("fsspec", "remote", "A record behind a URL")
+    try:
+        system, path = fsspec.core.url_to_fs(pattern)
+        there: Mapping[str, Any] = system.glob(path, detail=True)
+        return {
+            system.unstrip_protocol(name): _stamp(about) for name, about in sorted(there.items())
+            if about.get("type") == "file"
+        }  # fmt: skip
+    except Exception as error:
+        raise _refusal(pattern, error) from error
+
+
+def stamp_of(path: Path) -> str:
+    """Return by what a record that was replaced is known: bytes, and the time of its change in ms; of a bag all files.
+
+    Raises:
+        RecordError: there is no such file.
+    """
+    try:
+        files = sorted(path.iterdir()) if path.is_dir() else [path]
+        about = [each.stat() for each in files]
+    except OSError as error:
+        raise RecordError(f"{path} cannot be opened ({_reason(error)}); check the path.") from error
+    return f"{sum(one.st_size for one in about)} {max((one.st_mtime_ns for one in about), default=0) // 10**6}"
+
+
+def digest(path: Path) -> str:
+    """Return the SHA-256 of a record's bytes, of a bag those of its files in their order.
+
+    Raises:
+        RecordError: it cannot be read.
+    """
+    made = hashlib.sha256()
+    try:
+        for each in sorted(path.iterdir()) if path.is_dir() else [path]:
+            with each.open("rb") as file:
+                while block := file.read(_BLOCK):
+                    made.update(block)
+    except OSError as error:
+        raise RecordError(f"{path} cannot be opened ({_reason(error)}); check the path.") from error
+    return made.hexdigest()
+
+
+def _stamp(about: Mapping[str, Any]) -> str:
+    changed = next((about[key] for key in ("ETag", "etag", "LastModified", "updated", "mtime") if key in about), "")
+    return f"{about.get('size')} {changed}"
+
+
+def _reason(error: OSError) -> str:
+    return (error.strerror or type(error).__name__).lower()
+
+
+def _refusal(address: str, error: Exception) -> RecordError:
+    if isinstance(error, ExtraError | RecordError):
+        return RecordError(str(error))
+    reason = os.linesep.join(str(error).splitlines()[:1]) or "no reason given"
+    return RecordError(f"{address} cannot be fetched ({type(error).__name__}: {reason}); check address and rights.")

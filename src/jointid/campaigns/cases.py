@@ -1,0 +1,77 @@
+"""A case: one identification of a campaign, as a description that any worker can carry out.
+
+A case is known by the SHA-256 of its description. The same case has the same result wherever it runs, so that a result
+is made once and found again; a record that is replaced, another joint file or another version of jointid is another
+case.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+
+from jointid import __version__
+
+
+@dataclass(frozen=True, slots=True)
+class Simulated:
+    """The simulated run that stands in the place of a logged one; the record of the case only gives its motion.
+
+    Attributes:
+        values: every parameter of the joint by name, in SI units.
+        noise_force: standard deviation of a white force on the motor, inside the loop, N or N m.
+        noise_log: standard deviation of white noise on the logged torque, N or N m.
+        seed: of both.
+    """
+
+    values: tuple[tuple[str, float], ...]
+    noise_force: float = 0.0
+    noise_log: float = 0.0
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One identification of a campaign.
+
+    Attributes:
+        joint: the name by which a report calls it.
+        joint_file: the text of the joint file.
+        record: address of the record, a path or a URL.
+        stamp: by which a record that was replaced is known: its size and the time of its change, or its ETag.
+        day: on which it was logged, as 2026-11-23; empty where that does not matter.
+        changes: keys of the joint file that are changed, each as ``method.frequency=30``.
+        simulated: the simulated run, None for a record that was logged.
+        program: the version of jointid that described it.
+
+    Example:
+        >>> from jointid.campaigns.cases import Case
+        >>> case = Case("axis 1", "[joint]", "axis-1.csv", "1200 1763884800000")
+        >>> case.content_hash == Case("axis 1", "[joint]", "axis-1.csv", "1200 1763884800001").content_hash
+        False
+    """
+
+    joint: str
+    joint_file: str
+    record: str
+    stamp: str
+    day: str = ""
+    changes: tuple[str, ...] = ()
+    simulated: Simulated | None = None
+    program: str = __version__
+
+    @property
+    def content_hash(self) -> str:
+        """SHA-256 of the description, as 64 hexadecimal digits."""
+        return sha256_of(canonical(asdict(self)))
+
+
+def canonical(value: object) -> str:
+    """Return a value as JSON in one line, the same text for the same value."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+
+
+def sha256_of(text: str) -> str:
+    """Return the SHA-256 of a text as 64 hexadecimal digits."""
+    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()

@@ -1,0 +1,82 @@
+"""Results as a table for other programs, CSV or Parquet: a row for each case, the same bytes whoever made them."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from jointid.campaigns.rows import Row
+from jointid.common.errors import RecordError, extra
+from jointid.common.files import beside, write_whole
+
+ENDINGS = (".csv", ".parquet")
+
+
+def export_rows(rows: Sequence[Row], path: Path) -> None:
+    """Write results as CSV or Parquet, as the ending of the file says.
+
+    Raises:
+        RecordError: the ending is another, or the file cannot be written.
+        ExtraError: pyarrow, which writes Parquet, is not installed.
+    """
+    require_ending(path)
+    columns = table_of(rows)
+    if path.suffix.lower() == ".csv":
+        made = io.StringIO(newline="")
+        writer = csv.writer(made, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(zip(*columns.values(), strict=True))
+        write_whole(path, made.getvalue())
+        return
+    pyarrow = extra("pyarrow", "logs", "A Parquet file")
+    parquet = extra("pyarrow.parquet", "logs", "A Parquet file")
+    with beside(path) as fresh:
+        parquet.write_table(pyarrow.table({name: pyarrow.array(column) for name, column in columns.items()}), fresh)
+
+
+def require_ending(path: Path) -> None:
+    """Refuse a file whose ending says no format that results are written in.
+
+    Raises:
+        RecordError: it does not.
+        ExtraError: pyarrow, which writes Parquet, is not installed.
+    """
+    if path.suffix.lower() not in ENDINGS:
+        raise RecordError(f"{path} ends in no known format; expected {' or '.join(ENDINGS)}: name it so.")
+    if path.suffix.lower() == ".parquet":
+        extra("pyarrow", "logs", "A Parquet file")
+
+
+def table_of(rows: Sequence[Row]) -> dict[str, list[Any]]:
+    """Return the columns of results by name: what was asked, the answer, settings, hashes and versions.
+
+    A parameter is two columns, its value and its standard deviation, with the unit in the name.
+    """
+    columns: dict[str, list[Any]] = {
+        "joint": [row.joint for row in rows],
+        "day": [row.day for row in rows],
+        "record": [row.record for row in rows],
+        "seed": [row.seed for row in rows],
+        "changes": ["; ".join(row.changes) for row in rows],
+        "outcome": [str(row.outcome) for row in rows],
+        "sentence": [row.sentence for row in rows],
+        "trust": [row.trust for row in rows],
+        "converged": [row.converged for row in rows],
+        "error [%]": [row.error_percent for row in rows],
+        "simulations": [row.simulations for row in rows],
+    }
+    for name, unit in sorted({(name, one.unit) for row in rows for name, one in row.found.items()}):
+        found = [one if (one := row.found.get(name)) is not None and one.unit == unit else None for row in rows]
+        columns[f"{name} [{unit}]"] = [None if one is None else one.value for one in found]
+        columns[f"{name} std [{unit}]"] = [None if one is None else one.std for one in found]
+    columns |= {
+        "case sha256": [row.content_hash for row in rows],
+        "record sha256": [row.record_sha256 for row in rows],
+        "joint file sha256": [row.joint_file_sha256 for row in rows],
+    }
+    for name in sorted({name for row in rows for name in row.versions}):
+        columns[name] = [row.versions.get(name, "") for row in rows]
+    return columns

@@ -1,0 +1,110 @@
+"""The folder of a campaign, read: its results so far, while it runs and after, and how it is getting on."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from jointid.campaigns.rows import Outcome, Row
+from jointid.campaigns.shards import has_shards, read_shards
+from jointid.campaigns.store import DATABASE, read_database
+from jointid.common.document import Block, Document, Documented, Facts, Table
+from jointid.common.errors import RecordError
+from jointid.common.messages import describe_time
+from jointid.common.text import number, short
+
+_RECENT = 100  # results by which the rate is told
+_REASONS = 10  # that are shown
+
+
+@dataclass(frozen=True, slots=True)
+class Results:
+    """The results of a campaign so far.
+
+    Attributes:
+        name: of the campaign.
+        cases: that it has.
+        rows: results, in an order that depends on no engine.
+        stored: when each was stored, in seconds since 1970, in increasing order.
+    """
+
+    name: str
+    cases: int
+    rows: tuple[Row, ...]
+    stored: tuple[float, ...]
+
+    @property
+    def left(self) -> int:
+        """How many cases have no result yet."""
+        return self.cases - len(self.rows)
+
+    def counts(self) -> dict[Outcome, int]:
+        """Return how many results ended in each way."""
+        counted = Counter(row.outcome for row in self.rows)
+        return {outcome: counted[outcome] for outcome in Outcome}
+
+
+def read_results(folder: Path) -> Results:
+    """Read the results in a folder of a campaign, of a client or of shards, while it runs, too.
+
+    Raises:
+        RecordError: there are none, or they cannot be read.
+    """
+    if (folder / DATABASE).exists():
+        name, cases, found = read_database(folder)
+    elif has_shards(folder):
+        name, cases, found = read_shards(folder)
+    else:
+        raise RecordError(
+            f"{folder} is no folder of a campaign; name the one that jointid campaign run or work got by --out."
+        )
+    rows = tuple(sorted((row for _, row in found), key=lambda row: row.place))
+    return Results(name, cases, rows, tuple(sorted(stored for stored, _ in found)))
+
+
+@dataclass(frozen=True)
+class Status(Documented):
+    """How a campaign is getting on.
+
+    Attributes:
+        results: so far.
+        now: when that is, in seconds since 1970.
+    """
+
+    results: Results
+    now: float
+
+    @cached_property
+    def rate(self) -> float | None:
+        """Results per second over the last of them, None before there are two."""
+        recent = self.results.stored[-_RECENT:]
+        if len(recent) < 2 or recent[-1] <= recent[0]:
+            return None
+        return (len(recent) - 1) / (recent[-1] - recent[0])
+
+    def document(self, *, details: bool = False) -> Document:
+        """Return it as a document; with details every reason that a case was refused for."""
+        results, counts = self.results, self.results.counts()
+        ends = ", ".join(f"{count} {outcome}" for outcome, count in counts.items() if count)
+        facts = [("done", f"{len(results.rows)} of {results.cases} cases{f': {ends}' if ends else ''}")]
+        if results.left and self.rate is not None:
+            facts.append(("rate", f"{number(self.rate, 2)}/s over the last {min(len(results.rows), _RECENT)}"))
+            facts.append(("time left", describe_time(results.left / self.rate)))
+        if results.stored:
+            facts.append(("last result", f"{describe_time(self.now - results.stored[-1])} ago"))
+        blocks: list[Block] = [Facts(tuple(facts))]
+        reasons = [row for row in results.rows if row.outcome is not Outcome.IDENTIFIED]
+        if reasons:
+            shown = reasons if details else reasons[:_REASONS]
+            more = "" if len(shown) == len(reasons) else f"The first {len(shown)} of {len(reasons)}:"
+            rows = tuple((row.joint, row.day or "-", row.outcome, short(row.sentence, 200)) for row in shown)
+            blocks.append(Table(("joint", "day", "ended", "why"), rows, more, (0, 1, 2, 3)))
+        return Document(f"Campaign {results.name}", tuple(blocks))
+
+
+def read_status(folder: Path) -> Status:
+    """Read how a campaign is getting on; see `read_results`."""
+    return Status(read_results(folder), time.time())

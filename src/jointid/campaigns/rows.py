@@ -1,0 +1,130 @@
+"""A row: the result of a case, the same bytes whichever worker made it, and when."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from enum import StrEnum
+from typing import Any, Self
+
+from jointid.campaigns.cases import Case, canonical, sha256_of
+
+
+class Outcome(StrEnum):
+    """How a case ended."""
+
+    IDENTIFIED = "identified"
+    REFUSED = "refused"
+    FAILED = "failed"
+    SET_ASIDE = "set aside"
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """An identified parameter, or a sum of some.
+
+    Attributes:
+        value: in SI units; None where it is refused.
+        std: its standard deviation; None where it was kept fixed.
+        unit: of both.
+    """
+
+    value: float | None
+    std: float | None
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """The result of a case.
+
+    Attributes:
+        content_hash: of the case.
+        joint, record, day, changes: as the case has them.
+        seed: of a simulated run; None for a logged one.
+        outcome: how it ended; a refusal is the record's or the joint file's fault, a failure is one of jointid's.
+        sentence: the answer in a line, or why there is none.
+        found: parameters, and sums that are known where their parts are not, by name.
+        trust: whether to rely on the answer, a code.
+        converged: whether the search did; None where there was none.
+        error_percent: norm of the torque error, filtered, over that of the torque.
+        simulations: that the search took.
+        record_sha256: of the record's bytes; empty where they could not be read.
+        joint_file_sha256: of the joint file's text.
+        versions: of jointid, Python and the libraries that compute, by name.
+    """
+
+    content_hash: str
+    joint: str
+    record: str
+    day: str
+    changes: tuple[str, ...]
+    seed: int | None
+    outcome: Outcome
+    sentence: str
+    joint_file_sha256: str
+    found: Mapping[str, Found] = field(default_factory=dict)
+    trust: str = ""
+    converged: bool | None = None
+    error_percent: float | None = None
+    simulations: int | None = None
+    record_sha256: str = ""
+    versions: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, case: Case, outcome: Outcome, sentence: str, **more: Any) -> Self:
+        """Return the row of a case."""
+        seed = None if case.simulated is None else case.simulated.seed
+        return cls(
+            case.content_hash, case.joint, case.record, case.day, case.changes, seed, outcome, sentence,
+            sha256_of(case.joint_file), **more,
+        )  # fmt: skip
+
+    def text(self) -> str:
+        """Return the row as JSON in one line."""
+        return canonical(asdict(self))
+
+    @classmethod
+    def read(cls, text: str) -> Self:
+        """Return the row that `text` gave.
+
+        Raises:
+            ValueError: it is no row.
+        """
+        try:
+            raw = json.loads(text)
+            found = {str(name): Found(_number(one["value"]), _number(one["std"]), str(one["unit"]))
+                     for name, one in raw["found"].items()}  # fmt: skip
+            raw |= {"found": found, "changes": tuple(map(str, raw["changes"])), "outcome": Outcome(raw["outcome"])}
+            row = cls(**raw)
+        except (TypeError, KeyError, AttributeError, RecursionError) as error:
+            raise ValueError(f"no row ({error})") from error
+        texts = (row.content_hash, row.joint, row.record, row.day, row.sentence, row.trust, row.record_sha256)
+        if not all(isinstance(one, str) for one in texts):
+            raise ValueError("no row (a text is none)")
+        return row
+
+    @property
+    def place(self) -> tuple[str, str, str, int, tuple[str, ...], str]:
+        """Where it stands in a table, which depends on no engine and no order."""
+        return (
+            self.joint,
+            self.day,
+            self.record,
+            -1 if self.seed is None else self.seed,
+            self.changes,
+            self.content_hash,
+        )
+
+
+def finite(value: float | None) -> float | None:
+    """Return a number, None for one that does not exist: JSON has no word for it."""
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
+def _number(value: object) -> float | None:
+    if value is None or (isinstance(value, int | float) and not isinstance(value, bool)):
+        return None if value is None else float(value)
+    raise TypeError("a value is no number")

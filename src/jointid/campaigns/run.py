@@ -1,0 +1,185 @@
+"""The run of a campaign: cases go to the engine, a bounded number at a time, and results are kept as they come.
+
+A worker that dies takes the executor, or its case, with it. Which of the cases that were under way killed it is not
+known then, so each of them is tried again with nothing beside it; one that kills two workers so is set aside, and no
+other is blamed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
+from dataclasses import dataclass
+
+from jointid.campaigns.cases import Case
+from jointid.campaigns.engines import Engine
+from jointid.campaigns.rows import Outcome, Row
+from jointid.campaigns.run_case import run_case
+from jointid.campaigns.store import Results
+from jointid.common.errors import JointidError, RecordError
+from jointid.common.messages import Progress, Work, silent
+from jointid.common.text import counted
+
+_AHEAD = 2  # cases under way for each worker, so that none waits for the next
+_DEATHS = 2  # of workers, after which a case is set aside
+
+Carry = Callable[[Case], Row]
+
+
+@dataclass(frozen=True, slots=True)
+class Ran:
+    """The end of a run.
+
+    Attributes:
+        cases: that the campaign has.
+        found: results that were there before.
+        made: results that this run made, by how they ended.
+    """
+
+    cases: int
+    found: int
+    made: dict[Outcome, int]
+
+    def __str__(self) -> str:
+        """Return it in a sentence."""
+        ends = ", ".join(f"{count} {outcome}" for outcome, count in self.made.items() if count)
+        before = f", {self.found} of them before" if self.found else ""
+        return f"{counted(self.cases, 'case')} done{before}{f': {ends}' if ends else ''}."
+
+
+def run_cases(
+    cases: Callable[[], Iterable[Case]],
+    engine: Engine,
+    results: Results,
+    *,
+    name: str = "",
+    has: Callable[[str], bool] = lambda _: True,
+    carry: Carry = run_case,
+    progress: Progress = silent,
+) -> Ran:
+    """Carry out the cases of a campaign that have no result yet.
+
+    Args:
+        cases: gives them, each time anew; they need not fit into memory.
+        engine: who carries them out.
+        results: where they are kept.
+        name: of the campaign.
+        has: whether a case, by its hash, is to be carried out here: that of a shard.
+        carry: the function of a case.
+        progress: is told how many are done, the rate and the time left.
+
+    Raises:
+        JointidError: a result cannot be kept, or the engine is gone; what is finished is kept.
+    """
+    results.list_cases(name, (case.content_hash for case in cases()))
+    ours = sum(1 for case in cases() if has(case.content_hash))
+    left = sum(1 for case in cases() if has(case.content_hash) and not results.is_finished(case.content_hash))
+    made = dict.fromkeys(Outcome, 0)
+    if left:
+        work = Work(progress, "cases", left, "cases")
+
+        def keep(row: Row) -> None:
+            results.add(row)
+            made[row.outcome] += 1
+            work.add()
+
+        waiting = _Waiting(case for case in cases() if has(case.content_hash))
+        waiting.finished = results.is_finished
+        try:
+            while suspects := _run_together(waiting, engine, carry, keep):
+                progress(
+                    f"a worker died; {counted(len(suspects), 'case')} that it may have died of "
+                    f"{'is' if len(suspects) == 1 else 'are'} tried again, one at a time"
+                )
+                for case in suspects:
+                    _run_alone(case, engine, results, carry, keep)
+        finally:
+            work.reach(left)
+    return Ran(ours, ours - left, made)
+
+
+class _Waiting:
+    """The cases that are not under way yet, those first that were given back."""
+
+    def __init__(self, cases: Iterator[Case]) -> None:
+        self._cases, self._back = cases, list[Case]()
+        self.finished: Callable[[str], bool] = lambda _: False
+
+    def take(self) -> Case | None:
+        """Return the next case that has no result, None when there is none."""
+        if self._back:
+            return self._back.pop()
+        return next((case for case in self._cases if not self.finished(case.content_hash)), None)
+
+    def give_back(self, case: Case) -> None:
+        """Take a case in again that nobody has begun."""
+        self._back.append(case)
+
+
+def _run_together(waiting: _Waiting, engine: Engine, carry: Carry, keep: Callable[[Row], None]) -> list[Case]:
+    """Carry out cases until all are done or a worker dies; return those that were under way then."""
+    suspects: list[Case] = []
+    under_way: dict[Future[Row], Case] = {}
+    with engine.open() as executor:
+        _fill(under_way, waiting, executor, engine, carry)
+        while under_way:
+            done, _ = wait(under_way, return_when=FIRST_COMPLETED)
+            for future in done:
+                case = under_way.pop(future)
+                row = _result(future, engine)
+                if row is None:
+                    suspects.append(case)
+                else:
+                    keep(row)
+            if not suspects:
+                _fill(under_way, waiting, executor, engine, carry)
+    return suspects
+
+
+def _fill(
+    under_way: dict[Future[Row], Case], waiting: _Waiting, executor: Executor, engine: Engine, carry: Carry
+) -> None:
+    """Hand out cases until there are enough under way."""
+    most = _AHEAD * max(engine.capacity(), 1)
+    while len(under_way) < most and (case := waiting.take()) is not None:
+        try:
+            under_way[executor.submit(carry, case)] = case
+        except BrokenExecutor:  # the futures that are under way will say so
+            waiting.give_back(case)
+            return
+
+
+def _run_alone(case: Case, engine: Engine, results: Results, carry: Carry, keep: Callable[[Row], None]) -> None:
+    """Carry out a case with nothing beside it, and set it aside when two workers died of it."""
+    while True:
+        with engine.open(1) as executor:
+            row = _result(executor.submit(carry, case), engine)
+        if row is None and results.count_death(case.content_hash) >= _DEATHS:
+            row = Row.of(
+                case,
+                Outcome.SET_ASIDE,
+                f"{_DEATHS} workers died of {case.record} with nothing else to do, so it was set aside; look into the "
+                "record, and into the worker's memory.",
+            )
+        if row is not None:
+            keep(row)
+            return
+
+
+def _result(future: Future[Row], engine: Engine) -> Row | None:
+    """Return the row of a case, None if its worker died.
+
+    Raises:
+        RecordError: the engine could not carry it out for another reason.
+    """
+    try:
+        return future.result()
+    except JointidError:
+        raise
+    except Exception as error:
+        if engine.is_death(error):
+            return None
+        raise RecordError(
+            f"The workers could not take a case ({type(error).__name__}: {error}); see that each has this jointid and "
+            "its extras, and give the same command again: what is finished is kept."
+        ) from error

@@ -1,0 +1,126 @@
+"""A case, carried out: a pure function from its description to its row, on whichever machine that happens."""
+
+from __future__ import annotations
+
+import platform
+import warnings
+from collections.abc import Iterator
+from functools import cache, lru_cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jointid import Estimate, JointFile, Record, __version__, simulated_record
+from jointid.campaigns.addresses import digest, fetched
+from jointid.campaigns.cases import Case, Simulated
+from jointid.campaigns.rows import Found, Outcome, Row, finite
+from jointid.common.errors import JointidError, MethodError, RecordError
+from jointid.config import loads
+
+
+def run_case(case: Case) -> Row:
+    """Identify what a case says, and return its row; whatever goes wrong is a row with its sentence.
+
+    Args:
+        case: the case.
+
+    Example:
+        >>> from jointid.campaigns.cases import Case
+        >>> from jointid.campaigns.run_case import run_case
+        >>> row = run_case(Case("axis 1", "[joint]", "axis-1.csv", ""))
+        >>> print(row.outcome, row.sentence)
+        refused axis-1.csv cannot be opened (no such file or directory); check the path.
+    """
+    about: dict[str, Any] = {"versions": versions()}
+    read = case.record
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            if case.program != __version__:
+                raise RecordError(
+                    f"The case was described by jointid {case.program}, and the worker has {__version__}; install the "
+                    "same on both."
+                )
+            with fetched(case.record) as path:
+                read = str(path)
+                about["record_sha256"] = digest(path)
+                return Row.of(case, **_identify(case, path), **about)
+        except JointidError as error:
+            return Row.of(case, Outcome.REFUSED, str(error).replace(read, case.record), **about)
+        except Exception as error:
+            sentence = f"jointid failed, which is a fault of ours ({type(error).__name__}: {error})."
+            return Row.of(case, Outcome.FAILED, sentence, **about)
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Return the versions of jointid, Python and the libraries that compute, by name."""
+    return {
+        "jointid": __version__,
+        "python": platform.python_version(),
+        **{name: version(name) for name in ("numpy", "scipy", "numba")},
+    }
+
+
+@lru_cache(maxsize=64)
+def _joint_file(text: str, changes: tuple[str, ...]) -> JointFile:
+    return loads(text, changes=changes)
+
+
+def _identify(case: Case, path: Path) -> dict[str, Any]:
+    """Return the entries of a row that an estimate gives."""
+    file = _joint_file(case.joint_file, case.changes)
+    if file.runs:
+        raise MethodError(
+            f"The joint file of {case.joint} lists several [[records]], and a campaign identifies from one at a time; "
+            "leave them out."
+        )
+    record = file.record(path)
+    if case.simulated is not None:
+        record = _simulate(file, record, case.simulated)
+    estimate = file.identify(record)
+    return {
+        "outcome": Outcome.IDENTIFIED,
+        "sentence": estimate.sentence,
+        "found": dict(_found(estimate)),
+        "trust": str(estimate.answer.trust.code),
+        "converged": bool(estimate.fit.converged),
+        "error_percent": finite(100 * estimate.fit.filtered_error),
+        "simulations": int(estimate.fit.simulations),
+    }
+
+
+def _simulate(file: JointFile, motion: Record, asked: Simulated) -> Record:
+    """Return a simulated run of the motion of a record, with noise."""
+    loop, reference = file.loop, motion.reference
+    if loop is None or reference is None:
+        raise MethodError(
+            "A simulated run needs the controller and a reference; add [controller] and the channel reference to the "
+            "joint file."
+        )
+    # Two streams, so that one noise is the same whether or not there is the other.
+    force, log = (np.random.default_rng([asked.seed, k]).standard_normal(len(reference)) for k in range(2))
+    injected = motion.injected
+    more: dict[str, Any] = {}
+    if injected is not None:
+        more = {"injected": injected.channel.values, "at": injected.at, "in_torque": injected.in_torque}
+    if motion.reference_velocity is not None:
+        more["reference_velocity"] = motion.reference_velocity.values
+    return simulated_record(
+        loop, reference.values, dict(asked.values), sample_time=reference.sample_time, tap=motion.tap,
+        disturbance=asked.noise_force * force if asked.noise_force else None,
+        torque_noise=asked.noise_log * log if asked.noise_log else None, name=motion.name, **more,
+    )  # fmt: skip
+
+
+def _found(estimate: Estimate) -> Iterator[tuple[str, Found]]:
+    for p in estimate.params:
+        if p.of_joint:
+            yield p.name, Found(finite(p.value), finite(p.stderr) if p.free else None, p.unit)
+    known = estimate.checks.known
+    for one in () if known is None else known.physical:
+        name = one.combination.name
+        if name.startswith("total "):
+            yield name.replace(" ", "_"), Found(finite(one.value), finite(one.std), one.combination.unit)

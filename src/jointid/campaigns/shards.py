@@ -1,0 +1,199 @@
+"""Shards: parts of a campaign that run without a client, each of which appends its results to a file of its own.
+
+A shard has the cases whose hash leaves its number when divided by how many there are, so that no shard needs to know of
+another. A line is written at once and as a whole; of a shard that was killed the last line may be torn, and is made
+again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import time
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from jointid.campaigns.cases import canonical
+from jointid.campaigns.rows import Row
+from jointid.common.errors import MethodError, RecordError
+
+_NAME = "shard-{}-of-{}.jsonl"
+_ANY = "shard-*-of-*.jsonl"
+
+
+@dataclass(frozen=True, slots=True)
+class Shard:
+    """One of several parts of a campaign.
+
+    Attributes:
+        number: of it, from 1.
+        count: of all.
+
+    Example:
+        >>> from jointid.campaigns.shards import Shard
+        >>> shard = Shard.of("2/4")
+        >>> shard.has("00" * 32), shard.has("00" * 31 + "01")
+        (False, True)
+    """
+
+    number: int
+    count: int
+
+    @classmethod
+    def of(cls, text: str) -> Shard:
+        """Return the shard that a text such as 2/4 says.
+
+        Raises:
+            MethodError: it says none.
+        """
+        said = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
+        if said is None or not 1 <= int(said[1]) <= int(said[2]):
+            raise MethodError(f'--shard is "{text}"; expected its number and how many there are, as 1/4 to 4/4.')
+        return cls(int(said[1]), int(said[2]))
+
+    def has(self, content_hash: str) -> bool:
+        """Return whether a case is this shard's."""
+        return int(content_hash, 16) % self.count == self.number - 1
+
+    def path(self, folder: Path) -> Path:
+        """Return the path of its file."""
+        return folder / _NAME.format(self.number, self.count)
+
+
+@dataclass(slots=True)
+class _Contents:
+    """The lines of a shard's file: the campaign's name, its cases, results with when they were stored, and deaths."""
+
+    name: str = ""
+    cases: tuple[str, ...] = ()
+    rows: dict[str, tuple[float, Row]] = field(default_factory=dict)
+    deaths: dict[str, int] = field(default_factory=dict)
+
+    def take(self, line: bytes) -> None:
+        """Take a line in.
+
+        Raises:
+            ValueError: it is torn, or none of ours.
+        """
+        said: Any = json.loads(line)
+        if not isinstance(said, dict):
+            raise ValueError("no line of a shard")
+        match said:
+            case {"row": dict(row), "stored": float(stored)}:
+                made = Row.read(json.dumps(row))
+                self.rows.setdefault(made.content_hash, (stored, made))
+            case {"cases": list(cases), "name": str(name)}:
+                self.name, self.cases = name, tuple(map(str, cases))
+            case {"death": str(content_hash)}:
+                self.deaths[content_hash] = self.deaths.get(content_hash, 0) + 1
+            case _:
+                raise ValueError("no line of a shard")
+
+
+class ShardFile:
+    """The results of a shard: a file that only grows; see `open_shard`."""
+
+    def __init__(self, path: Path, descriptor: int, contents: _Contents) -> None:
+        self._path, self._descriptor, self._contents = path, descriptor, contents
+        self._finished = set(contents.rows)
+
+    def list_cases(self, name: str, hashes: Iterable[str]) -> int:
+        """Keep which cases the whole campaign has now; see `store.Results`."""
+        cases = tuple(hashes)
+        if (name, cases) != (self._contents.name, self._contents.cases):
+            self._append({"name": name, "cases": cases})
+        return len(cases)
+
+    def is_finished(self, content_hash: str) -> bool:
+        """Return whether the result of a case is there."""
+        return content_hash in self._finished
+
+    def add(self, row: Row) -> None:
+        """Keep a result; it is on the disk when this returns."""
+        if row.content_hash not in self._finished:
+            self._append({"row": asdict(row), "stored": time.time()})
+            self._finished.add(row.content_hash)
+
+    def count_death(self, content_hash: str) -> int:
+        """Count a worker that died of a case; see `store.Results`."""
+        self._append({"death": content_hash})
+        self._contents.deaths[content_hash] = self._contents.deaths.get(content_hash, 0) + 1
+        return self._contents.deaths[content_hash]
+
+    def _append(self, line: dict[str, Any]) -> None:
+        content = (canonical(line) + "\n").encode("utf-8", "surrogatepass")
+        with _explain(self._path):
+            written = os.write(self._descriptor, content)
+            if written < len(content):  # the disk took a part of it: the next attempt says why
+                os.write(self._descriptor, content[written:])
+            os.fsync(self._descriptor)
+
+
+@contextlib.contextmanager
+def open_shard(folder: Path, shard: Shard) -> Iterator[ShardFile]:
+    """Yield the file of a shard, in a folder that is there and may be in a network.
+
+    Raises:
+        RecordError: it cannot be read or written.
+    """
+    path = shard.path(folder)
+    with _explain(path):
+        contents, ends = _read(path) if path.exists() else (_Contents(), True)
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o666)
+        try:
+            if not ends:
+                os.write(descriptor, b"\n")  # of a torn line, which is made again
+            yield ShardFile(path, descriptor, contents)
+        finally:
+            os.close(descriptor)
+
+
+def has_shards(folder: Path) -> bool:
+    """Return whether there is a file of a shard in a folder."""
+    return any(folder.glob(_ANY))
+
+
+def read_shards(folder: Path) -> tuple[str, int, list[tuple[float, Row]]]:
+    """Return what `store.read_database` does, merged by hash from the files of all shards in a folder.
+
+    The campaign's cases are those of the file that listed them last.
+
+    Raises:
+        RecordError: a file cannot be read.
+    """
+    name, cases, rows = "", tuple[str, ...](), dict[str, tuple[float, Row]]()
+    for path in sorted(folder.glob(_ANY), key=lambda one: one.stat().st_mtime_ns):
+        with _explain(path):
+            contents, _ = _read(path)
+        if contents.cases:
+            name, cases = contents.name, contents.cases
+        for content_hash, found in contents.rows.items():
+            rows.setdefault(content_hash, found)
+    listed = dict.fromkeys(cases)
+    return name, len(listed), [rows[one] for one in listed if one in rows]
+
+
+def _read(path: Path) -> tuple[_Contents, bool]:
+    """Return the contents of a shard's file, and whether it ends with a whole line."""
+    contents, line = _Contents(), b"\n"
+    with path.open("rb") as file:
+        for line in file:
+            with contextlib.suppress(ValueError):
+                contents.take(line)
+    return contents, line.endswith(b"\n")
+
+
+@contextlib.contextmanager
+def _explain(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        reason = (error.strerror or type(error).__name__).lower()
+        raise RecordError(
+            f"{path} cannot be used ({reason}); what is finished is kept: free space there, or mend its rights, and "
+            "give the same command again."
+        ) from error

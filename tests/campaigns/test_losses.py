@@ -1,0 +1,218 @@
+"""Nothing finished is lost or made twice: killed workers and clients, poison, torn files, full disks."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import multiprocessing
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from jointid.campaigns.engines import LocalProcesses
+from jointid.campaigns.folder import read_results
+from jointid.campaigns.rows import Outcome
+from jointid.campaigns.run import run_cases
+from jointid.campaigns.shards import Shard, open_shard, read_shards
+from jointid.campaigns.store import open_database, require_local_disk
+from jointid.common.errors import RecordError
+from tests.campaigns.work import POISON, SLOW, carry, cases, ends
+from tests.losses.runs import COUNT, SEED
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_a_poisonous_case_is_set_aside_and_named_and_no_other_is_blamed(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    with open_database(tmp_path) as database:
+        ran = run_cases(lambda: cases(12, log, {3: POISON}), LocalProcesses(2), database, carry=carry)
+    results = read_results(tmp_path)
+    assert ran.made[Outcome.SET_ASIDE] == 1
+    assert results.counts()[Outcome.IDENTIFIED] == 11
+    (aside,) = (row for row in results.rows if row.outcome is Outcome.SET_ASIDE)
+    assert aside.joint == "axis 3"
+    assert aside.sentence.startswith("2 workers died of ")
+    assert len(set(ends(log))) == 11
+
+
+def test_a_worker_that_is_killed_costs_no_result(tmp_path: Path) -> None:
+    log, killed = tmp_path / "log", threading.Event()
+
+    def kill_one() -> None:
+        while not ends(log):
+            time.sleep(0.01)
+        for process in multiprocessing.active_children():
+            if process.pid is not None and not killed.is_set():
+                os.kill(process.pid, signal.SIGKILL)
+                killed.set()
+
+    killer = threading.Thread(target=kill_one)
+    killer.start()
+    with open_database(tmp_path) as database:
+        run_cases(lambda: cases(40, log), LocalProcesses(2), database, carry=carry)
+    killer.join()
+    assert killed.is_set()
+    assert read_results(tmp_path).counts()[Outcome.IDENTIFIED] == 40
+
+
+@pytest.mark.hostile
+@pytest.mark.parametrize("shard", ["", "1/1"])
+def test_a_client_or_a_shard_that_is_killed_loses_nothing_and_makes_nothing_twice(tmp_path: Path, shard: str) -> None:
+    """`JOINTID_ATTACKS=100` kills it that many times."""
+    count, log, dice = 60 * COUNT, tmp_path / "log", random.Random(f"{shard}{SEED}")
+    command = [sys.executable, "-m", "tests.campaigns.work", str(tmp_path), str(log), str(count), shard]
+    finished = set[str]()
+    for _ in range(COUNT):
+        before = len(ends(log))
+        with subprocess.Popen(command, cwd=ROOT, start_new_session=True) as client:
+            began = time.monotonic()
+            while len(ends(log)) == before and time.monotonic() - began < 60 and client.poll() is None:
+                time.sleep(0.01)
+            time.sleep(dice.uniform(0.0, 0.2))
+            client.kill()
+        now = {row.content_hash for row in read_results(tmp_path).rows}
+        assert finished <= now, "a result was lost"
+        assert not finished & set(ends(log)[before:]), "a finished case was made again"
+        finished = now
+        wait_for_silence(log)
+    subprocess.run(command, cwd=ROOT, check=True)
+    results = read_results(tmp_path)
+    assert results.counts()[Outcome.IDENTIFIED] == results.cases == count
+
+
+def wait_for_silence(log: Path) -> None:
+    """Wait until the workers of a client that was killed have ended, which they are to do by themselves."""
+    for _ in range(100):
+        before = len(ends(log))
+        time.sleep(0.1)
+        if len(ends(log)) == before:
+            return
+    pytest.fail("the workers of a killed client go on")
+
+
+@pytest.mark.hostile
+def test_workers_that_are_killed_at_random_moments_cost_no_result(tmp_path: Path) -> None:
+    """`JOINTID_ATTACKS=100` kills that many; none of the cases is to blame, and none is set aside."""
+    count, log, dice, over = 60 * COUNT, tmp_path / "log", random.Random(SEED), threading.Event()
+    kills = 0
+
+    def kill_some() -> None:
+        nonlocal kills
+        while kills < COUNT and not over.is_set():
+            time.sleep(dice.uniform(0.05, 0.5))
+            running = [one.pid for one in multiprocessing.active_children() if one.pid is not None]
+            if running and ends(log):
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(dice.choice(running), signal.SIGKILL)
+                    kills += 1
+
+    killer = threading.Thread(target=kill_some)
+    killer.start()
+    with open_database(tmp_path) as database:
+        run_cases(lambda: cases(count, log), LocalProcesses(2), database, carry=carry)
+    over.set()
+    killer.join()
+    results = read_results(tmp_path)
+    assert kills > COUNT // 2
+    assert results.counts()[Outcome.IDENTIFIED] + results.counts()[Outcome.SET_ASIDE] == results.cases == count
+    assert results.counts()[Outcome.SET_ASIDE] == 0
+
+
+def test_a_client_that_is_interrupted_ends_at_once_and_keeps_what_there_is(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+
+    def interrupt(message: str) -> None:
+        raise KeyboardInterrupt
+
+    began = time.monotonic()
+    with pytest.raises(KeyboardInterrupt), open_database(tmp_path) as database:
+        keep = database.add
+
+        def add(row: object) -> None:
+            keep(row)  # type: ignore[arg-type]
+            interrupt("")
+
+        database.add = add  # type: ignore[method-assign]
+        run_cases(lambda: cases(8, log, dict.fromkeys(range(1, 8), SLOW)), LocalProcesses(2), database, carry=carry)
+    assert time.monotonic() - began < 8 * 2
+    assert len(read_results(tmp_path).rows) == 1
+
+
+def test_two_clients_are_not_at_work_in_one_folder(tmp_path: Path) -> None:
+    with (
+        open_database(tmp_path),
+        pytest.raises(RecordError, match=r"^Another campaign is at work in .*; wait"),
+        open_database(tmp_path),
+    ):
+        pass
+    with open_database(tmp_path):
+        pass
+
+
+def test_a_torn_line_of_a_shard_is_made_again(tmp_path: Path) -> None:
+    log, part = tmp_path / "log", Shard(1, 1)
+    with open_shard(tmp_path, part) as results:
+        run_cases(lambda: cases(4, log), LocalProcesses(1), results, has=part.has, carry=carry)
+    path = part.path(tmp_path)
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-40])
+    assert len(read_results(tmp_path).rows) == 3
+    with open_shard(tmp_path, part) as results:
+        ran = run_cases(lambda: cases(4, log), LocalProcesses(1), results, has=part.has, carry=carry)
+    assert (ran.found, sum(ran.made.values())) == (3, 1)
+    name, count, found = read_shards(tmp_path)
+    assert (name, count, len(found)) == ("", 4, 4)
+    assert len(ends(log)) == 5
+
+
+def test_a_full_disk_is_a_sentence_and_keeps_what_is_finished(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    with open_database(tmp_path) as database:
+        run_cases(lambda: cases(2, log), LocalProcesses(1), database, carry=carry)
+        database._connection.execute("PRAGMA max_page_count = 1")
+        long = dict.fromkeys(range(2, 40), "x" * 20000)
+        with pytest.raises(RecordError, match=r"full\); what is finished is kept: free space there"):
+            run_cases(lambda: cases(40, log, long), LocalProcesses(1), database, carry=carry)
+    assert len(read_results(tmp_path).rows) >= 2
+
+
+def test_a_full_disk_of_a_shard_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with (
+        pytest.raises(RecordError, match=r"no space left on device\); what is finished is kept"),
+        open_shard(tmp_path, Shard(1, 1)) as results,
+    ):
+        results.list_cases("", ["00"])
+        monkeypatch.setattr(os, "write", refuse)
+        results.list_cases("", ["01"])
+    assert read_shards(tmp_path)[1] == 1
+
+
+MOUNTS = """\
+22 1 0:21 / / rw,relatime shared:1 - overlay overlay rw
+36 22 0:40 / /data rw - nfs4 server:/data rw
+37 36 8:1 / /data/local\\040disk rw - ext4 /dev/sda1 rw
+38 22 0:41 / /home rw - fuse.sshfs me@there: rw
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="paths")
+@pytest.mark.parametrize(
+    ("folder", "kind"), [("/data/a", "nfs4"), ("/data", "nfs4"), ("/home/me", "fuse.sshfs"), ("/database", ""),
+                         ("/data/local disk/a", ""), ("/homer", "")],
+)  # fmt: skip
+def test_a_disk_in_a_network_is_refused(folder: str, kind: str) -> None:
+    if not kind:
+        require_local_disk(Path(folder), MOUNTS)
+        return
+    with pytest.raises(RecordError, match=rf"^{folder} is on a disk in a network \({kind}\), .* --shard 1/4\.$"):
+        require_local_disk(Path(folder), MOUNTS)

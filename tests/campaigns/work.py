@@ -1,0 +1,57 @@
+"""Cases that take no time, and what carries them out: it notes each case that it ends, and dies of a poisonous one."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from jointid.campaigns.cases import Case
+from jointid.campaigns.engines import LocalProcesses
+from jointid.campaigns.rows import Found, Outcome, Row
+from jointid.campaigns.run import run_cases
+from jointid.campaigns.shards import Shard, open_shard
+from jointid.campaigns.store import open_database
+
+PLAIN, POISON, SLOW = "", "poison", "slow"
+
+
+def cases(count: int, log: Path, kinds: dict[int, str] | None = None) -> Iterator[Case]:
+    """Yield cases that note their ends in a file; a kind says by number what happens to whoever takes one."""
+    for number in range(count):
+        kind = (kinds or {}).get(number, PLAIN)
+        yield Case(f"axis {number}", "", str(log), "", changes=(kind,))
+
+
+def carry(case: Case) -> Row:
+    if case.changes == (POISON,):
+        os.kill(os.getpid(), signal.SIGKILL)
+    time.sleep(2.0 if case.changes == (SLOW,) else 0.01)
+    with Path(case.record).open("ab", 0) as log:
+        log.write(case.content_hash.encode() + b"\n")
+    found = {"stiffness": Found(float(int(case.content_hash[:8], 16)), 1.0, "N/m")}
+    return Row.of(case, Outcome.IDENTIFIED, "Stiffness found.", found=found)
+
+
+def ends(log: Path) -> list[str]:
+    """Return the hashes of the cases that came to their end, in order."""
+    return log.read_text().split() if log.exists() else []
+
+
+def main(folder: str, log: str, count: str, shard: str = "") -> None:
+    """Run a campaign as a client, or as a shard."""
+    place, made = Path(folder), lambda: cases(int(count), Path(log))
+    if shard:
+        part = Shard.of(shard)
+        with open_shard(place, part) as results:
+            run_cases(made, LocalProcesses(1), results, has=part.has, carry=carry)
+    else:
+        with open_database(place) as database:
+            run_cases(made, LocalProcesses(2), database, carry=carry)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
