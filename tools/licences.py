@@ -16,7 +16,7 @@ from packaging.requirements import Requirement
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "licences.md"
 PINNED = ROOT / "requirements.txt"
-EXTRAS = ("logs", "report", "web", "models", "dataframe")
+EXTRAS = ("logs", "report", "web", "models", "dataframe", "cluster", "slurm", "remote")
 
 # Packages whose metadata name no licence, or a family of them; read in their own files.
 _READ = {

@@ -11,13 +11,14 @@ from pathlib import Path
 from jointid.campaigns.rows import Outcome, Row
 from jointid.campaigns.shards import has_shards, read_shards
 from jointid.campaigns.store import DATABASE, read_database
-from jointid.common.document import Block, Document, Documented, Facts, Table
+from jointid.common.document import Block, Document, Documented, Facts, Listing, Paragraph
 from jointid.common.errors import RecordError
 from jointid.common.messages import describe_time
 from jointid.common.text import number, short
 
 _RECENT = 100  # results by which the rate is told
 _REASONS = 10  # that are shown
+_LONGEST = 300  # characters of one
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,14 +96,19 @@ class Status(Documented):
             facts.append(("time left", describe_time(results.left / self.rate)))
         if results.stored:
             facts.append(("last result", f"{describe_time(self.now - results.stored[-1])} ago"))
-        blocks: list[Block] = [Facts(tuple(facts))]
         reasons = [row for row in results.rows if row.outcome is not Outcome.IDENTIFIED]
-        if reasons:
-            shown = reasons if details else reasons[:_REASONS]
-            more = "" if len(shown) == len(reasons) else f"The first {len(shown)} of {len(reasons)}:"
-            rows = tuple((row.joint, row.day or "-", row.outcome, short(row.sentence, 200)) for row in shown)
-            blocks.append(Table(("joint", "day", "ended", "why"), rows, more, (0, 1, 2, 3)))
+        shown = reasons if details else reasons[:_REASONS]
+        blocks: list[Block] = [Facts(tuple(facts)), Listing(tuple(map(described, shown)))]
+        if len(shown) < len(reasons):
+            blocks.append(Paragraph(f"And {len(reasons) - len(shown)} more: --details shows them."))
         return Document(f"Campaign {results.name}", tuple(blocks))
+
+
+def described(row: Row) -> str:
+    """Return a result without an answer in a line."""
+    seed = "" if row.seed is None else f"seed {row.seed}"
+    what = " ".join(part for part in (row.joint, row.day, seed, "; ".join(row.changes)) if part)
+    return f"{what}, {row.outcome}: {short(row.sentence, _LONGEST)}"
 
 
 def read_status(folder: Path) -> Status:

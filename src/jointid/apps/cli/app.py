@@ -55,7 +55,7 @@ for parent, commands in (
     (diagnose, (methods, springs, friction, intervals, loop, sensors)),
     (app, (diagnose, controller, tune, design, simulate, export, data, campaign, serve, reproduce)),
     (data, (inspect, convert)),
-    (campaign, (campaigns.run, campaigns.work, campaigns.status, campaigns.export)),
+    (campaign, (campaigns.run, campaigns.work, campaigns.status, campaigns.report, campaigns.export)),
 ):
     for command in commands:
         parent.command(command)

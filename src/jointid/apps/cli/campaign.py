@@ -91,6 +91,40 @@ def status(folder: Path, /, *, details: Flag = False) -> None:
     show(read_status(folder), details=details)
 
 
+def report(
+    folder: Path,
+    /,
+    *,
+    false_alarm: float = 0.01,
+    details: Flag = False,
+    html: Path | None = None,
+    markdown: Path | None = None,
+) -> None:
+    """Say what came of a campaign, while it runs and after: joints that drifted, distributions, outliers, scatter.
+
+    Args:
+        folder: of the results.
+        false_alarm: chance that any joint is named where none drifted, for all joints together.
+        details: all rows of every table, rather than a screen of them.
+        html: also write all of it as one HTML page.
+        markdown: also write all of it as Markdown.
+    """
+    from jointid.campaigns.report import report_of
+    from jointid.common.files import write_whole
+    from jointid.output.report.page import page, require_extra
+
+    Outputs({"--html": html, "--markdown": markdown})
+    if html is not None:
+        require_extra(plots=False)
+    found = report_of(folder, false_alarm)
+    whole = found.document(details=True)
+    show(found, details=details)
+    if html is not None:
+        write_whole(html, page(whole))
+    if markdown is not None:
+        write_whole(markdown, whole.markdown())
+
+
 def export(folder: Path, /, *, out: Path) -> None:
     """Write the results of a campaign as a table: a row for each case, with versions, settings and hashes.
 

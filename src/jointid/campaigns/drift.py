@@ -1,0 +1,132 @@
+"""The control chart: joints whose stiffness or friction changed by more than its scatter, however many are watched.
+
+Of a series of runs ``y_i``, with stated standard deviations ``s_i``, each shape ``c`` of change, a step before any of
+its runs and a trend over its days, is fitted by weighted least squares,
+
+    y_i = a + b c_i + e_i,    var(e_i) = k (s_i^2 + r^2),
+
+where ``r^2`` is by how much the scatter from run to run, robust and blind to slow movement, exceeds the stated one, and
+``k`` the variance that remains, or 1 if that is less: of what is stated and what is seen the larger counts. ``b`` over
+its deviation is Student's with two degrees of freedom less than there are runs, and so the chance of the best shape is
+at most that of one of them times their number (Bonferroni): simple, valid for any correlation of the shapes, and a
+little too careful. Over all quantities of all joints it is Holm's procedure (Scand. J. Statist. 6, 1979) that keeps the
+chance of any false name at one stated number.
+
+Limits: a step needs three runs on either side of it. What moves all joints, as the temperature of a hall does to
+friction, is a change of each. Runs that stand out by themselves are left out, and named elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy import stats
+
+from jointid.campaigns.series import Series
+from jointid.common.arrays import FloatArray
+
+FALSE_ALARM = 0.01
+"""Chance that any joint of a fleet without drift is named."""
+
+_SIDE = 3  # runs that a step has on either side at least
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drift:
+    """The change of a quantity of a joint that explains its runs best.
+
+    Attributes:
+        series: the runs, without those that stand out.
+        kind: a step or a trend.
+        since: day of the first run after a step; of a trend that of the first run.
+        before, after: level before and after it, in SI units; of a trend at the first and the last run.
+        std: standard deviation of their difference.
+        p_value: chance of as large a change of any shape where there is none.
+        significant: whether it is among those that are named; see `judge`.
+    """
+
+    series: Series
+    kind: Literal["step", "trend"]
+    since: str
+    before: float
+    after: float
+    std: float
+    p_value: float
+    significant: bool = False
+
+    @property
+    def change_percent(self) -> float:
+        """The change as a percentage of the level before."""
+        return 100 * (self.after - self.before) / self.before if self.before else float("inf")
+
+
+def best_change(series: Series) -> Drift | None:
+    """Return the change that explains a series best, None where there are too few runs to say.
+
+    Example:
+        >>> import numpy as np
+        >>> from jointid.campaigns.drift import best_change
+        >>> from jointid.campaigns.series import Series
+        >>> days, noise = np.arange(20.0), np.random.default_rng(1).standard_normal(20)
+        >>> values = np.where(days < 12, 100.0, 90.0) + noise
+        >>> labels = tuple("abcdefghijklmnopqrst")
+        >>> found = best_change(Series("axis 1", (), "stiffness", "N/m", days, values, np.ones(20), labels))
+        >>> found.kind, found.since, round(found.change_percent), found.p_value < 1e-6
+        ('step', 'm', -10, True)
+    """
+    kept = series.without_outlying()
+    if not kept.enough:
+        return None
+    shapes = _shapes(kept.days)
+    slopes, levels, stds = _fit(kept, shapes)
+    freedom = kept.values.size - 2
+    best = int(np.argmax(np.abs(slopes) / stds))
+    p_value = min(1.0, shapes.shape[0] * 2 * float(stats.t.sf(abs(slopes[best]) / stds[best], freedom)))
+    shape, slope = shapes[best], float(slopes[best])
+    is_step = best < kept.values.size - 2 * _SIDE + 1
+    since = int(np.argmax(shape > 0)) if is_step else 0
+    before, after = (float(levels[best] + slope * end) for end in (shape[0], shape[-1]))
+    return Drift(kept, "step" if is_step else "trend", kept.labels[since], before, after, float(stds[best]), p_value)
+
+
+def judge(series: Iterable[Series], false_alarm: float = FALSE_ALARM) -> tuple[Drift, ...]:
+    """Return the best change of every series, the least likely by chance first, those that are named marked (Holm).
+
+    Args:
+        series: all quantities of all joints.
+        false_alarm: chance that any is named where none changed.
+    """
+    found = sorted((one for each in series if (one := best_change(each)) is not None), key=lambda one: one.p_value)
+    named = 0
+    while named < len(found) and found[named].p_value <= false_alarm / (len(found) - named):
+        named += 1
+    return tuple(
+        Drift(d.series, d.kind, d.since, d.before, d.after, d.std, d.p_value, k < named) for k, d in enumerate(found)
+    )
+
+
+def _shapes(days: FloatArray) -> FloatArray:
+    """Return the shapes of change, (shapes, runs), each from 0 to 1: steps, and last a trend where the days differ."""
+    runs = days.size
+    steps = [np.arange(runs) >= first for first in range(_SIDE, runs - _SIDE + 1)]
+    span = days[-1] - days[0]
+    trend = [(days - days[0]) / span] if span > 0 else []  # of no days, or one, or days that are none, there is none
+    return np.array([*steps, *trend], dtype=np.float64)
+
+
+def _fit(series: Series, shapes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return slope and level of each shape, and the slope's standard deviation, (shapes,) each."""
+    beyond = max(series.scatter**2 - float(np.median(series.stds)) ** 2, 0.0)
+    weights = 1.0 / (series.stds**2 + beyond)
+    share = weights / weights.sum()
+    y = series.values - float(share @ series.values)
+    means = shapes @ share
+    centred = shapes - means[:, None]
+    information = centred**2 @ weights
+    slopes = centred @ (weights * y) / information
+    left = y - slopes[:, None] * centred
+    excess = np.maximum((left**2 @ weights) / (series.values.size - 2), 1.0)
+    return slopes, float(share @ series.values) - slopes * means, np.sqrt(excess / information)

@@ -1,0 +1,210 @@
+"""The report of a campaign: distributions, drifted joints, trends, runs and joints that stand out, scatter."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from jointid.campaigns.drift import FALSE_ALARM, Drift, judge
+from jointid.campaigns.folder import Results, described, read_results
+from jointid.campaigns.rows import Outcome, Row
+from jointid.campaigns.series import Series, series_of
+from jointid.common.arrays import FloatArray
+from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, Paragraph, Table
+from jointid.common.errors import MethodError
+from jointid.common.text import counted, listed, number, signed
+
+_SHOWN = 10  # rows of a table without details
+_UNLIKE = 5.0  # robust deviations from the other joints
+_LEAST_JOINTS = 8  # among which one can be unlike the others
+_TO_SIGMA = 1.4826
+_CAREFUL, _LAX = 0.7, 1.4  # scatter over stated deviation beyond which that is said
+
+
+@dataclass(frozen=True)
+class CampaignReport(Documented):
+    """What came of a campaign; see `report_of`.
+
+    Attributes:
+        results: so far.
+        false_alarm: chance that any joint of a fleet without drift is named.
+    """
+
+    results: Results
+    false_alarm: float = FALSE_ALARM
+
+    @cached_property
+    def series(self) -> tuple[Series, ...]:
+        """Stiffness and frictions of every joint over its runs."""
+        return tuple(series_of(self.results.rows))
+
+    @cached_property
+    def changes(self) -> tuple[Drift, ...]:
+        """The best change of every series, the least likely by chance first."""
+        return judge(self.series, self.false_alarm)
+
+    @property
+    def drifted(self) -> tuple[Drift, ...]:
+        """Those that are more than scatter."""
+        return tuple(one for one in self.changes if one.significant)
+
+    @property
+    def sentence(self) -> str:
+        """The verdict on drift in a line."""
+        joints = list(dict.fromkeys(one.series.joint for one in self.drifted))
+        if joints:
+            more = [*joints[:_SHOWN], *([f"{len(joints) - _SHOWN} more"] if len(joints) > _SHOWN else [])]
+            return f"{counted(len(joints), 'joint')} drifted: {listed(more)}."
+        if not self.changes:
+            return "Drift was not looked for: no joint has eight runs."
+        watched = len({one.series.joint for one in self.changes})
+        return f"No stiffness and no friction drifted by more than its scatter ({counted(watched, 'joint')} watched)."
+
+    def document(self, *, details: bool = False) -> Document:
+        """Return it as a document; with details all rows of every table."""
+        most = None if details else _SHOWN
+        results, counts = self.results, self.results.counts()
+        ends = ", ".join(f"{count} {outcome}" for outcome, count in counts.items() if count)
+        blocks: list[Block] = [
+            Paragraph(self.sentence, lead=True, tone="bad" if self.drifted else "good" if self.changes else "open"),
+            Facts((("done", f"{len(results.rows)} of {results.cases} cases{f': {ends}' if ends else ''}"),)),
+            *self._drift_blocks(most),
+            *_distributions(results.rows),
+            *self._scatter_blocks(),
+            *self._outlier_blocks(most),
+            *_reasons(results.rows, most),
+        ]
+        return Document(f"Campaign {results.name}", tuple(blocks))
+
+    def _drift_blocks(self, most: int | None) -> Iterator[Block]:
+        if not self.changes:
+            return
+        header = ("joint", "quantity", "change %", "2 sigma", "kind", "since", "p")
+        if self.drifted:
+            yield Heading("Drifted")
+            yield Table(header, tuple(map(_drift_row, self.drifted[:most])), "", (0, 1, 4, 5))
+        others = [one for one in self.changes if not one.significant][:most]
+        if others:
+            yield Heading("Largest changes within scatter")
+            yield Table(header, tuple(map(_drift_row, others)), "", (0, 1, 4, 5))
+        yield Paragraph(
+            f"{counted(len(self.changes), 'quantity', 'quantities')} of joints were watched; the chance that any is "
+            f"named without drift is {number(100 * self.false_alarm, 2)} % at most."
+        )
+
+    def _scatter_blocks(self) -> Iterator[Block]:
+        """Yield how the scatter between runs compares with the stated intervals."""
+        found: dict[str, list[float]] = {}
+        for one in self.series:
+            if one.enough:
+                found.setdefault(one.quantity, []).append(one.scatter_over_stated)
+        if not found:
+            return
+        rows = []
+        for quantity, ratios in sorted(found.items()):
+            middle = float(np.median(ratios))
+            verdict = "as stated" if _CAREFUL <= middle <= _LAX else "more than stated" if middle > _LAX else "less"
+            rows.append((quantity, number(middle, 2), number(float(np.max(ratios)), 2), str(len(ratios)), verdict))
+        yield Heading("Scatter from run to run over the stated standard deviation")
+        yield Table(("quantity", "median", "largest", "joints", "verdict"), tuple(rows), "", (0, 4))
+
+    def _outlier_blocks(self, most: int | None) -> Iterator[Block]:
+        runs = [
+            (one.joint, one.quantity, one.labels[k], signed(100 * (value / level - 1), 3), number(abs(off), 2))
+            for one in self.series
+            for level in [float(np.median(one.values))]
+            for k, (value, off) in enumerate(zip(one.values, one.outlying, strict=True))
+            if off
+        ]
+        if runs:
+            yield Heading("Runs that stand out from their joint")
+            runs.sort(key=lambda row: -float(row[-1]))
+            yield Table(("joint", "quantity", "run", "off %", "deviations"), tuple(runs[:most]), "", (0, 1, 2))
+        joints = list(_unlike(self.series))
+        if joints:
+            yield Heading("Joints that are unlike the others")
+            yield Table(("joint", "quantity", "value", "others", "unit"), tuple(joints[:most]), "", (0, 1, 4))
+
+
+def report_of(folder: Path, false_alarm: float = FALSE_ALARM) -> CampaignReport:
+    """Read what came of a campaign, while it runs and after.
+
+    Args:
+        folder: of the results.
+        false_alarm: chance that any joint of a fleet without drift is named.
+
+    Raises:
+        RecordError: there are no results.
+        MethodError: the chance is none.
+    """
+    if not 0 < false_alarm < 1:
+        raise MethodError(f"--false-alarm is {false_alarm:g}; expected a chance between 0 and 1, as 0.01.")
+    return CampaignReport(read_results(folder), false_alarm)
+
+
+def _drift_row(one: Drift) -> tuple[str, ...]:
+    scale = 100 / abs(one.before) if one.before else float("inf")
+    return (
+        _called(one.series), one.series.quantity, signed(one.change_percent, 3), number(2 * scale * one.std, 2),
+        one.kind, one.since, number(one.p_value, 2),
+    )  # fmt: skip
+
+
+def _called(series: Series) -> str:
+    return f"{series.joint} ({'; '.join(series.changes)})" if series.changes else series.joint
+
+
+def _distributions(rows: Sequence[Row]) -> Iterator[Block]:
+    """Yield, for each combination of changes, how each parameter is distributed over all runs."""
+    groups: dict[tuple[str, ...], list[Row]] = {}
+    for row in rows:
+        if row.outcome is Outcome.IDENTIFIED:
+            groups.setdefault(row.changes, []).append(row)
+    for changes, runs in sorted(groups.items()):
+        yield Heading(f"Distribution: {'; '.join(changes)}" if changes else "Distribution")
+        shown = []
+        for name, unit in dict.fromkeys((name, one.unit) for row in runs for name, one in row.found.items()):
+            found = [one for row in runs if (one := row.found.get(name)) is not None and one.unit == unit]
+            values = np.array([one.value for one in found if one.value is not None], dtype=np.float64)
+            stds = [one.std for one in found if one.std is not None]
+            if values.size:
+                spread = float(values.std(ddof=1)) if values.size > 1 else None
+                cuts = [float(one) for one in np.quantile(values, (0.05, 0.5, 0.95))]
+                stated = float(np.median(stds)) if stds else None
+                shown.append((name, str(values.size), *map(number, cuts), number(spread, 3), number(stated, 3), unit))
+        header = ("parameter", "runs", "5 %", "median", "95 %", "spread", "stated std", "unit")
+        yield Table(header, tuple(shown), "", (0, 7))
+
+
+def _unlike(series: Sequence[Series]) -> Iterator[tuple[str, ...]]:
+    """Yield joints whose level of a quantity is far from that of the others."""
+    groups: dict[tuple[str, str, tuple[str, ...]], list[Series]] = {}
+    for one in series:
+        groups.setdefault((one.quantity, one.unit, one.changes), []).append(one)
+    for (quantity, unit, _), members in groups.items():
+        levels: FloatArray = np.array([float(np.median(one.values)) for one in members])
+        middle = float(np.median(levels))
+        spread = _TO_SIGMA * float(np.median(np.abs(levels - middle)))
+        if len(members) < _LEAST_JOINTS or not spread:
+            continue
+        for one, level in zip(members, levels, strict=True):
+            if abs(level - middle) > _UNLIKE * spread:
+                yield _called(one), quantity, number(float(level)), number(middle), unit
+
+
+def _reasons(rows: Sequence[Row], most: int | None) -> Iterator[Block]:
+    """Yield why there is no answer, the most frequent reasons first, and what was set aside."""
+    without = [row for row in rows if row.outcome is not Outcome.IDENTIFIED]
+    if not without:
+        return
+    yield Heading("Without an answer")
+    # One that kills its worker is to be seen among any number of spoiled records.
+    without.sort(key=lambda row: (row.outcome is not Outcome.SET_ASIDE, row.outcome is not Outcome.FAILED, row.place))
+    yield Listing(tuple(described(row) for row in without[:most]))
+    joints = Counter(row.joint for row in without).most_common(most)
+    yield Table(("joint", "runs without an answer"), tuple((joint, str(count)) for joint, count in joints))

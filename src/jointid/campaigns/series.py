@@ -1,0 +1,136 @@
+"""Series: one quantity of one joint over its runs, in the order of the days, and runs that stand out from it."""
+
+from __future__ import annotations
+
+import datetime
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from jointid.campaigns.rows import Outcome, Row
+from jointid.common.arrays import FloatArray
+
+_FRICTIONS = ("coulomb", "viscous")
+_TO_SIGMA = 1.4826  # from the median of absolute deviations, for a normal distribution
+_WINDOW = 5  # runs, of which the middle one is the level: a step stays a step
+_OUT = 6.0  # deviations from that level: of normal scatter one run in thousands is out by chance
+_FEWEST = 8
+"""Runs of which something can be said."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Series:
+    """A quantity of a joint over its runs.
+
+    Attributes:
+        joint: its name.
+        changes: of the joint file, that these runs have in common.
+        quantity, unit: a parameter, or a sum of some.
+        days: (runs,) in days since the year 1, or the number of the run where a day is not known.
+        values: (runs,) in SI units.
+        stds: (runs,) stated standard deviations.
+        labels: (runs,) day of each, or its record's address.
+    """
+
+    joint: str
+    changes: tuple[str, ...]
+    quantity: str
+    unit: str
+    days: FloatArray
+    values: FloatArray
+    stds: FloatArray
+    labels: tuple[str, ...]
+
+    @property
+    def enough(self) -> bool:
+        """True if there are runs enough to say something of."""
+        return self.values.size >= _FEWEST
+
+    @property
+    def scatter(self) -> float:
+        """Standard deviation from run to run, whatever the slow movement, and with a few runs that stand out."""
+        return _TO_SIGMA / math.sqrt(2.0) * float(np.median(np.abs(np.diff(self.values))))
+
+    @property
+    def scatter_over_stated(self) -> float:
+        """Scatter from run to run over the stated standard deviation."""
+        return self.scatter / float(np.median(self.stds))
+
+    @property
+    def outlying(self) -> FloatArray:
+        """(runs,) deviations by which each run is off the level of those around it, where that is many; else 0."""
+        if not self.enough:
+            return np.zeros(self.values.size)
+        off = self.values - _running_median(self.values)
+        scale = np.maximum(self.stds, _TO_SIGMA * float(np.median(np.abs(off))))
+        scale = np.maximum(scale, self.scatter)
+        return np.where(np.abs(off) > _OUT * scale, off / scale, 0.0)
+
+    def without_outlying(self) -> Series:
+        """Return the series without the runs that stand out."""
+        kept = self.outlying == 0
+        return Series(
+            self.joint, self.changes, self.quantity, self.unit, self.days[kept], self.values[kept], self.stds[kept],
+            tuple(label for label, keep in zip(self.labels, kept, strict=True) if keep),
+        )  # fmt: skip
+
+
+def watched(names: Sequence[str]) -> tuple[str, ...]:
+    """Return the quantities that are watched for drift: stiffness and frictions, of both sides their sum.
+
+    Example:
+        >>> from jointid.campaigns.series import watched
+        >>> watched(["inertia", "stiffness", "motor_coulomb", "load_coulomb", "total_coulomb", "viscous"])
+        ('stiffness', 'total_coulomb', 'viscous')
+    """
+    summed = {name.removeprefix("total_") for name in names if name.startswith("total_")}
+    return tuple(
+        name
+        for name in names
+        if name == "stiffness"
+        or (
+            any(friction in name for friction in _FRICTIONS)
+            and name.removeprefix("motor_").removeprefix("load_") not in summed
+        )
+    )
+
+
+def series_of(rows: Sequence[Row]) -> Iterator[Series]:
+    """Yield the series of all that is watched, joint by joint."""
+    joints: dict[tuple[str, tuple[str, ...]], list[Row]] = {}
+    for row in rows:
+        if row.outcome is Outcome.IDENTIFIED:
+            joints.setdefault((row.joint, row.changes), []).append(row)
+    for (joint, changes), runs in joints.items():
+        runs.sort(key=lambda row: row.place)
+        names = list(dict.fromkeys(name for row in runs for name in row.found))
+        for quantity in watched(names):
+            yield from _series(joint, changes, quantity, runs)
+
+
+def _series(joint: str, changes: tuple[str, ...], quantity: str, runs: Sequence[Row]) -> Iterator[Series]:
+    known = [(row, one) for row in runs if (one := row.found.get(quantity)) is not None and one.value is not None]
+    found = [(row, one.value, one.std, one.unit) for row, one in known if one.std]
+    if not found:
+        return
+    dated = all(row.day for row, *_ in found)
+    days = [_ordinal(row.day) if dated else float(k) for k, (row, *_) in enumerate(found)]
+    values, stds = np.array([(value, std) for _, value, std, _ in found], np.float64).T
+    labels = tuple(row.day or row.record for row, *_ in found)
+    yield Series(joint, changes, quantity, found[0][3], np.array(days), values, stds, labels)
+
+
+def _ordinal(day: str) -> float:
+    try:
+        return float(datetime.date.fromisoformat(day).toordinal())
+    except ValueError:  # a 31st of February in a file's name
+        return float("nan")
+
+
+def _running_median(values: FloatArray) -> FloatArray:
+    """Return the median of each run and those around it, fewer at the ends, (runs,)."""
+    half = _WINDOW // 2
+    at = np.clip(np.arange(values.size), half, values.size - 1 - half)
+    return np.asarray(np.median(values[at[:, None] + np.arange(-half, half + 1)], axis=1))
