@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 PAGE = Path(__file__).resolve().parents[1] / "commands.md"
 
-_SECTION = re.compile(r"^## `jointid ((?:data |diagnose )?[a-z-]+)", re.MULTILINE)
+_SECTION = re.compile(r"^## `jointid ((?:data |diagnose |campaign )?[a-z-]+)", re.MULTILINE)
 _TABLE = re.compile(r"^\| option \|.*\n(?:\|.*\n)*", re.MULTILINE)
 
 

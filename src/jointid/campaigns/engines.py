@@ -11,22 +11,35 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
-from jointid.common.parallel import ONE_THREAD, end_with_parent
+from jointid.common.errors import MethodError, RecordError, extra
+from jointid.common.parallel import BLAS_THREADS, THREADS, end_with_parent
+
+_PATIENCE = 10.0  # s that a scheduler has to answer
+
+
+@dataclass(frozen=True, slots=True)
+class Workers:
+    """Workers that are ready.
+
+    Attributes:
+        executor: takes the cases.
+        capacity: how many cases it can work at; of a cluster that is now.
+    """
+
+    executor: Executor
+    capacity: Callable[[], int]
 
 
 class Engine(Protocol):
-    """Something that opens an executor; a worker that dies shows as an exception of its own."""
+    """Something that has workers; one that dies shows as an exception of its own."""
 
-    def open(self, workers: int | None = None) -> contextlib.AbstractContextManager[Executor]:
-        """Return an executor of all its workers, or of so many; left by an exception it abandons what is running."""
-
-    def capacity(self) -> int:
-        """Return how many cases it can work at now."""
+    def open(self, workers: int | None = None) -> contextlib.AbstractContextManager[Workers]:
+        """Return all its workers, or so many; left by an exception it abandons what is running."""
 
     def is_death(self, error: BaseException) -> bool:
         """Return whether an exception of a future is the death of the worker that had its case."""
@@ -43,18 +56,19 @@ class LocalProcesses:
     workers: int = 0
 
     @contextlib.contextmanager
-    def open(self, workers: int | None = None) -> Iterator[Executor]:
-        """Yield an executor; see `Engine`."""
+    def open(self, workers: int | None = None) -> Iterator[Workers]:
+        """Yield the workers; see `Engine`."""
         # A fork of this process would copy its threads' locks; on Linux a server without threads is forked instead.
         context = multiprocessing.get_context("forkserver" if sys.platform == "linux" else "spawn")
         if sys.platform == "linux":
             context.set_forkserver_preload(["jointid.campaigns.run_case"])
-        for name, one in ONE_THREAD.items():  # the libraries of a worker read this when they are loaded
-            os.environ.setdefault(name, one)
+        for name in BLAS_THREADS:  # a worker's libraries read this when they are loaded, before it can say so
+            os.environ.setdefault(name, "1")
         before = set(multiprocessing.active_children())
-        executor = ProcessPoolExecutor(workers or self.capacity(), context, _begin)
+        count = workers or self.workers or os.cpu_count() or 1
+        executor = ProcessPoolExecutor(count, context, _begin)
         try:
-            yield executor
+            yield Workers(executor, lambda: count)
         except BaseException:
             for process in set(multiprocessing.active_children()) - before:
                 process.terminate()
@@ -62,18 +76,69 @@ class LocalProcesses:
         finally:
             executor.shutdown(wait=True, cancel_futures=True)
 
-    def capacity(self) -> int:
-        """Return how many processes there are."""
-        return self.workers or os.cpu_count() or 1
-
     def is_death(self, error: BaseException) -> bool:
         """Return whether a process died; those that were beside it are ended, too."""
         return isinstance(error, BrokenExecutor)
 
 
+@dataclass(frozen=True, slots=True)
+class DaskCluster:
+    """The workers of a Dask cluster that is there; some may come and go while a campaign runs.
+
+    Dask gives a case of a worker that died to another one, and gives it up after some deaths (its setting
+    ``distributed.scheduler.allowed-failures``). It counts the deaths of workers at which a case was only waiting, too:
+    who is to blame is found out as for any engine.
+
+    Attributes:
+        address: of its scheduler, as tcp://10.0.0.1:8786.
+    """
+
+    address: str
+
+    @contextlib.contextmanager
+    def open(self, workers: int | None = None) -> Iterator[Workers]:
+        """Yield the workers; see `Engine`. How many workers there are is the cluster's."""
+        distributed = extra("distributed", "cluster", "A Dask cluster")
+        try:
+            client = distributed.Client(self.address, timeout=_PATIENCE, set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise MethodError(
+                f"No Dask scheduler answers at {self.address} ({type(error).__name__}); start one, and name it as "
+                "tcp://10.0.0.1:8786."
+            ) from error
+        with client:
+            executor = client.get_executor(pure=False)  # a case that is tried again is another task
+            wait = False
+            try:
+                yield Workers(executor, lambda: _threads(client.scheduler_info(n_workers=-1)))
+                wait = True
+            except OSError as error:
+                raise RecordError(
+                    f"The Dask scheduler at {self.address} answers no more ({error}); start it again, and give the "
+                    "same command again: what is finished is kept."
+                ) from error
+            finally:
+                executor.shutdown(wait=wait)
+
+    def is_death(self, error: BaseException) -> bool:
+        """Return whether Dask gave a case up because of the workers that died with it."""
+        killed: type[BaseException] = extra("distributed", "cluster", "A Dask cluster").scheduler.KilledWorker
+        return isinstance(error, killed)
+
+
+def _threads(about: Mapping[str, Any]) -> int:
+    """Return how many threads the workers of a Dask cluster have."""
+    return sum(int(worker["nthreads"]) for worker in about["workers"].values())
+
+
+def on_one_core(carry: Callable[[Any], Any], case: Any) -> Any:
+    """Carry out a case with one thread: the other cores are for the cases beside it."""
+    os.environ[THREADS] = "1"
+    return carry(case)
+
+
 def _begin() -> None:
     """Prepare a worker: Ctrl-C is the client's to answer, and whoever is killed leaves no worker behind."""
-    os.environ |= ONE_THREAD
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     threading.Thread(target=end_with_parent, daemon=True).start()

@@ -8,11 +8,11 @@ other is blamed.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from dataclasses import dataclass
 
 from jointid.campaigns.cases import Case
-from jointid.campaigns.engines import Engine
+from jointid.campaigns.engines import Engine, Workers, on_one_core
 from jointid.campaigns.rows import Outcome, Row
 from jointid.campaigns.run_case import run_case
 from jointid.campaigns.store import Results
@@ -120,8 +120,8 @@ def _run_together(waiting: _Waiting, engine: Engine, carry: Carry, keep: Callabl
     """Carry out cases until all are done or a worker dies; return those that were under way then."""
     suspects: list[Case] = []
     under_way: dict[Future[Row], Case] = {}
-    with engine.open() as executor:
-        _fill(under_way, waiting, executor, engine, carry)
+    with engine.open() as workers:
+        _fill(under_way, waiting, workers, carry)
         while under_way:
             done, _ = wait(under_way, return_when=FIRST_COMPLETED)
             for future in done:
@@ -132,18 +132,16 @@ def _run_together(waiting: _Waiting, engine: Engine, carry: Carry, keep: Callabl
                 else:
                     keep(row)
             if not suspects:
-                _fill(under_way, waiting, executor, engine, carry)
+                _fill(under_way, waiting, workers, carry)
     return suspects
 
 
-def _fill(
-    under_way: dict[Future[Row], Case], waiting: _Waiting, executor: Executor, engine: Engine, carry: Carry
-) -> None:
+def _fill(under_way: dict[Future[Row], Case], waiting: _Waiting, workers: Workers, carry: Carry) -> None:
     """Hand out cases until there are enough under way."""
-    most = _AHEAD * max(engine.capacity(), 1)
+    most = _AHEAD * max(workers.capacity(), 1)
     while len(under_way) < most and (case := waiting.take()) is not None:
         try:
-            under_way[executor.submit(carry, case)] = case
+            under_way[workers.executor.submit(on_one_core, carry, case)] = case
         except BrokenExecutor:  # the futures that are under way will say so
             waiting.give_back(case)
             return
@@ -152,8 +150,8 @@ def _fill(
 def _run_alone(case: Case, engine: Engine, results: Results, carry: Carry, keep: Callable[[Row], None]) -> None:
     """Carry out a case with nothing beside it, and set it aside when two workers died of it."""
     while True:
-        with engine.open(1) as executor:
-            row = _result(executor.submit(carry, case), engine)
+        with engine.open(1) as workers:
+            row = _result(workers.executor.submit(on_one_core, carry, case), engine)
         if row is None and results.count_death(case.content_hash) >= _DEATHS:
             row = Row.of(
                 case,
@@ -180,6 +178,6 @@ def _result(future: Future[Row], engine: Engine) -> Row | None:
         if engine.is_death(error):
             return None
         raise RecordError(
-            f"The workers could not take a case ({type(error).__name__}: {error}); see that each has this jointid and "
-            "its extras, and give the same command again: what is finished is kept."
+            f"The workers gave a case up ({type(error).__name__}: {error}); see that they can be reached, and that "
+            "each has this jointid and its extras, and give the same command again: what is finished is kept."
         ) from error

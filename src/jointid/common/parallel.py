@@ -17,15 +17,17 @@ from jointid.common.errors import JointidError
 Result = TypeVar("Result")
 
 _ENDINGS = (signal.SIGINT, signal.SIGTERM)
-_THREADS = "JOINTID_THREADS"
 
-ONE_THREAD = dict.fromkeys((_THREADS, "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"), "1")
-"""The environment of a worker beside others: the cores are theirs already."""
+THREADS = "JOINTID_THREADS"
+"""The variable of the environment that says how many threads a computation may use."""
+
+BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
+"""Those that say so to libraries, which read them once."""
 
 
 def threads() -> int:
     """Return how many threads a computation may use: one for each core, or as JOINTID_THREADS says."""
-    said = os.environ.get(_THREADS, "")
+    said = os.environ.get(THREADS, "")
     return max(int(said), 1) if said.isdecimal() else os.cpu_count() or 1
 
 

@@ -207,6 +207,11 @@ def test_a_full_device_is_refused_before_anything_runs() -> None:
 
 
 OUTPUTS: dict[str, tuple[str, dict[str, str]]] = {
+    "campaign export": ("results", {"--out": "x.csv"}),
+    "campaign report": ("results", {"--html": "x.html", "--markdown": "x.md"}),
+    "campaign run": ("campaign.toml", {"--out": "x"}),
+    "campaign status": ("results", {}),
+    "campaign work": ("campaign.toml --shard 1/2", {"--out": "x"}),
     "compare": ("estimate.json other.json", {"--json": "x.json"}),
     "controller": ("joint.toml", {"--json": "x.json", "--write": "x.toml"}),
     "data convert": ("record.csv", {"TARGET": "x"}),
@@ -233,7 +238,7 @@ OUTPUTS: dict[str, tuple[str, dict[str, str]]] = {
     ),
 }
 """Where every command writes, and what else it is given."""
-_READ = {"JOINT", "FILE", "SOURCE", "BEFORE", "AFTER", "--record", "--estimate", "--motion"}
+_READ = {"JOINT", "CAMPAIGN", "RESULTS", "FILE", "SOURCE", "BEFORE", "AFTER", "--record", "--estimate", "--motion"}
 
 
 def test_every_place_where_a_command_writes_is_listed() -> None:

@@ -21,6 +21,7 @@ def run(
     *,
     out: Path,
     workers: int = 0,
+    dask: str | None = None,
     again: Flag = False,
     quiet: Quiet = False,
 ) -> None:
@@ -32,22 +33,26 @@ def run(
         campaign: the campaign file (TOML).
         out: folder of the results, on a local disk; it is made if it is not there.
         workers: processes; without it one for each core.
+        dask: address of the scheduler of a Dask cluster that carries out the cases, as tcp://10.0.0.1:8786.
         again: also try again what was refused, failed or set aside.
         quiet: say nothing of the progress.
     """
-    from jointid.campaigns.engines import LocalProcesses
+    from jointid.campaigns.engines import DaskCluster, LocalProcesses
     from jointid.campaigns.run import run_cases
     from jointid.campaigns.store import open_database
 
     _require_workers(workers)
+    if dask is not None and workers:
+        raise MethodError("--workers counts processes of this machine, and --dask has its own; leave one of them out.")
     outputs, listener = Outputs(folders={"--out": out}), listen(quiet)
     outputs.spare("CAMPAIGN", campaign)
     asked = _load(campaign, listener)
     with fresh_folder(out, "--out"), open_database(out) as database:
         if again:
             database.forget_unidentified()
+        engine = LocalProcesses(workers) if dask is None else DaskCluster(dask)
         ready(listener)
-        ran = run_cases(asked.cases, LocalProcesses(workers), database, name=asked.name, progress=listener)
+        ran = run_cases(asked.cases, engine, database, name=asked.name, progress=listener)
     show(ran)
     show(f"What came of them: jointid campaign report {out}")
 
@@ -79,20 +84,20 @@ def work(campaign: Path, /, *, shard: str, out: Path, workers: int = 1, quiet: Q
         show(run_cases(asked.cases, engine, results, name=asked.name, has=part.has, progress=listener))
 
 
-def status(folder: Path, /, *, details: Flag = False) -> None:
+def status(results: Path, /, *, details: Flag = False) -> None:
     """Say how a campaign is getting on, while it runs and after: how many are done, the rate, and the time left.
 
     Args:
-        folder: of the results.
+        results: folder of the results.
         details: also every reason for which there is no answer.
     """
     from jointid.campaigns.folder import read_status
 
-    show(read_status(folder), details=details)
+    show(read_status(results), details=details)
 
 
 def report(
-    folder: Path,
+    results: Path,
     /,
     *,
     false_alarm: float = 0.01,
@@ -103,7 +108,7 @@ def report(
     """Say what came of a campaign, while it runs and after: joints that drifted, distributions, outliers, scatter.
 
     Args:
-        folder: of the results.
+        results: folder of the results.
         false_alarm: chance that any joint is named where none drifted, for all joints together.
         details: all rows of every table, rather than a screen of them.
         html: also write all of it as one HTML page.
@@ -116,7 +121,7 @@ def report(
     Outputs({"--html": html, "--markdown": markdown})
     if html is not None:
         require_extra(plots=False)
-    found = report_of(folder, false_alarm)
+    found = report_of(results, false_alarm)
     whole = found.document(details=True)
     show(found, details=details)
     if html is not None:
@@ -125,11 +130,11 @@ def report(
         write_whole(markdown, whole.markdown())
 
 
-def export(folder: Path, /, *, out: Path) -> None:
+def export(results: Path, /, *, out: Path) -> None:
     """Write the results of a campaign as a table: a row for each case, with versions, settings and hashes.
 
     Args:
-        folder: of the results.
+        results: folder of the results.
         out: the file to write, .csv or .parquet.
     """
     from jointid.campaigns.export import export_rows, require_ending
@@ -137,9 +142,9 @@ def export(folder: Path, /, *, out: Path) -> None:
 
     Outputs({"--out": out})
     require_ending(out)
-    results = read_results(folder)
-    export_rows(results.rows, out)
-    show(f"Written: {out}, {len(results.rows)} of {results.cases} cases")
+    found = read_results(results)
+    export_rows(found.rows, out)
+    show(f"Written: {out}, {len(found.rows)} of {found.cases} cases")
 
 
 def _load(path: Path, listener: Progress) -> Campaign:
