@@ -201,14 +201,14 @@ MOUNTS = """\
 22 1 0:21 / / rw,relatime shared:1 - overlay overlay rw
 36 22 0:40 / /data rw - nfs4 server:/data rw
 37 36 8:1 / /data/local\\040disk rw - ext4 /dev/sda1 rw
-38 22 0:41 / /home rw - fuse.sshfs me@there: rw
+38 22 0:41 / /mnt/me rw - fuse.sshfs me@there: rw
 """
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="paths")
 @pytest.mark.parametrize(
-    ("folder", "kind"), [("/data/a", "nfs4"), ("/data", "nfs4"), ("/home/me", "fuse.sshfs"), ("/database", ""),
-                         ("/data/local disk/a", ""), ("/homer", "")],
+    ("folder", "kind"), [("/data/a", "nfs4"), ("/data", "nfs4"), ("/mnt/me/a", "fuse.sshfs"), ("/database", ""),
+                         ("/data/local disk/a", ""), ("/mnt/merry", "")],
 )  # fmt: skip
 def test_a_disk_in_a_network_is_refused(folder: str, kind: str) -> None:
     if not kind:

@@ -103,7 +103,7 @@ class CampaignTable(Table):
             yield "", "A campaign has one of the tables [fleet] and [monte_carlo]; write one of them."
         for key, values in self.sweep.items():
             if not values or any(isinstance(value, dict | datetime.date | datetime.time) for value in values):
-                yield f"sweep.{key}", " is no list of values; expected one or more texts, numbers, true or false."
+                yield "sweep", f": {key} is no list of values; expected one or more texts, numbers, true or false."
 
 
 @dataclass(frozen=True, slots=True)

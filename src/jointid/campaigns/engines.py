@@ -11,15 +11,17 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol
 
 from jointid.common.errors import MethodError, RecordError, extra
 from jointid.common.parallel import BLAS_THREADS, THREADS, end_with_parent
 
 _PATIENCE = 10.0  # s that a scheduler has to answer
+_POLL = 0.5  # s between looks for the result of a job of SLURM
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,11 +30,13 @@ class Workers:
 
     Attributes:
         executor: takes the cases.
-        capacity: how many cases it can work at; of a cluster that is now.
+        capacity: how many tasks it can work at; of a cluster that is now.
+        batch: cases of a task: one, where handing out a task is cheap.
     """
 
     executor: Executor
     capacity: Callable[[], int]
+    batch: int = 1
 
 
 class Engine(Protocol):
@@ -131,10 +135,51 @@ def _threads(about: Mapping[str, Any]) -> int:
     return sum(int(worker["nthreads"]) for worker in about["workers"].values())
 
 
-def on_one_core(carry: Callable[[Any], Any], case: Any) -> Any:
-    """Carry out a case with one thread: the other cores are for the cases beside it."""
+@dataclass(frozen=True, slots=True)
+class SlurmJobs:
+    """Jobs of SLURM, each with some cases, that executorlib submits; what is there of a job is a file in a folder.
+
+    The client may leave: a job that is under way goes on, and what it gives is found in the folder when the same
+    command is given again. These files are executorlib's, pickled: whoever writes into the folder runs code as the
+    client, so that it is the user's alone.
+
+    Attributes:
+        folder: for functions and results, which client and nodes share.
+        jobs: at once, waiting ones included.
+        batch: cases of a job.
+        partition: of SLURM; its default one when empty.
+    """
+
+    folder: Path
+    jobs: int = 64
+    batch: int = 100
+    partition: str = ""
+
+    @contextlib.contextmanager
+    def open(self, workers: int | None = None) -> Iterator[Workers]:
+        """Yield the workers; see `Engine`."""
+        for module in ("pysqa", "h5py"):  # without which executorlib would quietly run all of it here
+            extra(module, "slurm", "SLURM")
+        executorlib = extra("executorlib", "slurm", "SLURM")
+        self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        resources = {"cores": 1, "cwd": str(self.folder)} | ({"partition": self.partition} if self.partition else {})
+        executor = executorlib.SlurmClusterExecutor(
+            cache_directory=str(self.folder), resource_dict=resources, wait=False, refresh_rate=_POLL
+        )
+        try:
+            yield Workers(executor, lambda: workers or self.jobs, self.batch)
+        finally:
+            executor.shutdown(wait=False)
+
+    def is_death(self, error: BaseException) -> bool:
+        """Return whether a job ended without a result."""
+        return isinstance(error, RuntimeError) and "terminated without producing output" in str(error)
+
+
+def on_one_core(carry: Callable[[Any], Any], cases: Sequence[Any]) -> list[Any]:
+    """Carry out cases with one thread: the other cores are for those beside it."""
     os.environ[THREADS] = "1"
-    return carry(case)
+    return [carry(case) for case in cases]
 
 
 def _begin() -> None:

@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from dataclasses import dataclass
+from itertools import islice
+from typing import TypeAlias
 
 from jointid.campaigns.cases import Case
 from jointid.campaigns.engines import Engine, Workers, on_one_core
@@ -24,6 +26,7 @@ _AHEAD = 2  # cases under way for each worker, so that none waits for the next
 _DEATHS = 2  # of workers, after which a case is set aside
 
 Carry = Callable[[Case], Row]
+_UnderWay: TypeAlias = dict[Future[list[Row]], list[Case]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +82,8 @@ def run_cases(
         work = Work(progress, "cases", left, "cases")
 
         def keep(row: Row) -> None:
+            if results.is_finished(row.content_hash):
+                return
             results.add(row)
             made[row.outcome] += 1
             work.add()
@@ -91,7 +96,7 @@ def run_cases(
                     f"a worker died; {counted(len(suspects), 'case')} that it may have died of "
                     f"{'is' if len(suspects) == 1 else 'are'} tried again, one at a time"
                 )
-                for case in suspects:
+                for case in (one for one in suspects if not results.is_finished(one.content_hash)):
                     _run_alone(case, engine, results, carry, keep)
         finally:
             work.reach(left)
@@ -102,48 +107,54 @@ class _Waiting:
     """The cases that are not under way yet, those first that were given back."""
 
     def __init__(self, cases: Iterator[Case]) -> None:
-        self._cases, self._back = cases, list[Case]()
+        self._cases, self._back = cases, list[list[Case]]()
         self.finished: Callable[[str], bool] = lambda _: False
 
-    def take(self) -> Case | None:
-        """Return the next case that has no result, None when there is none."""
+    def take(self, count: int) -> list[Case]:
+        """Return the next batch of so many cases, not all of which have a result; an empty one at the end.
+
+        A batch is the same whatever is finished: a job of a client that left is found again by the cases it has.
+        """
         if self._back:
             return self._back.pop()
-        return next((case for case in self._cases if not self.finished(case.content_hash)), None)
+        while batch := list(islice(self._cases, count)):
+            if not all(self.finished(case.content_hash) for case in batch):
+                return batch
+        return []
 
-    def give_back(self, case: Case) -> None:
-        """Take a case in again that nobody has begun."""
-        self._back.append(case)
+    def give_back(self, batch: list[Case]) -> None:
+        """Take a batch in again that nobody has begun."""
+        self._back.append(batch)
 
 
 def _run_together(waiting: _Waiting, engine: Engine, carry: Carry, keep: Callable[[Row], None]) -> list[Case]:
     """Carry out cases until all are done or a worker dies; return those that were under way then."""
     suspects: list[Case] = []
-    under_way: dict[Future[Row], Case] = {}
+    under_way: _UnderWay = {}
     with engine.open() as workers:
         _fill(under_way, waiting, workers, carry)
         while under_way:
             done, _ = wait(under_way, return_when=FIRST_COMPLETED)
             for future in done:
-                case = under_way.pop(future)
-                row = _result(future, engine)
-                if row is None:
-                    suspects.append(case)
-                else:
+                batch = under_way.pop(future)
+                rows = _result(future, engine)
+                if rows is None:
+                    suspects += batch
+                for row in rows or ():
                     keep(row)
             if not suspects:
                 _fill(under_way, waiting, workers, carry)
     return suspects
 
 
-def _fill(under_way: dict[Future[Row], Case], waiting: _Waiting, workers: Workers, carry: Carry) -> None:
+def _fill(under_way: _UnderWay, waiting: _Waiting, workers: Workers, carry: Carry) -> None:
     """Hand out cases until there are enough under way."""
     most = _AHEAD * max(workers.capacity(), 1)
-    while len(under_way) < most and (case := waiting.take()) is not None:
+    while len(under_way) < most and (batch := waiting.take(workers.batch)):
         try:
-            under_way[workers.executor.submit(on_one_core, carry, case)] = case
+            under_way[workers.executor.submit(on_one_core, carry, batch)] = batch
         except BrokenExecutor:  # the futures that are under way will say so
-            waiting.give_back(case)
+            waiting.give_back(batch)
             return
 
 
@@ -151,7 +162,8 @@ def _run_alone(case: Case, engine: Engine, results: Results, carry: Carry, keep:
     """Carry out a case with nothing beside it, and set it aside when two workers died of it."""
     while True:
         with engine.open(1) as workers:
-            row = _result(workers.executor.submit(on_one_core, carry, case), engine)
+            rows = _result(workers.executor.submit(on_one_core, carry, [case]), engine)
+        row = None if rows is None else rows[0]
         if row is None and results.count_death(case.content_hash) >= _DEATHS:
             row = Row.of(
                 case,
@@ -164,8 +176,8 @@ def _run_alone(case: Case, engine: Engine, results: Results, carry: Carry, keep:
             return
 
 
-def _result(future: Future[Row], engine: Engine) -> Row | None:
-    """Return the row of a case, None if its worker died.
+def _result(future: Future[list[Row]], engine: Engine) -> list[Row] | None:
+    """Return the rows of some cases, None if their worker died.
 
     Raises:
         RecordError: the engine could not carry it out for another reason.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from jointid.apps.cli.console import Flag, Quiet, fresh_folder, listen, ready, show
 from jointid.apps.cli.places import Outputs
@@ -12,6 +12,7 @@ from jointid.common.errors import MethodError
 
 if TYPE_CHECKING:
     from jointid.campaigns.campaign_file import Campaign
+    from jointid.campaigns.engines import Engine
     from jointid.common.messages import Progress
 
 
@@ -22,6 +23,9 @@ def run(
     out: Path,
     workers: int = 0,
     dask: str | None = None,
+    executor: Literal["local", "slurm"] = "local",
+    shared: Path | None = None,
+    partition: str = "",
     again: Flag = False,
     quiet: Quiet = False,
 ) -> None:
@@ -32,25 +36,24 @@ def run(
     Args:
         campaign: the campaign file (TOML).
         out: folder of the results, on a local disk; it is made if it is not there.
-        workers: processes; without it one for each core.
+        workers: processes, one for each core when 0; with slurm jobs at once, 64 when 0.
         dask: address of the scheduler of a Dask cluster that carries out the cases, as tcp://10.0.0.1:8786.
+        executor: slurm carries out the cases as jobs of SLURM.
+        shared: folder for functions and results of jobs of SLURM, which client and nodes share, and nobody else writes.
+        partition: of SLURM.
         again: also try again what was refused, failed or set aside.
         quiet: say nothing of the progress.
     """
-    from jointid.campaigns.engines import DaskCluster, LocalProcesses
     from jointid.campaigns.run import run_cases
     from jointid.campaigns.store import open_database
 
-    _require_workers(workers)
-    if dask is not None and workers:
-        raise MethodError("--workers counts processes of this machine, and --dask has its own; leave one of them out.")
-    outputs, listener = Outputs(folders={"--out": out}), listen(quiet)
+    engine = _engine(workers, dask, executor, shared, partition)
+    outputs, listener = Outputs(folders={"--out": out, "--shared": shared}), listen(quiet)
     outputs.spare("CAMPAIGN", campaign)
     asked = _load(campaign, listener)
     with fresh_folder(out, "--out"), open_database(out) as database:
         if again:
             database.forget_unidentified()
-        engine = LocalProcesses(workers) if dask is None else DaskCluster(dask)
         ready(listener)
         ran = run_cases(asked.cases, engine, database, name=asked.name, progress=listener)
     show(ran)
@@ -154,6 +157,27 @@ def _load(path: Path, listener: Progress) -> Campaign:
     if campaign.left_out:
         listener(campaign.left_out)
     return campaign
+
+
+def _engine(workers: int, dask: str | None, executor: str, shared: Path | None, partition: str) -> Engine:
+    """Return who carries out the cases.
+
+    Raises:
+        MethodError: what is asked for does not go together.
+    """
+    from jointid.campaigns.engines import DaskCluster, LocalProcesses, SlurmJobs
+
+    _require_workers(workers)
+    if dask is not None and (workers or executor != "local"):
+        raise MethodError("--dask has its own workers; leave out --workers and --executor, or --dask.")
+    if (executor == "slurm") != (shared is not None) or (partition and executor != "slurm"):
+        raise MethodError(
+            "--executor slurm, --shared and --partition belong together: jobs of SLURM need a folder that client and "
+            "nodes share, and nothing else does."
+        )
+    if shared is not None:
+        return SlurmJobs(shared.absolute(), workers or 64, partition=partition)
+    return LocalProcesses(workers) if dask is None else DaskCluster(dask)
 
 
 def _require_workers(workers: int) -> None:

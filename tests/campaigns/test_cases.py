@@ -1,0 +1,237 @@
+"""Cases, the campaign file that lists them, and the row that each becomes."""
+
+from __future__ import annotations
+
+import os
+import pickle
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jointid as ji
+from jointid.campaigns import addresses
+from jointid.campaigns.campaign_file import load_campaign
+from jointid.campaigns.cases import Case, Simulated
+from jointid.campaigns.export import export_rows, table_of
+from jointid.campaigns.rows import Found, Outcome, Row
+from jointid.campaigns.run_case import run_case
+from jointid.campaigns.shards import Shard
+from jointid.common.errors import JointFileError, MethodError, RecordError
+
+JOINT = """\
+[joint]
+kind = "prismatic"
+[record]
+file = "run.npy"
+[record.channels]
+torque = { column = "torque", unit = "N", timing = "held" }
+reference = { column = "reference", unit = "m" }
+[controller]
+law = "cascade"
+position_gain = 100.0
+velocity_gain = 2000.0
+"""
+TRUTH = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Path:
+    """Two rigid joints, two days each, and their joint file."""
+    loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0))
+    reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
+    record = ji.simulated_record(loop, reference, TRUTH, sample_time=1e-3)
+    for name in ("a/2026-11-01", "a/20261102", "b/2026-11-01", "b/2026-11-02"):
+        path = tmp_path / "logs" / f"{name}.npy"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        ji.write(record, path)
+    ji.write(record, tmp_path / "run.npy")
+    (tmp_path / "joint.toml").write_text(JOINT)
+    return tmp_path
+
+
+def campaign(place: Path, text: str) -> list[Case]:
+    (place / "campaign.toml").write_text(text)
+    return list(load_campaign(place / "campaign.toml").cases())
+
+
+FLEET = '[fleet]\njoint = "joint.toml"\nrecords = "logs/{joint}/{day}.npy"\n'
+
+
+def test_the_same_case_has_the_same_hash_and_any_other_another() -> None:
+    case = Case("a", "[joint]", "a.csv", "1 2")
+    others = (
+        replace(case, joint="b"), replace(case, joint_file=""), replace(case, record="b.csv"),
+        replace(case, stamp="1 3"), replace(case, day="2026-11-23"), replace(case, changes=("x=1",)),
+        replace(case, program="0"),
+        replace(case, simulated=Simulated((("inertia", 1.0),))), replace(case, simulated=Simulated((), seed=1)),
+    )  # fmt: skip
+    assert len({one.content_hash for one in (case, *others)}) == 1 + len(others)
+    again = pickle.loads(pickle.dumps(case))
+    assert again == case
+    assert again.content_hash == case.content_hash
+    assert len(case.content_hash) == 64
+
+
+def test_a_fleet_has_a_case_for_each_record_with_its_joint_and_day(place: Path) -> None:
+    found = campaign(place, FLEET)
+    assert [(case.joint, case.day) for case in found] == [
+        ("a", "2026-11-01"), ("a", "2026-11-02"), ("b", "2026-11-01"), ("b", "2026-11-02"),
+    ]  # fmt: skip
+    assert all(case.joint_file == JOINT for case in found)
+
+
+def test_a_record_that_is_replaced_is_another_case(place: Path) -> None:
+    before = campaign(place, FLEET)
+    path = Path(before[0].record)
+    os.utime(path, ns=(0, path.stat().st_mtime_ns + 10**9))
+    after = campaign(place, FLEET)
+    assert [a.content_hash == b.content_hash for a, b in zip(before, after, strict=True)] == [False, True, True, True]
+
+
+def test_a_sweep_is_every_combination(place: Path) -> None:
+    found = campaign(place, FLEET + '[sweep]\n"filtering.cutoff" = [20.0, 40.0]\njoint.friction = ["symmetric"]\n')
+    assert len(found) == 8
+    assert {case.changes for case in found} == {
+        (f"filtering.cutoff={cutoff}", 'joint.friction="symmetric"') for cutoff in (20.0, 40.0)
+    }
+    assert {run_case(case).outcome for case in found[::4]} == {Outcome.IDENTIFIED}
+
+
+def test_simulated_runs_have_the_truth_and_a_seed_each(place: Path) -> None:
+    text = '[monte_carlo]\njoint = "joint.toml"\nruns = 3\nseed = 5\nnoise_log = 1.0\n[monte_carlo.values]\n'
+    found = campaign(place, text + "".join(f"{name} = {value}\n" for name, value in TRUTH.items()))
+    assert [case.simulated.seed for case in found if case.simulated] == [5, 6, 7]
+    rows = [run_case(case) for case in found]
+    for row in rows:
+        inertia = row.found["inertia"]
+        assert inertia.value is not None
+        assert inertia.std is not None
+        assert abs(inertia.value - 30.0) < 5 * inertia.std
+    assert len({row.found["inertia"].value for row in rows}) == 3
+    assert rows[0].text() == run_case(found[0]).text(), "the same case gives the same bytes"
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("", r"^A campaign has one of the tables \[fleet\] and \[monte_carlo\]; write one of them\.$"),
+        (FLEET + '[monte_carlo]\njoint = "joint.toml"\nruns = 1\n', "has one of the tables"),
+        ("[fleet]\n", r"^fleet\.joint is missing; expected text in quotes"),
+        ('[fleet]\njoint = "joint.toml"\nrecords = "logs/{axis}/*.npy"\n',
+         r'^fleet\.records has \{axis\} in it; expected "\{joint\}" or "\{day\}": correct it\.$'),
+        ('[fleet]\njoint = "joint.toml"\nrecords = "none/*.npy"\n', r'no file is of that form; correct the path\.$'),
+        ('[fleet]\njoint = "no.toml"\nrecords = "logs/{joint}/*.npy"\n', r"no\.toml cannot be opened"),
+        ('[fleet]\njoint = "joint.toml"\nrecords = "memory://x/*.npy"\n', r"begins with memory://; expected a path"),
+        (FLEET + '[sweep]\n"filtering.cutof" = [1.0]\n', r"^filtering\.cutof is not a known key; .*you mean cutoff"),
+        (FLEET + "[sweep]\ncutoff = []\n", r"^sweep: cutoff is no list of values"),
+        ('[monte_carlo]\njoint = "joint.toml"\nruns = 0\n', r"^monte_carlo\.runs is 0; expected a whole number, 1"),
+        ('[monte_carlo]\njoint = "joint.toml"\nruns = 1\n', r"needs a value of every parameter; inertia, viscous"),
+        ('[monte_carlo]\njoint = "joint.toml"\nruns = 1\nvalues = { mass = 1.0 }\n', r"values\.mass is no parameter"),
+        ("name = \n", r"^Line 1, column 8 is not TOML"),
+    ],
+)  # fmt: skip
+def test_a_faulty_campaign_file_is_a_sentence(place: Path, text: str, sentence: str) -> None:
+    with pytest.raises((JointFileError, RecordError), match=sentence):
+        campaign(place, text)
+
+
+def test_a_file_without_a_date_is_left_out_and_named(place: Path) -> None:
+    (place / "logs" / "a" / "notes.npy").write_bytes(b"")
+    (place / "campaign.toml").write_text(FLEET)
+    found = load_campaign(place / "campaign.toml")
+    assert len(list(found.cases())) == 4
+    assert "notes.npy" in found.left_out
+
+
+def test_a_spoiled_record_a_spoiled_joint_file_and_a_fault_of_ours_are_rows(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    case = campaign(place, FLEET)[0]
+    Path(case.record).write_bytes(b"")
+    row = run_case(case)
+    assert (row.outcome, row.found) == (Outcome.REFUSED, {})
+    assert row.sentence.endswith("is empty (0 bytes); log or copy it again.")
+    assert run_case(replace(case, joint_file="[joint]")).sentence.startswith("joint.kind is missing")
+    assert "was described by jointid 0.0.1" in run_case(replace(case, program="0.0.1")).sentence
+    monkeypatch.setattr("jointid.campaigns.run_case.digest", lambda _: 1 / 0)
+    row = run_case(case)
+    assert row.outcome is Outcome.FAILED
+    assert row.sentence == "jointid failed, which is a fault of ours (ZeroDivisionError: division by zero)."
+
+
+def test_a_row_is_read_as_it_was_written(place: Path) -> None:
+    row = run_case(campaign(place, FLEET)[0])
+    assert Row.read(row.text()) == row
+    for spoiled in ("", "{}", "[]", "null", row.text()[:-5], row.text().replace('"std":', '"std":"x","s":'),
+                    row.text().replace('"identified"', '"found"')):  # fmt: skip
+        with pytest.raises(ValueError, match=r"row|JSON|Expecting|delimiter|Outcome|Unterminated"):
+            Row.read(spoiled)
+
+
+def test_a_record_behind_a_url_is_fetched_by_the_worker(place: Path) -> None:
+    pytest.importorskip("fsspec")
+    here, there = FLEET, FLEET.replace("logs/", f"file://{place.as_posix()}/logs/")
+    near, far = campaign(place, here)[0], campaign(place, there)[0]
+    assert far.record == f"file://{place.as_posix()}/logs/a/2026-11-01.npy"
+    one, other = run_case(near), run_case(far)
+    assert (one.found, one.record_sha256) == (other.found, other.record_sha256)
+    Path(near.record).unlink()
+    gone = run_case(far)
+    assert gone.outcome is Outcome.REFUSED
+    assert "cannot be fetched (FileNotFoundError" in gone.sentence
+
+
+def test_a_url_needs_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "fsspec", None)
+    row = run_case(Case("a", JOINT, "s3://line/a.csv", ""))
+    assert row.sentence == (
+        'A record behind a URL needs the package fsspec, which is not there; install it: pip install "jointid[remote]".'
+    )
+    with pytest.raises(RecordError, match="expected a path, or one of"):
+        addresses.require_known("reference://x")
+
+
+def test_a_shard_has_each_case_once() -> None:
+    hashes = [Case(str(n), "", "", "").content_hash for n in range(200)]
+    parts = [[one for one in hashes if Shard(k, 4).has(one)] for k in (1, 2, 3, 4)]
+    assert sorted(one for part in parts for one in part) == sorted(hashes)
+    assert all(30 < len(part) < 70 for part in parts)
+    for text in ("0/4", "5/4", "1", "a/b", "1/0", ""):
+        with pytest.raises(MethodError, match=r"^--shard is .*; expected its number"):
+            Shard.of(text)
+
+
+def rows(count: int = 4) -> list[Row]:
+    found = {"stiffness": Found(8e5, 3e3, "N/m"), "offset": Found(0.1 + 0.2, None, "N")}
+    case = Case("=1+1", "", "a,b.csv", "")
+    return [
+        Row.of(replace(case, day=f"2026-11-{n + 1:02}"), Outcome.IDENTIFIED, 'says "yes"', found=found)
+        for n in range(count)
+    ]
+
+
+def test_a_table_is_written_as_csv_and_parquet(tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    export_rows(rows(), tmp_path / "a.csv")
+    export_rows(rows(), tmp_path / "a.parquet")
+    lines = (tmp_path / "a.csv").read_text().splitlines()
+    assert len(lines) == 5
+    assert ",800000.0,3000.0," in lines[1]
+    assert "0.30000000000000004" in lines[1]
+    assert '"says ""yes"""' in lines[1]
+    table = parquet.read_table(tmp_path / "a.parquet").to_pydict()
+    assert table == table_of(rows())
+    assert {"joint", "stiffness [N/m]", "stiffness std [N/m]", "case sha256", "joint file sha256"} <= set(table)
+    with pytest.raises(RecordError, match=r"a.xlsx ends in no known format; expected .csv or .parquet"):
+        export_rows(rows(), tmp_path / "a.xlsx")
+
+
+def test_noise_does_not_depend_on_the_other_noise(place: Path) -> None:
+    """A seed stands for one run of each noise, so that a study of one is a study of the same runs with both."""
+    asked = Simulated(tuple(TRUTH.items()), noise_log=1.0, seed=3)
+    case = replace(campaign(place, FLEET)[0], simulated=asked)
+    alone, both = run_case(case), run_case(replace(case, simulated=replace(asked, noise_force=1e-9)))
+    values = [[one.value for one in row.found.values()] for row in (alone, both)]
+    assert np.allclose(values[0], values[1], rtol=1e-6)

@@ -1,0 +1,179 @@
+"""The control chart: who drifted is named, and nobody else, however many joints there are."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jointid.campaigns.cases import Case
+from jointid.campaigns.drift import best_change, judge
+from jointid.campaigns.folder import Results, Status
+from jointid.campaigns.report import CampaignReport, report_of
+from jointid.campaigns.rows import Found, Outcome, Row
+from jointid.campaigns.series import Series, series_of
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError, RecordError
+
+STATED = {"stiffness": 0.008, "total_coulomb": 0.017, "total_viscous": 0.025}
+"""Stated standard deviation as a share of the value, as the fleet of `examples/fleet` has them."""
+
+
+def series(values: FloatArray, std: float = 1.0) -> Series:
+    days = np.arange(float(values.size))
+    labels = tuple(map(str, range(values.size)))
+    return Series("axis", (), "stiffness", "N/m", days, values, np.full(values.size, std), labels)
+
+
+def fleet(
+    seed: int, joints: int = 200, days: int = 20, *, scatter: float = 1.3, tail: float = np.inf, falling: int = 0
+) -> Iterator[Row]:
+    """Yield the rows of a fleet: 5 % are missing, the first joints' stiffness falls by 10 %.
+
+    Args:
+        scatter: from run to run, over the stated standard deviation.
+        tail: degrees of freedom of its distribution, Student's; few make runs that stand out.
+    """
+    dice = np.random.default_rng(seed)
+    for joint in range(joints):
+        own = {name: 1 + 0.1 * dice.uniform(-1, 1) for name in STATED}
+        begins = int(dice.integers(days // 3, 2 * days // 3))
+        for day in range(days):
+            noise = dice.standard_normal(3) if np.isinf(tail) else dice.standard_t(tail, 3)
+            stated = {name: share * dice.uniform(0.8, 1.2) for name, share in STATED.items()}
+            found = {
+                name: Found(own[name] * (1 + scatter * stated[name] * one), own[name] * stated[name], "SI")
+                for name, one in zip(STATED, noise, strict=True)
+            }
+            if joint < falling and day >= begins:
+                found["stiffness"] = replace(found["stiffness"], value=0.9 * (found["stiffness"].value or 0.0))
+            if dice.random() > 0.05:
+                date = datetime.date(2026, 10, 1) + datetime.timedelta(days=day)
+                case = Case(f"axis {joint:03}", "", f"{date}.csv", "", date.isoformat())
+                yield Row.of(case, Outcome.IDENTIFIED, "", found=found)
+
+
+def named(rows: Iterator[Row]) -> list[tuple[str, str]]:
+    return sorted((one.series.joint, one.series.quantity) for one in judge(series_of(list(rows))) if one.significant)
+
+
+def test_joints_whose_stiffness_falls_are_named_and_no_others() -> None:
+    assert named(fleet(1, 60, falling=3)) == [(f"axis {n:03}", "stiffness") for n in range(3)]
+    assert named(fleet(2, 60)) == []
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize(("scatter", "tail"), [(1.0, np.inf), (1.3, np.inf), (2.0, np.inf), (1.3, 4.0)])
+def test_of_twenty_fleets_without_drift_at_most_one_has_an_alarm(scatter: float, tail: float) -> None:
+    alarms = [bool(named(fleet(seed, scatter=scatter, tail=tail))) for seed in range(20)]
+    assert sum(alarms) <= 1
+
+
+@pytest.mark.statistical
+def test_of_twenty_fleets_the_three_that_fall_are_named() -> None:
+    three = [(f"axis {n:03}", "stiffness") for n in range(3)]
+    right = [named(fleet(100 + seed, falling=3)) == three for seed in range(20)]
+    assert sum(right) >= 19
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize("stated", [0.1, 1.0, 3.0])
+def test_the_chance_of_an_alarm_is_not_more_than_it_says(stated: float) -> None:
+    """Deviations that are stated too small do not make alarms, and those that are too large make fewer."""
+    dice = np.random.default_rng(4)
+    chances = np.array([best_change(series(dice.standard_normal(20), stated)).p_value for _ in range(4000)])  # type: ignore[union-attr]
+    for chance in (0.1, 0.01):
+        share = float(np.mean(chances < chance))
+        assert share <= chance + 3 * np.sqrt(chance / chances.size)
+    if stated < 1.0:
+        assert np.mean(chances < 0.1) > 0.01, "it would see nothing"
+
+
+def test_a_step_and_a_trend_are_told_with_size_and_day() -> None:
+    noise = np.random.default_rng(1).standard_normal(20)
+    step = best_change(series(np.where(np.arange(20) < 12, 100.0, 90.0) + noise))
+    assert step is not None
+    assert (step.kind, step.since) == ("step", "12")
+    assert step.change_percent == pytest.approx(-10.0, abs=2.0)
+    assert 0.2 < step.std < 1.0
+    trend = best_change(series(100.0 + np.arange(20.0) + 0.3 * noise, 0.3))
+    assert trend is not None
+    assert (trend.kind, trend.since) == ("trend", "0")
+    assert (trend.before, trend.after) == (pytest.approx(100.0, abs=1.0), pytest.approx(119.0, abs=1.0))
+
+
+def test_one_wild_run_is_no_drift_and_is_named_as_such() -> None:
+    values = 100.0 + np.random.default_rng(1).standard_normal(20)
+    wild = values.copy()
+    wild[-1] = 300.0
+    assert list(np.flatnonzero(series(wild).outlying)) == [19]
+    before, after = best_change(series(values[:-1])), best_change(series(wild))
+    assert before is not None
+    assert after is not None
+    assert after.p_value == before.p_value > 0.01
+
+
+def test_too_few_runs_and_runs_that_are_all_alike_say_nothing() -> None:
+    assert best_change(series(np.ones(7))) is None
+    alike = best_change(series(np.ones(20)))
+    assert alike is not None
+    assert alike.p_value == 1.0
+
+
+def report(rows: list[Row], cases: int = 0) -> CampaignReport:
+    return CampaignReport(Results("line 3", cases or len(rows), tuple(rows), tuple(map(float, range(len(rows))))))
+
+
+def test_a_report_names_who_drifted_what_stands_out_and_how_runs_scatter() -> None:
+    rows = list(fleet(1, 30, falling=2))
+    wild = replace(rows[100], found=rows[100].found | {"total_coulomb": Found(9.0, 0.1, "SI")})
+    aside = replace(rows[200], outcome=Outcome.SET_ASIDE, sentence="2 workers died of it.", found={})
+    other = [replace(row, found={n: replace(f, value=2 * (f.value or 0)) for n, f in row.found.items()})
+             if row.joint == "axis 020" else row for row in rows]  # fmt: skip
+    other[100], other[200] = wild, aside
+    said = report(other).summary()
+    assert "2 joints drifted: axis 000 and axis 001." in said
+    assert "Runs that stand out from their joint" in said
+    assert f"{wild.joint}  total_coulomb  {wild.day}" in said
+    assert "Joints that are unlike the others" in said
+    assert "axis 020  stiffness" in said
+    assert f"{aside.joint} {aside.day}, set aside: 2 workers died of it." in " ".join(said.split())
+    assert "Scatter from run to run over the stated standard deviation" in said
+    for quantity in STATED:
+        assert f"{quantity}  " in said
+    assert len(report(other).document(details=True).text()) > len(said)
+
+
+def test_a_report_while_nothing_is_known_says_so() -> None:
+    assert report([], 7).sentence == "Drift was not looked for: no joint has eight runs."
+    assert "0 of 7 cases" in report([], 7).summary()
+    assert report(list(fleet(1, 9))).sentence.startswith(
+        "No stiffness and no friction drifted by more than its scatter"
+    )
+
+
+def test_a_name_that_is_html_is_text(tmp_path: Path) -> None:
+    rows = [replace(row, joint="<script>alert(1)</script>") for row in fleet(1, 1)]
+    from jointid.output.report.page import page
+
+    assert "<script>alert" not in page(report(rows).document(details=True))
+
+
+def test_the_status_tells_the_rate_and_the_time_left() -> None:
+    rows = tuple(fleet(1, 2))
+    results = Results("line 3", 100 + len(rows), rows, tuple(0.5 * n for n in range(len(rows))))
+    said = Status(results, 60.0).summary()
+    assert f"done          {len(rows)} of {100 + len(rows)} cases: {len(rows)} identified" in said
+    assert "rate          2.0/s" in said
+    assert "time left     50 s" in said
+
+
+def test_a_folder_that_is_none_of_a_campaign_is_a_sentence(tmp_path: Path) -> None:
+    with pytest.raises(RecordError, match=r"is no folder of a campaign; name the one that"):
+        report_of(tmp_path)
+    with pytest.raises(MethodError, match=r"^--false-alarm is 2; expected a chance"):
+        report_of(tmp_path, 2.0)
