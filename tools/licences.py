@@ -21,8 +21,10 @@ EXTRAS = ("logs", "report", "web", "models", "dataframe", "cluster", "slurm", "r
 # Packages whose metadata name no licence, or a family of them; read in their own files.
 _READ = {
     "apsw": "any that the OSI approves",
+    "cffi": "MIT-0",
     "contourpy": "BSD-3-Clause",
     "cycler": "BSD-3-Clause",
+    "executorlib": "BSD-3-Clause",
     "jinja2": "BSD-3-Clause",
     "kiwisolver": "BSD-3-Clause",
     "lz4": "BSD-3-Clause",
@@ -30,8 +32,13 @@ _READ = {
     "matplotlib": "PSF-2.0 (matplotlib's own text)",
     "mdurl": "MIT",
     "numba": "BSD-2-Clause",
+    "pandas": "BSD-3-Clause",
+    "partd": "BSD-3-Clause",
+    "pycparser": "BSD-3-Clause",
+    "pysqa": "BSD-3-Clause",
     "scipy": "BSD-3-Clause",
     "tomli-w": "MIT",
+    "zict": "BSD-3-Clause",
 }
 
 _HEAD = """\
