@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import jointid as ji
 from jointid.campaigns import addresses
 from jointid.campaigns.campaign_file import load_campaign
 from jointid.campaigns.cases import Case, Simulated
@@ -19,44 +18,12 @@ from jointid.campaigns.rows import Found, Outcome, Row
 from jointid.campaigns.run_case import run_case
 from jointid.campaigns.shards import Shard
 from jointid.common.errors import JointFileError, MethodError, RecordError
-
-JOINT = """\
-[joint]
-kind = "prismatic"
-[record]
-file = "run.npy"
-[record.channels]
-torque = { column = "torque", unit = "N", timing = "held" }
-reference = { column = "reference", unit = "m" }
-[controller]
-law = "cascade"
-position_gain = 100.0
-velocity_gain = 2000.0
-"""
-TRUTH = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
-
-
-@pytest.fixture
-def place(tmp_path: Path) -> Path:
-    """Two rigid joints, two days each, and their joint file."""
-    loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0))
-    reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
-    record = ji.simulated_record(loop, reference, TRUTH, sample_time=1e-3)
-    for name in ("a/2026-11-01", "a/20261102", "b/2026-11-01", "b/2026-11-02"):
-        path = tmp_path / "logs" / f"{name}.npy"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        ji.write(record, path)
-    ji.write(record, tmp_path / "run.npy")
-    (tmp_path / "joint.toml").write_text(JOINT)
-    return tmp_path
+from tests.campaigns.conftest import FLEET, JOINT, TRUTH
 
 
 def campaign(place: Path, text: str) -> list[Case]:
     (place / "campaign.toml").write_text(text)
     return list(load_campaign(place / "campaign.toml").cases())
-
-
-FLEET = '[fleet]\njoint = "joint.toml"\nrecords = "logs/{joint}/{day}.npy"\n'
 
 
 def test_the_same_case_has_the_same_hash_and_any_other_another() -> None:

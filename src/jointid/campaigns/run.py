@@ -7,6 +7,7 @@ other is blamed.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from dataclasses import dataclass
@@ -75,8 +76,8 @@ def run_cases(
         JointidError: a result cannot be kept, or the engine is gone; what is finished is kept.
     """
     results.list_cases(name, (case.content_hash for case in cases()))
-    ours = sum(1 for case in cases() if has(case.content_hash))
-    left = sum(1 for case in cases() if has(case.content_hash) and not results.is_finished(case.content_hash))
+    finished = Counter(results.is_finished(one) for case in cases() if has(one := case.content_hash))
+    left = finished[False]
     made = dict.fromkeys(Outcome, 0)
     if left:
         work = Work(progress, "cases", left, "cases")
@@ -88,8 +89,7 @@ def run_cases(
             made[row.outcome] += 1
             work.add()
 
-        waiting = _Waiting(case for case in cases() if has(case.content_hash))
-        waiting.finished = results.is_finished
+        waiting = _Waiting((case for case in cases() if has(case.content_hash)), results.is_finished)
         try:
             while suspects := _run_together(waiting, engine, carry, keep):
                 progress(
@@ -100,15 +100,14 @@ def run_cases(
                     _run_alone(case, engine, results, carry, keep)
         finally:
             work.reach(left)
-    return Ran(ours, ours - left, made)
+    return Ran(finished.total(), finished[True], made)
 
 
 class _Waiting:
     """The cases that are not under way yet, those first that were given back."""
 
-    def __init__(self, cases: Iterator[Case]) -> None:
-        self._cases, self._back = cases, list[list[Case]]()
-        self.finished: Callable[[str], bool] = lambda _: False
+    def __init__(self, cases: Iterator[Case], is_finished: Callable[[str], bool]) -> None:
+        self._cases, self._is_finished, self._back = cases, is_finished, list[list[Case]]()
 
     def take(self, count: int) -> list[Case]:
         """Return the next batch of so many cases, not all of which have a result; an empty one at the end.
@@ -118,7 +117,7 @@ class _Waiting:
         if self._back:
             return self._back.pop()
         while batch := list(islice(self._cases, count)):
-            if not all(self.finished(case.content_hash) for case in batch):
+            if not all(self._is_finished(case.content_hash) for case in batch):
                 return batch
         return []
 

@@ -238,7 +238,19 @@ OUTPUTS: dict[str, tuple[str, dict[str, str]]] = {
     ),
 }
 """Where every command writes, and what else it is given."""
-_READ = {"JOINT", "CAMPAIGN", "RESULTS", "FILE", "SOURCE", "BEFORE", "AFTER", "--record", "--estimate", "--motion"}
+_READ = {
+    "JOINT",
+    "CAMPAIGN",
+    "RESULTS",
+    "--shared",
+    "FILE",
+    "SOURCE",
+    "BEFORE",
+    "AFTER",
+    "--record",
+    "--estimate",
+    "--motion",
+}
 
 
 def test_every_place_where_a_command_writes_is_listed() -> None:
