@@ -25,7 +25,7 @@ def run(
     dask: str | None = None,
     executor: Literal["local", "slurm"] = "local",
     shared: Path | None = None,
-    partition: str = "",
+    partition: str | None = None,
     again: Flag = False,
     quiet: Quiet = False,
 ) -> None:
@@ -159,7 +159,7 @@ def _load(path: Path, listener: Progress) -> Campaign:
     return campaign
 
 
-def _engine(workers: int, dask: str | None, executor: str, shared: Path | None, partition: str) -> Engine:
+def _engine(workers: int, dask: str | None, executor: str, shared: Path | None, partition: str | None) -> Engine:
     """Return who carries out the cases.
 
     Raises:
@@ -176,7 +176,7 @@ def _engine(workers: int, dask: str | None, executor: str, shared: Path | None, 
             "nodes share, and nothing else does."
         )
     if shared is not None:
-        return SlurmJobs(shared.absolute(), workers or 64, partition=partition)
+        return SlurmJobs(shared.absolute(), workers or 64, partition=partition or "")
     return LocalProcesses(workers) if dask is None else DaskCluster(dask)
 
 
