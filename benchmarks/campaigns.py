@@ -52,8 +52,7 @@ def identifications(folder: Path, runs: int) -> None:
     campaign = twin_campaign(folder, runs)
     alone = min(runs, 100)
     on_one_core(run_case, list(islice(campaign.cases(), 1)))  # loads and, the first time, compiles
-    for engine in (LocalProcesses(1), LocalProcesses(_WORKERS)):
-        carried(folder / "first", engine, list(islice(campaign.cases(), 2)))
+    carried(folder / "first", LocalProcesses(_WORKERS), list(islice(campaign.cases(), 4)))
     # By turns, as others use the machine too: what it is to one it is to all.
     paces: dict[str, list[float]] = {"no campaign": [], "1 process": [], f"{_WORKERS} processes": []}
     for turn in range(4):

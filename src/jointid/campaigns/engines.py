@@ -158,10 +158,16 @@ class SlurmJobs:
     @contextlib.contextmanager
     def open(self, workers: int | None = None) -> Iterator[Workers]:
         """Yield the workers; see `Engine`."""
+        try:
+            self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        except OSError as error:
+            raise RecordError(
+                f"{self.folder} cannot be made a folder ({(error.strerror or '').lower()}); name another one by "
+                "--shared."
+            ) from error
         for module in ("pysqa", "h5py"):  # without which executorlib would quietly run all of it here
             extra(module, "slurm", "SLURM")
         executorlib = extra("executorlib", "slurm", "SLURM")
-        self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         resources = {"cores": 1, "cwd": str(self.folder)} | ({"partition": self.partition} if self.partition else {})
         executor = executorlib.SlurmClusterExecutor(
             cache_directory=str(self.folder), resource_dict=resources, wait=False, refresh_rate=_POLL

@@ -40,7 +40,7 @@ def run(
         dask: address of the scheduler of a Dask cluster that carries out the cases, as tcp://10.0.0.1:8786.
         executor: slurm carries out the cases as jobs of SLURM.
         shared: folder for functions and results of jobs of SLURM, which client and nodes share, and nobody else writes.
-        partition: of SLURM.
+        partition: of SLURM that takes the jobs; without it its default one.
         again: also try again what was refused, failed or set aside.
         quiet: say nothing of the progress.
     """
@@ -69,7 +69,7 @@ def work(campaign: Path, /, *, shard: str, out: Path, workers: int = 1, quiet: Q
         campaign: the campaign file (TOML).
         shard: number of this part and how many there are, as 1/4 to 4/4.
         out: folder of the results, which all shards share; it is made if it is not there.
-        workers: processes.
+        workers: processes of this shard, one for each core when 0.
         quiet: say nothing of the progress.
     """
     from jointid.campaigns.engines import LocalProcesses
