@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import multiprocessing
 import os
 import random
 import signal
@@ -23,7 +22,7 @@ from jointid.campaigns.run import run_cases
 from jointid.campaigns.shards import Shard, open_shard, read_shards
 from jointid.campaigns.store import open_database, require_local_disk
 from jointid.common.errors import RecordError
-from tests.campaigns.work import POISON, SLOW, carry, cases, ends
+from tests.campaigns.work import POISON, SLOW, carry, cases, ends, last_workers
 from tests.losses.runs import COUNT, SEED
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -48,10 +47,8 @@ def test_a_worker_that_is_killed_costs_no_result(tmp_path: Path) -> None:
     def kill_one() -> None:
         while not ends(log):
             time.sleep(0.01)
-        for process in multiprocessing.active_children():
-            if process.pid is not None and not killed.is_set():
-                os.kill(process.pid, signal.SIGKILL)
-                killed.set()
+        os.kill(last_workers(log)[-1], signal.SIGKILL)
+        killed.set()
 
     killer = threading.Thread(target=kill_one)
     killer.start()
@@ -107,11 +104,9 @@ def test_workers_that_are_killed_at_random_moments_cost_no_result(tmp_path: Path
         nonlocal kills
         while kills < COUNT and not over.is_set():
             time.sleep(dice.uniform(0.05, 0.5))
-            running = [one.pid for one in multiprocessing.active_children() if one.pid is not None]
-            if running and ends(log):
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(dice.choice(running), signal.SIGKILL)
-                    kills += 1
+            with contextlib.suppress(ProcessLookupError, IndexError):  # it has ended, or none has begun
+                os.kill(dice.choice(last_workers(log)), signal.SIGKILL)
+                kills += 1
 
     killer = threading.Thread(target=kill_some)
     killer.start()
