@@ -67,7 +67,7 @@ def test_joints_whose_stiffness_falls_are_named_and_no_others() -> None:
 
 
 @pytest.mark.statistical
-@pytest.mark.parametrize(("scatter", "tail"), [(1.0, np.inf), (1.3, np.inf), (2.0, np.inf), (1.3, 4.0)])
+@pytest.mark.parametrize(("scatter", "tail"), [(1.3, np.inf), (2.0, np.inf), (1.3, 4.0)])
 def test_of_twenty_fleets_without_drift_at_most_one_has_an_alarm(scatter: float, tail: float) -> None:
     alarms = [bool(named(fleet(seed, scatter=scatter, tail=tail))) for seed in range(20)]
     assert sum(alarms) <= 1

@@ -25,6 +25,7 @@ from jointid.common.text import counted
 
 _AHEAD = 2  # cases under way for each worker, so that none waits for the next
 _DEATHS = 2  # of workers, after which a case is set aside
+_IDLE_DEATHS = 10  # of workers in a row that had no case, after which it is no use to start others
 
 Carry = Callable[[Case], Row]
 _UnderWay: TypeAlias = dict[Future[list[Row]], list[Case]]
@@ -90,12 +91,20 @@ def run_cases(
             work.add()
 
         waiting = _Waiting((case for case in cases() if has(case.content_hash)), results.is_finished)
+        idle_deaths = 0
         try:
-            while suspects := _run_together(waiting, engine, carry, keep):
-                progress(
-                    f"a worker died; {counted(len(suspects), 'case')} that it may have died of "
-                    f"{'is' if len(suspects) == 1 else 'are'} tried again, one at a time"
-                )
+            while (suspects := _run_together(waiting, engine, carry, keep)) or waiting.given_back:
+                idle_deaths = 0 if suspects else idle_deaths + 1
+                if idle_deaths > _IDLE_DEATHS:
+                    raise RecordError(
+                        "Workers die before they take a case; see whether one has memory enough to start, and give the "
+                        "same command again: what is finished is kept."
+                    )
+                if suspects:
+                    progress(
+                        f"a worker died; {counted(len(suspects), 'case')} that it may have died of "
+                        f"{'is' if len(suspects) == 1 else 'are'} tried again, one at a time"
+                    )
                 for case in (one for one in suspects if not results.is_finished(one.content_hash)):
                     _run_alone(case, engine, results, carry, keep)
         finally:
@@ -108,6 +117,11 @@ class _Waiting:
 
     def __init__(self, cases: Iterator[Case], is_finished: Callable[[str], bool]) -> None:
         self._cases, self._is_finished, self._back = cases, is_finished, list[list[Case]]()
+
+    @property
+    def given_back(self) -> bool:
+        """True if a batch was taken in again."""
+        return bool(self._back)
 
     def take(self, count: int) -> list[Case]:
         """Return the next batch of so many cases, not all of which have a result; an empty one at the end.
