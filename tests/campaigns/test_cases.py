@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import jointid as ji
 from jointid.campaigns import addresses
 from jointid.campaigns.campaign_file import load_campaign
-from jointid.campaigns.cases import Case, Simulated
+from jointid.campaigns.cases import Case, Resampled, Simulated, Started
 from jointid.campaigns.export import export_rows, table_of
 from jointid.campaigns.rows import Found, Outcome, Row
 from jointid.campaigns.run_case import run_case
@@ -32,7 +33,8 @@ def test_the_same_case_has_the_same_hash_and_any_other_another() -> None:
         replace(case, joint="b"), replace(case, joint_file=""), replace(case, record="b.csv"),
         replace(case, stamp="1 3"), replace(case, day="2026-11-23"), replace(case, changes=("x=1",)),
         replace(case, program="0"),
-        replace(case, simulated=Simulated((("inertia", 1.0),))), replace(case, simulated=Simulated((), seed=1)),
+        replace(case, varied=Simulated((("inertia", 1.0),))), replace(case, varied=Simulated((), seed=1)),
+        replace(case, varied=Resampled(1)), replace(case, varied=Started((), 1)),
     )  # fmt: skip
     assert len({one.content_hash for one in (case, *others)}) == 1 + len(others)
     again = pickle.loads(pickle.dumps(case))
@@ -69,7 +71,7 @@ def test_a_sweep_is_every_combination(place: Path) -> None:
 def test_simulated_runs_have_the_truth_and_a_seed_each(place: Path) -> None:
     text = '[monte_carlo]\njoint = "joint.toml"\nruns = 3\nseed = 5\nnoise_log = 1.0\n[monte_carlo.values]\n'
     found = campaign(place, text + "".join(f"{name} = {value}\n" for name, value in TRUTH.items()))
-    assert [case.simulated.seed for case in found if case.simulated] == [5, 6, 7]
+    assert [case.varied.seed for case in found if case.varied] == [5, 6, 7]
     rows = [run_case(case) for case in found]
     for row in rows:
         inertia = row.found["inertia"]
@@ -80,10 +82,46 @@ def test_simulated_runs_have_the_truth_and_a_seed_each(place: Path) -> None:
     assert rows[0].text() == run_case(found[0]).text(), "the same case gives the same bytes"
 
 
+def test_a_bootstrap_scatters_as_the_noise_does(place: Path) -> None:
+    noisy(place / "run.npy", seed=3)
+    found = campaign(place, '[bootstrap]\njoint = "joint.toml"\nruns = 60\nseed = 5\n')
+    rows = [run_case(case) for case in found]
+    assert [row.seed for row in rows] == list(range(5, 65))
+    alone = run_case(replace(found[0], varied=None)).found["inertia"]
+    assert alone.value is not None and alone.std is not None
+    values = np.array([row.found["inertia"].value for row in rows])
+    assert abs(values.mean() - alone.value) < alone.std
+    assert 0.6 < values.std(ddof=1) / alone.std < 1.5
+    assert rows[0].text() == run_case(found[0]).text(), "the same case gives the same bytes"
+
+
+def test_searches_from_many_starts_end_alike(place: Path) -> None:
+    noisy(place / "run.npy", seed=3)
+    starts = "".join(f"{name} = {{ start = {value} }}\n" for name, value in TRUTH.items())
+    (place / "joint.toml").write_text(f"{JOINT}[parameters]\n{starts}")
+    found = campaign(place, '[multistart]\njoint = "joint.toml"\nruns = 6\nspread = 2\n')
+    assert all(case.changes == ('method.start="given"',) for case in found)
+    begun = [dict(case.varied.starts) for case in found if isinstance(case.varied, Started)]
+    assert len({one["inertia"] for one in begun}) == 6
+    assert all(15.0 <= one["inertia"] <= 60.0 for one in begun)
+    ends = [row.found["inertia"] for row in map(run_case, found)]
+    values = np.array([one.value for one in ends])
+    assert ends[0].std is not None
+    assert np.ptp(values) < 0.05 * ends[0].std
+
+
+def noisy(path: Path, seed: int) -> None:
+    """Write the run with noise on its torque."""
+    loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0))
+    reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
+    noise = 2.0 * np.random.default_rng(seed).standard_normal(reference.size)
+    ji.write(ji.simulated_record(loop, reference, TRUTH, sample_time=1e-3, torque_noise=noise), path)
+
+
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("", r"^A campaign has one of the tables \[fleet\] and \[monte_carlo\]; write one of them\.$"),
+        ("", r"^A campaign has one of the tables \[fleet\], \[monte_carlo\], \[bootstrap\] and \[multistart\]; write"),
         (FLEET + '[monte_carlo]\njoint = "joint.toml"\nruns = 1\n', "has one of the tables"),
         ("[fleet]\n", r"^fleet\.joint is missing; expected text in quotes"),
         ('[fleet]\njoint = "joint.toml"\nrecords = "logs/{axis}/*.npy"\n',
@@ -96,6 +134,9 @@ def test_simulated_runs_have_the_truth_and_a_seed_each(place: Path) -> None:
         ('[monte_carlo]\njoint = "joint.toml"\nruns = 0\n', r"^monte_carlo\.runs is 0; expected a whole number, 1"),
         ('[monte_carlo]\njoint = "joint.toml"\nruns = 1\n', r"needs a value of every parameter; inertia, viscous"),
         ('[monte_carlo]\njoint = "joint.toml"\nruns = 1\nvalues = { mass = 1.0 }\n', r"values\.mass is no parameter"),
+        ('[bootstrap]\njoint = "joint.toml"\nruns = 0\n', r"^bootstrap\.runs is 0; expected a whole number, 1"),
+        ('[multistart]\njoint = "joint.toml"\nruns = 2\n', r"gives no free parameter one other than 0; give some, as"),
+        ('[multistart]\njoint = "joint.toml"\nruns = 2\nspread = 1\n', r"^multistart\.spread is 1; expected "),
         ("name = \n", r"^Line 1, column 8 is not TOML"),
     ],
 )  # fmt: skip
@@ -198,7 +239,7 @@ def test_a_table_is_written_as_csv_and_parquet(tmp_path: Path) -> None:
 def test_noise_does_not_depend_on_the_other_noise(place: Path) -> None:
     """A seed stands for one run of each noise, so that a study of one is a study of the same runs with both."""
     asked = Simulated(tuple(TRUTH.items()), noise_log=1.0, seed=3)
-    case = replace(campaign(place, FLEET)[0], simulated=asked)
-    alone, both = run_case(case), run_case(replace(case, simulated=replace(asked, noise_force=1e-9)))
+    case = replace(campaign(place, FLEET)[0], varied=asked)
+    alone, both = run_case(case), run_case(replace(case, varied=replace(asked, noise_force=1e-9)))
     values = [[one.value for one in row.found.values()] for row in (alone, both)]
     assert np.allclose(values[0], values[1], rtol=1e-6)

@@ -9,101 +9,30 @@ import json
 import os
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field, ValidationError
+import numpy as np
+from pydantic import ValidationError
 
+from jointid import DIDIM
 from jointid.campaigns.addresses import is_remote, listed, stamp_of
-from jointid.campaigns.cases import Case, Simulated
+from jointid.campaigns.campaign_tables import (
+    PLACEHOLDER,
+    PLACEHOLDERS,
+    BootstrapTable,
+    CampaignTable,
+    MultistartTable,
+)
+from jointid.campaigns.cases import Case, Resampled, Simulated, Started
 from jointid.common.errors import JointFileError
-from jointid.common.messages import Says, either
-from jointid.common.settings import declare, documented, setting
 from jointid.common.text import listed as in_a_row
 from jointid.config import loads
 from jointid.config.loading import parse_toml, read_text
-from jointid.config.table import Table, Text, dotted, keys_from, sentences
+from jointid.config.table import sentences
 
-_PLACEHOLDERS = {"joint": r"[^/]+", "day": r"\d{4}-?\d{2}-?\d{2}"}
-_PLACEHOLDER = re.compile(r"\{(\w*)\}|(\*)|(\?)")
 _NAMED = 5  # files that a sentence names
-
-
-@documented
-@dataclass(frozen=True, slots=True)
-class Fleet:
-    """Joints, and the records that were logged of them."""
-
-    joint: str = field(
-        metadata=declare("path of the joint file, with {joint} in it where each joint has its own; from this file")
-    )
-    records: str | None = setting(
-        None,
-        "path or URL of the records, with {joint} where the joint's name stands, {day} where a date does, and *; "
-        "without it the record that the joint file names",
-    )
-
-
-@documented
-@dataclass(frozen=True, slots=True)
-class MonteCarlo:
-    """Runs of one joint that are simulated with noise, then identified."""
-
-    joint: str = field(metadata=declare("path of the joint file, from this file"))
-    runs: int = field(metadata=declare("how many", at_least=1))
-    record: str | None = setting(
-        None, "path of the record whose reference is followed; without it the one that the joint file names"
-    )
-    seed: int = setting(1, "of the first run; the others follow", at_least=0)
-    noise_force: float = setting(
-        0.0, "standard deviation of a white force on the motor, inside the loop", unit="N or N m", at_least=0
-    )
-    noise_log: float = setting(
-        0.0, "standard deviation of white noise on the logged torque", unit="N or N m", at_least=0
-    )
-    values: Mapping[str, float] = field(
-        default_factory=dict,
-        metadata=declare("truth by parameter; of others the values and starts of the joint file are true"),
-    )
-
-
-@keys_from(Fleet)
-class FleetTable(Table):
-    """[fleet]: joints, and the records that were logged of them."""
-
-    def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield placeholders that are none."""
-        for key, known in (("joint", ("joint",)), ("records", tuple(_PLACEHOLDERS))):
-            for found in _PLACEHOLDER.finditer(getattr(self, key) or ""):
-                if found[1] is not None and found[1] not in known:
-                    expected = either(f"{{{name}}}" for name in known)
-                    yield key, f" has {{{found[1]}}} in it; expected {expected}: correct it."
-
-
-@keys_from(MonteCarlo)
-class MonteCarloTable(Table):
-    """[monte_carlo]: runs of one joint that are simulated with noise, then identified."""
-
-
-class CampaignTable(Table):
-    """A campaign file."""
-
-    name: Text | None = Field(None, description="what reports call the campaign")
-    fleet: FleetTable | None = Field(None, description="joints, and the records that were logged of them")
-    monte_carlo: MonteCarloTable | None = Field(None, description="runs that are simulated")
-    sweep: Annotated[dict[str, Annotated[list[Any], Says("a list of values")]], BeforeValidator(dotted)] = Field(
-        default_factory=dict, description="keys of the joint file, each with its values; every combination is a case"
-    )
-
-    def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield that there is nothing to identify, or two things, and values of a sweep that are none."""
-        if (self.fleet is None) == (self.monte_carlo is None):
-            yield "", "A campaign has one of the tables [fleet] and [monte_carlo]; write one of them."
-        for key, values in self.sweep.items():
-            if not values or any(isinstance(value, dict | datetime.date | datetime.time) for value in values):
-                yield "sweep", f": {key} is no list of values; expected one or more texts, numbers, true or false."
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +66,14 @@ class Campaign:
             JointFileError: a joint file cannot be read, or there is no record.
         """
         for changes in self._combinations:
-            yield from self._of_fleet(changes) if self.table.fleet is not None else self._of_runs(changes)
+            if self.table.fleet is not None:
+                yield from self._of_fleet(changes)
+            elif self.table.monte_carlo is not None:
+                yield from self._of_runs(changes)
+            elif self.table.bootstrap is not None:
+                yield from self._of_resamples(changes, self.table.bootstrap)
+            elif self.table.multistart is not None:
+                yield from self._of_starts(changes, self.table.multistart)
 
     @property
     def left_out(self) -> str:
@@ -171,7 +107,7 @@ class Campaign:
             whole = pattern
         shape = re.compile(f"(?:^|/){_expression(pattern)}$")
         found, others = [], []
-        for address, stamp in listed(_PLACEHOLDER.sub(lambda one: one[0] if one[1] is None else "*", whole)).items():
+        for address, stamp in listed(PLACEHOLDER.sub(lambda one: one[0] if one[1] is None else "*", whole)).items():
             said = shape.search(address.replace(os.sep, "/"))
             if said is None:
                 others.append(address)
@@ -224,6 +160,28 @@ class Campaign:
             raise JointFileError(faults)
         truth = tuple((name, float(value)) for name, value in known.items() if value is not None)
         return text, self._named_record(asked.joint, asked.record), truth
+
+    def _of_resamples(self, changes: tuple[str, ...], asked: BootstrapTable) -> Iterator[Case]:
+        text, logged = read_text(self.folder / asked.joint), self._named_record(asked.joint, asked.record)
+        for number in range(asked.runs):
+            drawn = Resampled(asked.seed + number)
+            yield Case(logged.joint, text, logged.address, logged.stamp, "", changes, drawn)
+
+    def _of_starts(self, changes: tuple[str, ...], asked: MultistartTable) -> Iterator[Case]:
+        text, logged = read_text(self.folder / asked.joint), self._named_record(asked.joint, asked.record)
+        given = {name: p.start for name, p in loads(text, changes=changes).parameters.items() if p.free and p.start}
+        if not given:
+            raise JointFileError(
+                f"[multistart] draws starts around those of the joint file, and {asked.joint} gives no free parameter "
+                "one other than 0; give some, as parameters.stiffness.start."
+            )
+        if isinstance(loads(text, changes=changes).method, DIDIM):  # which has starts of its own
+            changes = (*changes, 'method.start="given"')
+        for number in range(asked.runs):
+            draw = np.random.default_rng([asked.seed + number])
+            starts = tuple((name, start * asked.spread ** draw.uniform(-1.0, 1.0)) for name, start in given.items())
+            begun = Started(starts, asked.seed + number)
+            yield Case(logged.joint, text, logged.address, logged.stamp, "", changes, begun)
 
     def _named_record(self, joint: str, record: str | None) -> Logged:
         """Return a record by its path, or the one that a joint file names."""
@@ -285,10 +243,10 @@ def _expression(pattern: str) -> str:
         if name in seen:
             return f"(?P={name})"
         seen.add(name)
-        return f"(?P<{name}>{_PLACEHOLDERS[name]})"
+        return f"(?P<{name}>{PLACEHOLDERS[name]})"
 
     parts, at = [], 0
-    for found in _PLACEHOLDER.finditer(pattern):
+    for found in PLACEHOLDER.finditer(pattern):
         parts += [re.escape(pattern[at : found.start()]), part(found)]
         at = found.end()
     return "".join([*parts, re.escape(pattern[at:])])

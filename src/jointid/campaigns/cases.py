@@ -32,6 +32,30 @@ class Simulated:
 
 
 @dataclass(frozen=True, slots=True)
+class Resampled:
+    """The error of the case's record, drawn anew: what the identified joint leaves of the torque, in blocks of time.
+
+    Attributes:
+        seed: of the draw.
+    """
+
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class Started:
+    """The start of the search that takes the place of the joint file's.
+
+    Attributes:
+        starts: by parameter, in SI units.
+        seed: that they were drawn with.
+    """
+
+    starts: tuple[tuple[str, float], ...]
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
 class Case:
     """One identification of a campaign.
 
@@ -42,7 +66,7 @@ class Case:
         stamp: by which a record that was replaced is known: its size and the time of its change, or its ETag.
         day: on which it was logged, as 2026-11-23; empty where that does not matter.
         changes: keys of the joint file that are changed, each as ``method.frequency=30``.
-        simulated: the simulated run, None for a record that was logged.
+        varied: the simulated run, the resampled error or the start that is this case's own; None for a logged record.
         program: the version of jointid that described it.
 
     Example:
@@ -58,7 +82,7 @@ class Case:
     stamp: str
     day: str = ""
     changes: tuple[str, ...] = ()
-    simulated: Simulated | None = None
+    varied: Simulated | Resampled | Started | None = None
     program: str = __version__
 
     @property

@@ -43,7 +43,7 @@ class Row:
     Attributes:
         content_hash: of the case.
         joint, record, day, changes: as the case has them.
-        seed: of a simulated run; None for a logged one.
+        seed: of a run that is simulated, resampled or begun elsewhere; None for another one.
         outcome: how it ended; a refusal is the record's or the joint file's fault, a failure is one of jointid's.
         sentence: the answer in a line, or why there is none.
         found: parameters, and sums that are known where their parts are not, by name.
@@ -76,7 +76,7 @@ class Row:
     @classmethod
     def of(cls, case: Case, outcome: Outcome, sentence: str, **more: Any) -> Self:
         """Return the row of a case."""
-        seed = None if case.simulated is None else case.simulated.seed
+        seed = None if case.varied is None else case.varied.seed
         return cls(
             case.content_hash, case.joint, case.record, case.day, case.changes, seed, outcome, sentence,
             sha256_of(case.joint_file), **more,

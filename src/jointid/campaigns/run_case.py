@@ -5,6 +5,7 @@ from __future__ import annotations
 import platform
 import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cache, lru_cache
 from importlib.metadata import version
 from pathlib import Path
@@ -14,10 +15,13 @@ import numpy as np
 
 from jointid import Estimate, JointFile, Record, __version__, simulated_record
 from jointid.campaigns.addresses import digest, fetched
-from jointid.campaigns.cases import Case, Simulated
+from jointid.campaigns.cases import Case, Resampled, Simulated, Started
 from jointid.campaigns.rows import Found, Outcome, Row, finite
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.config import loads
+from jointid.uncertainty.covariance import bandwidth
+from jointid.uncertainty.resampling import BANDWIDTHS
 
 
 def run_case(case: Case) -> Row:
@@ -46,7 +50,7 @@ def run_case(case: Case) -> Row:
             with fetched(case.record) as path:
                 read = str(path)
                 about["record_sha256"] = digest(path)
-                return Row.of(case, **_identify(case, path), **about)
+                return Row.of(case, **_identify(case, path, about["record_sha256"]), **about)
         except JointidError as error:
             return Row.of(case, Outcome.REFUSED, str(error).replace(read, case.record), **about)
         except Exception as error:
@@ -69,17 +73,54 @@ def _joint_file(text: str, changes: tuple[str, ...]) -> JointFile:
     return loads(text, changes=changes)
 
 
-def _identify(case: Case, path: Path) -> dict[str, Any]:
+@lru_cache(maxsize=8)
+def _explained(text: str, changes: tuple[str, ...], path: Path, record_sha256: str) -> tuple[FloatArray, FloatArray]:
+    """Return the torque that the joint identified from a record explains, and what it leaves, (samples,) each.
+
+    Raises:
+        MethodError: the method does not give them sample by sample.
+    """
+    file = _joint_file(text, changes)
+    record = file.record(path)
+    fit = file.identify(record).fit
+    if fit.compared != "torque" or record.torque is None or fit.predicted.size != len(record.torque):
+        raise MethodError(
+            "A bootstrap draws what is left of the torque anew, sample by sample; received a method that does not "
+            "give it so: use didim or idim on a uniform record."
+        )
+    return fit.predicted, fit.measured - fit.predicted
+
+
+def _resample(case: Case, record: Record, record_sha256: str, path: Path, seed: int) -> Record:
+    """Return a record whose error is drawn anew, in blocks that may begin anywhere and go on at the beginning.
+
+    H. R. Kuensch, The jackknife and the bootstrap for general stationary observations, Annals of Statistics 17, 1989;
+    circular as by D. N. Politis and J. P. Romano. A block is as long as those of the intervals' own bootstrap.
+    """
+    explained, left = _explained(case.joint_file, case.changes, path, record_sha256)
+    length = min(BANDWIDTHS * bandwidth(left.size), left.size)
+    begins = np.random.default_rng([seed]).integers(left.size, size=-(-left.size // length))
+    at = (begins[:, np.newaxis] + np.arange(length)).ravel()[: left.size]
+    assert record.torque is not None
+    torque = replace(record.torque, values=explained + np.take(left, at, mode="wrap"))
+    return replace(record, torque=torque)
+
+
+def _identify(case: Case, path: Path, record_sha256: str) -> dict[str, Any]:
     """Return the entries of a row that an estimate gives."""
-    file = _joint_file(case.joint_file, case.changes)
+    begun = case.varied.starts if isinstance(case.varied, Started) else ()
+    changes = [f"parameters.{name}.start={value!r}" for name, value in begun]
+    file = _joint_file(case.joint_file, (*case.changes, *changes))
     if file.runs:
         raise MethodError(
             f"The joint file of {case.joint} lists several [[records]], and a campaign identifies from one at a time; "
             "leave them out."
         )
     record = file.record(path)
-    if case.simulated is not None:
-        record = _simulate(file, record, case.simulated)
+    if isinstance(case.varied, Simulated):
+        record = _simulate(file, record, case.varied)
+    elif isinstance(case.varied, Resampled):
+        record = _resample(case, record, record_sha256, path, case.varied.seed)
     estimate = file.identify(record)
     return {
         "outcome": Outcome.IDENTIFIED,

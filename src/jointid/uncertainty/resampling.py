@@ -46,7 +46,7 @@ _SINGULAR = 1e-12  # of the largest: a direction of the scaled parameters that n
 _ALONE = 0.9  # of the information in a direction: the group is as good as alone
 _FEWEST = 8  # blocks: fewer cannot say how far the parts of a record differ
 _LOST = 0.05  # of the information on a direction: a resample that has less of it is not asked
-_PER_BANDWIDTH = 3  # times the bandwidth of the autocorrelation is a block of time long
+BANDWIDTHS = 3  # times the bandwidth of the autocorrelation is a block of time long
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -250,7 +250,7 @@ def bootstrap_estimate(
 
 def _draw_in_time(rows: int, random: np.random.Generator) -> tuple[int, str, Callable[[], FloatArray]]:
     """Return how many blocks are drawn, which, and what draws: the number of times each row was drawn, (rows,)."""
-    length = _PER_BANDWIDTH * bandwidth(rows)
+    length = BANDWIDTHS * bandwidth(rows)
     starts = rows - length + 1
     _require(starts, rows // length)
 
