@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import pickle
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,9 +17,12 @@ from jointid.campaigns import addresses
 from jointid.campaigns.campaign_file import load_campaign
 from jointid.campaigns.cases import Case, Resampled, Simulated, Started
 from jointid.campaigns.export import export_rows, table_of
+from jointid.campaigns.folder import read_results
 from jointid.campaigns.rows import Found, Outcome, Row
+from jointid.campaigns.run import _Waiting
 from jointid.campaigns.run_case import run_case
-from jointid.campaigns.shards import Shard
+from jointid.campaigns.shards import Shard, open_shard
+from jointid.campaigns.store import open_database
 from jointid.common.errors import JointFileError, MethodError, RecordError
 from tests.campaigns.conftest import FLEET, JOINT, TRUTH
 
@@ -243,3 +248,72 @@ def test_noise_does_not_depend_on_the_other_noise(place: Path) -> None:
     alone, both = run_case(case), run_case(replace(case, varied=replace(asked, noise_force=1e-9)))
     values = [[one.value for one in row.found.values()] for row in (alone, both)]
     assert np.allclose(values[0], values[1], rtol=1e-6)
+
+
+def test_a_record_that_is_gone_or_has_an_odd_name_fails_its_own_case_alone(place: Path) -> None:
+    (place / "logs" / "a" / "2026-11-03.npy").symlink_to(place / "gone.npy")
+    odd = os.fsdecode(b"logs/\xe4/2026-11-01.npy")
+    (place / odd).parent.mkdir()
+    (place / "logs/a/2026-11-01.npy").rename(place / odd)
+    found = campaign(place, FLEET)
+    rows = [run_case(case) for case in found]
+    assert sorted(row.outcome for row in rows) == [Outcome.IDENTIFIED] * 4 + [Outcome.REFUSED]
+    with open_database(place) as database:
+        for row in rows:
+            database.add(row)
+    assert {row.record for row in read_results(place).rows} == set()  # none is listed yet
+    assert Row.read(rows[-1].text()) == rows[-1]
+
+
+@pytest.mark.parametrize(
+    "records",
+    ["./logs/{joint}/{day}.npy", "logs//{joint}/{day}.npy", "logs/{joint}/{day}*.npy", "x/../logs/{joint}/{day}.*"],
+)
+def test_another_spelling_of_a_pattern_means_the_same(place: Path, records: str) -> None:
+    (place / "x").mkdir()
+    same = [case.content_hash for case in campaign(place, FLEET)]
+    found = campaign(place, FLEET.replace("logs/{joint}/{day}.npy", records))
+    assert [case.content_hash for case in found] == same
+    there = load_campaign(place / "x" / ".." / "campaign.toml")
+    assert [case.content_hash for case in there.cases()] == same
+
+
+def test_no_cell_of_a_table_is_a_formula(tmp_path: Path) -> None:
+    case = Case("=1+1", "[joint]", "@x.npy", "")
+    export_rows([Row.of(case, Outcome.REFUSED, "+no")], tmp_path / "out.csv")
+    cells = (tmp_path / "out.csv").read_text().splitlines()[1].split(",")
+    assert cells[0] == "'=1+1" and cells[2] == "'@x.npy" and "'+no" in cells
+
+
+def test_a_shard_belongs_to_one_process_and_knows_what_others_finished(tmp_path: Path) -> None:
+    rows = [Row.of(Case(name, "", "", ""), Outcome.IDENTIFIED, "found") for name in "ab"]
+    with open_shard(tmp_path, Shard(1, 2)) as first:
+        first.add(rows[0])
+        program = (
+            "from pathlib import Path; from jointid.campaigns.shards import *\n"
+            f"with open_shard(Path({str(tmp_path)!r}), Shard(1, 2)): pass"
+        )
+        beside = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+        assert "Another process is at work on" in beside.stderr
+    with open_shard(tmp_path, Shard(1, 1)) as other:
+        assert other.is_finished(rows[0].content_hash)
+        assert not other.is_finished(rows[1].content_hash)
+    with pytest.raises(RecordError, match="has the results of shards; name another folder"), open_database(tmp_path):
+        pass
+    (tmp_path / "database").mkdir()
+    with open_database(tmp_path / "database"):
+        pass
+    assert read_results(tmp_path / "database").cases == 0
+    with (
+        pytest.raises(RecordError, match="has the results of campaign run; name another"),
+        open_shard(tmp_path / "database", Shard(1, 1)),
+    ):
+        pass
+
+
+def test_a_job_is_cut_alike_and_has_no_case_that_is_finished() -> None:
+    made = [Case(str(number), "", "", "") for number in range(10)]
+    finished = {case.content_hash for case in (*made[:4], made[5])}
+    waiting = _Waiting(iter(made), lambda content_hash: content_hash in finished)
+    batches = [[case.joint for case in waiting.take(4)] for _ in range(3)]
+    assert batches == [["4", "6", "7"], ["8", "9"], []]

@@ -177,3 +177,29 @@ def test_a_folder_that_is_none_of_a_campaign_is_a_sentence(tmp_path: Path) -> No
         report_of(tmp_path)
     with pytest.raises(MethodError, match=r"^--false-alarm is 2; expected a chance"):
         report_of(tmp_path, 2.0)
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize(("stated", "unlike"), [(0.9, 0.5), (0.5, 1.0)])
+def test_runs_whose_stated_deviations_differ_raise_no_alarm(stated: float, unlike: float) -> None:
+    """One whose deviation is stated much too small would otherwise weigh nearly all, and fit itself."""
+    rng, days = np.random.default_rng(3), np.arange(20.0)
+    chances = []
+    for _ in range(4000):
+        values, stds = 100.0 + rng.standard_normal(20), stated * np.exp(unlike * rng.standard_normal(20))
+        found = best_change(Series("a", (), "stiffness", "N/m", days, values, stds, tuple(map(str, days))))
+        assert found is not None
+        chances.append(found.p_value)
+    assert np.mean(np.array(chances) < 1e-2) < 1.5e-2
+    assert np.sum(np.array(chances) < 1e-4) <= 3
+
+
+def test_a_day_that_is_none_does_not_hide_a_drift() -> None:
+    values = np.where(np.arange(20) < 10, 100.0, 90.0) + 0.5 * np.random.default_rng(1).standard_normal(20)
+    days = [f"2026-02-{number + 10:02}" for number in range(19)] + ["2026-02-30"]
+    rows = [
+        Row("", "a", "", day, (), None, Outcome.IDENTIFIED, "", "", {"stiffness": Found(float(value), 0.5, "N/m")})
+        for day, value in zip(days, values, strict=True)
+    ]
+    (found,) = judge(series_of(rows))
+    assert found.significant and found.kind == "step"

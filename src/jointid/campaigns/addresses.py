@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import posixpath
+import re
 import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path, PurePosixPath
@@ -49,7 +51,9 @@ def fetched(address: str) -> Iterator[Path]:
     require_known(address)
     fsspec = extra("fsspec", "remote", "A record behind a URL")
     with TemporaryDirectory(prefix="jointid-") as folder:
-        path = Path(folder) / PurePosixPath(urlsplit(address).path).name
+        # In an object store # and ? are letters of a name.
+        whole = urlsplit(address).path if address.startswith("http") else address
+        path = Path(folder) / PurePosixPath(whole).name
         try:
             with fsspec.open(address, "rb") as source, path.open("wb") as target:
                 shutil.copyfileobj(source, target, _BLOCK)
@@ -58,8 +62,12 @@ def fetched(address: str) -> Iterator[Path]:
         yield path
 
 
-def listed(pattern: str) -> dict[str, str]:
+def listed(pattern: str, folder: Path) -> dict[str, str]:
     """Return the addresses that a pattern with * and ? matches, in their order, each with its stamp.
+
+    Args:
+        pattern: a path, from the folder if it is not absolute, or a URL.
+        folder: of the campaign file.
 
     Raises:
         RecordError: they cannot be listed.
@@ -67,8 +75,10 @@ def listed(pattern: str) -> dict[str, str]:
     """
     if not is_remote(pattern):
         root = Path(pattern).anchor
-        found = Path(root).glob(str(Path(pattern).relative_to(root))) if root else Path().glob(pattern)
-        return {str(path): stamp_of(path) for path in sorted(found)}
+        below = os.path.relpath(pattern, root) if root else pattern
+        below = re.sub(r"\*+", "*", posixpath.normpath(below)).replace("[", "[[]")  # * is all that patterns have
+        paths = sorted(os.path.normpath(path) for path in (Path(root) if root else folder).glob(below))
+        return {path: _stamp_or_none(Path(path)) for path in paths}
     require_known(pattern)
     fsspec = extra("fsspec", "remote", "A record behind a URL")
     try:
@@ -94,6 +104,14 @@ def stamp_of(path: Path) -> str:
     except OSError as error:
         raise RecordError(f"{path} cannot be opened ({_reason(error)}); check the path.") from error
     return f"{sum(one.st_size for one in about)} {max((one.st_mtime_ns for one in about), default=0) // 10**6}"
+
+
+def _stamp_or_none(path: Path) -> str:
+    """Return the stamp of a record, none of one that cannot be opened: its own case says so."""
+    try:
+        return stamp_of(path)
+    except RecordError:
+        return ""
 
 
 def digest(path: Path) -> str:

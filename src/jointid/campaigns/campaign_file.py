@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import datetime
-import glob
 import itertools
 import json
 import os
+import posixpath
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -88,7 +88,9 @@ class Campaign:
 
     @cached_property
     def _combinations(self) -> tuple[tuple[str, ...], ...]:
-        keys = [[f"{key}={json.dumps(value)}" for value in values] for key, values in self.table.sweep.items()]
+        keys = [
+            dict.fromkeys(f"{key}={json.dumps(value)}" for value in values) for key, values in self.table.sweep.items()
+        ]
         return tuple(itertools.product(*keys))
 
     def _of_fleet(self, changes: tuple[str, ...]) -> Iterator[Case]:
@@ -102,12 +104,11 @@ class Campaign:
         pattern = self.table.fleet.records
         if pattern is None:
             return (self._named_record(self.table.fleet.joint, None),), ()
-        whole = pattern if is_remote(pattern) else f"{glob.escape(str(self.folder))}/{pattern}"
-        if os.path.isabs(pattern):  # noqa: PTH117 - as text, with placeholders in it
-            whole = pattern
-        shape = re.compile(f"(?:^|/){_expression(pattern)}$")
+        plain = pattern if is_remote(pattern) else posixpath.normpath(pattern)
+        shape = re.compile(f"(?:^|/){_expression(re.sub(r'^([.][.]/)+|^/', '', plain))}$")
         found, others = [], []
-        for address, stamp in listed(PLACEHOLDER.sub(lambda one: one[0] if one[1] is None else "*", whole)).items():
+        stars = PLACEHOLDER.sub(lambda one: one[0] if one[1] is None else "*", plain)
+        for address, stamp in listed(stars, self.folder).items():
             said = shape.search(address.replace(os.sep, "/"))
             if said is None:
                 others.append(address)
@@ -207,7 +208,7 @@ def load_campaign(path: Path) -> Campaign:
     Raises:
         JointFileError: the file cannot be read, is no TOML, or has faults; `faults` has a sentence for each.
     """
-    path = path.absolute()
+    path = Path(os.path.abspath(path))  # noqa: PTH100 - without the .. that another spelling of it has
     raw = parse_toml(read_text(path))
     corrected, faults = CampaignTable.corrected(raw)
     try:
@@ -257,6 +258,6 @@ def _day(said: str | None, address: str, stamp: str) -> str:
     if said is not None:
         digits = said.replace("-", "")
         return f"{digits[:4]}-{digits[4:6]}-{digits[6:]}"
-    if is_remote(address):
+    if is_remote(address) or not stamp:
         return ""
     return datetime.datetime.fromtimestamp(int(stamp.rpartition(" ")[2]) / 1000, datetime.UTC).date().isoformat()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -132,5 +131,5 @@ class CampaignTable(Table):
         if sum(getattr(self, kind) is not None for kind in KINDS) != 1:
             yield "", f"A campaign has one of the tables {listed([f'[{kind}]' for kind in KINDS])}; write one of them."
         for key, values in self.sweep.items():
-            if not values or any(isinstance(value, dict | datetime.date | datetime.time) for value in values):
+            if not values or not all(isinstance(value, str | int | float) for value in values):
                 yield "sweep", f": {key} is no list of values; expected one or more texts, numbers, true or false."

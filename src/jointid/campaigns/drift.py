@@ -5,15 +5,17 @@ its runs and a trend over its days, is fitted by weighted least squares,
 
     y_i = a + b c_i + e_i,    var(e_i) = k (s_i^2 + r^2),
 
-where ``r^2`` is by how much the scatter from run to run, robust and blind to slow movement, exceeds the stated one, and
-``k`` the variance that remains, or 1 if that is less: of what is stated and what is seen the larger counts. ``b`` over
-its deviation is Student's with two degrees of freedom less than there are runs, and so the chance of the best shape is
-at most that of one of them times their number (Bonferroni): simple, valid for any correlation of the shapes, and a
-little too careful. Over all quantities of all joints it is Holm's procedure (Scand. J. Statist. 6, 1979) that keeps the
-chance of any false name at one stated number.
+where ``r^2`` is by how much the scatter from run to run, robust and blind to slow movement, exceeds the stated one,
+``k`` the variance that remains, or 1 if that is less, and no ``s_i`` less than the median one: of what is stated and
+what is seen the larger counts. ``b`` over its deviation is Student's with two degrees of freedom less than there are
+runs, and so the chance of the best shape is at most that of one of them times their number (Bonferroni): simple, valid
+for any correlation of the shapes, and a little too careful. It holds if the runs of a joint scatter independently of
+one another. Over all quantities of all joints it is Holm's procedure (Scand. J. Statist. 6, 1979) that keeps the chance
+of any false name at one stated number.
 
-Limits: a step needs three runs on either side of it. What moves all joints, as the temperature of a hall does to
-friction, is a change of each. Runs that stand out by themselves are left out, and named elsewhere.
+Limits: a step needs three runs on either side of it. What moves a joint for some of its runs, as a warm week does, is
+no scatter, and is named. What moves all joints, as the temperature of a hall does to friction, is a change of each.
+Runs that stand out by themselves are left out, and named elsewhere.
 """
 
 from __future__ import annotations
@@ -113,14 +115,16 @@ def _shapes(days: FloatArray) -> FloatArray:
     runs = days.size
     steps = [np.arange(runs) >= first for first in range(_SIDE, runs - _SIDE + 1)]
     span = days[-1] - days[0]
-    trend = [(days - days[0]) / span] if span > 0 else []  # of no days, or one, or days that are none, there is none
+    trend = [(days - days[0]) / span] if span > 0 else []
     return np.array([*steps, *trend], dtype=np.float64)
 
 
 def _fit(series: Series, shapes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return slope and level of each shape, and the slope's standard deviation, (shapes,) each."""
     beyond = max(series.scatter**2 - float(np.median(series.stds)) ** 2, 0.0)
-    weights = 1.0 / (series.stds**2 + beyond)
+    # No run weighs more than the middle one: one whose deviation is stated too small would fit itself, and what is
+    # left would look like no scatter at all.
+    weights = 1.0 / (np.maximum(series.stds, np.median(series.stds)) ** 2 + beyond)
     share = weights / weights.sum()
     y = series.values - float(share @ series.values)
     means = shapes @ share

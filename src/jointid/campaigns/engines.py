@@ -32,11 +32,13 @@ class Workers:
         executor: takes the cases.
         capacity: how many tasks it can work at; of a cluster that is now.
         batch: cases of a task: one, where handing out a task is cheap.
+        ahead: tasks under way for each that it works at, so that no worker waits for the next.
     """
 
     executor: Executor
     capacity: Callable[[], int]
     batch: int = 1
+    ahead: int = 2
 
 
 class Engine(Protocol):
@@ -69,7 +71,7 @@ class LocalProcesses:
         for name in BLAS_THREADS:  # a worker's libraries read this when they are loaded, before it can say so
             os.environ.setdefault(name, "1")
         before = set(multiprocessing.active_children())
-        count = workers or self.workers or os.cpu_count() or 1
+        count = workers or self.workers or cores()
         executor = ProcessPoolExecutor(count, context, _begin)
         try:
             yield Workers(executor, lambda: count)
@@ -173,13 +175,19 @@ class SlurmJobs:
             cache_directory=str(self.folder), resource_dict=resources, wait=False, refresh_rate=_POLL
         )
         try:
-            yield Workers(executor, lambda: workers or self.jobs, self.batch)
+            yield Workers(executor, lambda: workers or self.jobs, self.batch, ahead=1)
         finally:
             executor.shutdown(wait=False)
 
     def is_death(self, error: BaseException) -> bool:
         """Return whether a job ended without a result."""
         return isinstance(error, RuntimeError) and "terminated without producing output" in str(error)
+
+
+def cores() -> int:
+    """Return how many cores this process may use; Windows waits for no more than 61 workers."""
+    allowed = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
+    return min(allowed, 61) if sys.platform == "win32" else allowed
 
 
 def on_one_core(carry: Callable[[Any], Any], cases: Sequence[Any]) -> list[Any]:

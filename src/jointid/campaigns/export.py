@@ -27,14 +27,19 @@ def export_rows(rows: Sequence[Row], path: Path) -> None:
     if path.suffix.lower() == ".csv":
         made = io.StringIO(newline="")
         writer = csv.writer(made, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows(zip(*columns.values(), strict=True))
+        writer.writerow(map(_harmless, columns))
+        writer.writerows(map(_harmless, row) for row in zip(*columns.values(), strict=True))
         write_whole(path, made.getvalue())
         return
     pyarrow = extra("pyarrow", "logs", "A Parquet file")
     parquet = extra("pyarrow.parquet", "logs", "A Parquet file")
     with beside(path) as fresh:
         parquet.write_table(pyarrow.table({name: pyarrow.array(column) for name, column in columns.items()}), fresh)
+
+
+def _harmless(cell: Any) -> Any:
+    """Return a cell that no spreadsheet takes for a formula: a text that begins like one gets a quote before it."""
+    return f"'{cell}" if isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t", "\r")) else cell
 
 
 def require_ending(path: Path) -> None:

@@ -94,7 +94,8 @@ class CampaignReport(Documented):
             yield Table(header, tuple(map(_drift_row, others)), "", (0, 1, 4, 5))
         yield Paragraph(
             f"{counted(len(self.changes), 'quantity', 'quantities')} of joints were watched; the chance that any is "
-            f"named without drift is {number(100 * self.false_alarm, 2)} % at most."
+            f"named without drift is {number(100 * self.false_alarm, 2)} % at most, if the runs of a joint scatter "
+            "independently of one another."
         )
 
     def _scatter_blocks(self) -> Iterator[Block]:

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from typing import Any, Self
 
-from jointid.campaigns.cases import Case, canonical, sha256_of
+from jointid.campaigns.cases import Case, sha256_of
 
 
 class Outcome(StrEnum):
@@ -83,8 +83,8 @@ class Row:
         )  # fmt: skip
 
     def text(self) -> str:
-        """Return the row as JSON in one line."""
-        return canonical(asdict(self))
+        """Return the row as JSON in one line, in ASCII: names of files may hold bytes that are no text."""
+        return json.dumps(asdict(self), sort_keys=True, separators=(",", ":"), allow_nan=False)
 
     @classmethod
     def read(cls, text: str) -> Self:

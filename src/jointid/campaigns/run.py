@@ -23,7 +23,6 @@ from jointid.common.errors import JointidError, RecordError
 from jointid.common.messages import Progress, Work, silent
 from jointid.common.text import counted
 
-_AHEAD = 2  # cases under way for each worker, so that none waits for the next
 _DEATHS = 2  # of workers, after which a case is set aside
 _IDLE_DEATHS = 10  # of workers in a row that had no case, after which it is no use to start others
 
@@ -124,15 +123,16 @@ class _Waiting:
         return bool(self._back)
 
     def take(self, count: int) -> list[Case]:
-        """Return the next batch of so many cases, not all of which have a result; an empty one at the end.
+        """Return the next batch, of so many cases less those that have a result; an empty one at the end.
 
-        A batch is the same whatever is finished: a job of a client that left is found again by the cases it has.
+        Batches begin at the same cases whatever is finished, and the results of a job come together: so a job of a
+        client that left is found again by the cases it has.
         """
         if self._back:
             return self._back.pop()
         while batch := list(islice(self._cases, count)):
-            if not all(self._is_finished(case.content_hash) for case in batch):
-                return batch
+            if left := [case for case in batch if not self._is_finished(case.content_hash)]:
+                return left
         return []
 
     def give_back(self, batch: list[Case]) -> None:
@@ -162,7 +162,7 @@ def _run_together(waiting: _Waiting, engine: Engine, carry: Carry, keep: Callabl
 
 def _fill(under_way: _UnderWay, waiting: _Waiting, workers: Workers, carry: Carry) -> None:
     """Hand out cases until there are enough under way."""
-    most = _AHEAD * max(workers.capacity(), 1)
+    most = workers.ahead * max(workers.capacity(), 1)
     while len(under_way) < most and (batch := waiting.take(workers.batch)):
         try:
             under_way[workers.executor.submit(on_one_core, carry, batch)] = batch

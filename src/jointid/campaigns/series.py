@@ -115,18 +115,20 @@ def _series(joint: str, changes: tuple[str, ...], quantity: str, runs: Sequence[
     found = [(row, one.value, one.std, one.unit) for row, one in known if one.std]
     if not found:
         return
-    dated = all(row.day for row, *_ in found)
-    days = [_ordinal(row.day) if dated else float(k) for k, (row, *_) in enumerate(found)]
+    days = [_ordinal(row.day) for row, *_ in found]
+    if None in days:
+        days = [float(k) for k in range(len(found))]
     values, stds = np.array([(value, std) for _, value, std, _ in found], np.float64).T
     labels = tuple(row.day or row.record for row, *_ in found)
-    yield Series(joint, changes, quantity, found[0][3], np.array(days), values, stds, labels)
+    yield Series(joint, changes, quantity, found[0][3], np.array(days, np.float64), values, stds, labels)
 
 
-def _ordinal(day: str) -> float:
+def _ordinal(day: str) -> float | None:
+    """Return a day as a number, None for none and for one that is none, as a 30th of February in a file's name."""
     try:
         return float(datetime.date.fromisoformat(day).toordinal())
-    except ValueError:  # a 31st of February in a file's name
-        return float("nan")
+    except ValueError:
+        return None
 
 
 def _running_median(values: FloatArray) -> FloatArray:

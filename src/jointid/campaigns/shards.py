@@ -12,17 +12,17 @@ import json
 import os
 import re
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from jointid.campaigns.cases import canonical
 from jointid.campaigns.rows import Row
+from jointid.campaigns.store import DATABASE, SHARD_FILES
 from jointid.common.errors import MethodError, RecordError
 
 _NAME = "shard-{}-of-{}.jsonl"
-_ANY = "shard-*-of-*.jsonl"
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,9 +97,9 @@ class _Contents:
 class ShardFile:
     """The results of a shard: a file that only grows; see `open_shard`."""
 
-    def __init__(self, path: Path, descriptor: int, contents: _Contents) -> None:
+    def __init__(self, path: Path, descriptor: int, contents: _Contents, elsewhere: Collection[str] = ()) -> None:
         self._path, self._descriptor, self._contents = path, descriptor, contents
-        self._finished = set(contents.rows)
+        self._finished = {*contents.rows, *elsewhere}
 
     def list_cases(self, name: str, hashes: Iterable[str]) -> int:
         """Keep which cases the whole campaign has now; see `store.Results`."""
@@ -127,9 +127,8 @@ class ShardFile:
     def _append(self, line: dict[str, Any]) -> None:
         content = (canonical(line) + "\n").encode("utf-8", "surrogatepass")
         with _explain(self._path):
-            written = os.write(self._descriptor, content)
-            if written < len(content):  # the disk took a part of it: the next attempt says why
-                os.write(self._descriptor, content[written:])
+            while content:  # a disk that takes a part of it says why at the next attempt
+                content = content[os.write(self._descriptor, content) :]
             os.fsync(self._descriptor)
 
 
@@ -141,20 +140,43 @@ def open_shard(folder: Path, shard: Shard) -> Iterator[ShardFile]:
         RecordError: it cannot be read or written.
     """
     path = shard.path(folder)
+    if (folder / DATABASE).exists():
+        raise RecordError(f"{folder} has the results of campaign run; name another folder by --out, or go on with run.")
     with _explain(path):
-        contents, ends = _read(path) if path.exists() else (_Contents(), True)
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o666)
-        try:
+    try:
+        with _explain(path):
+            _lock(descriptor, path)
+            contents, ends = _read(path)
             if not ends:
                 os.write(descriptor, b"\n")  # of a torn line, which is made again
-            yield ShardFile(path, descriptor, contents)
-        finally:
-            os.close(descriptor)
+            finished = {one for other in folder.glob(SHARD_FILES) if other != path for one in _read(other)[0].rows}
+        yield ShardFile(path, descriptor, contents, finished)
+    finally:
+        os.close(descriptor)
+
+
+def _lock(descriptor: int, path: Path) -> None:
+    """Keep a shard for this process, where the system has locks; it lets go of it however that ends.
+
+    Raises:
+        RecordError: another process has it.
+    """
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        return
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (BlockingIOError, PermissionError):
+        raise RecordError(f"Another process is at work on {path}; wait for its end.") from None
+    except OSError:  # a disk in a network without locks
+        return
 
 
 def has_shards(folder: Path) -> bool:
     """Return whether there is a file of a shard in a folder."""
-    return any(folder.glob(_ANY))
+    return any(folder.glob(SHARD_FILES))
 
 
 def read_shards(folder: Path) -> tuple[str, int, list[tuple[float, Row]]]:
@@ -166,7 +188,7 @@ def read_shards(folder: Path) -> tuple[str, int, list[tuple[float, Row]]]:
         RecordError: a file cannot be read.
     """
     name, cases, rows = "", tuple[str, ...](), dict[str, tuple[float, Row]]()
-    for path in sorted(folder.glob(_ANY), key=lambda one: one.stat().st_mtime_ns):
+    for path in sorted(folder.glob(SHARD_FILES), key=lambda one: one.stat().st_mtime_ns):
         with _explain(path):
             contents, _ = _read(path)
         if contents.cases:
@@ -182,7 +204,7 @@ def _read(path: Path) -> tuple[_Contents, bool]:
     contents, line = _Contents(), b"\n"
     with path.open("rb") as file:
         for line in file:
-            with contextlib.suppress(ValueError):
+            with contextlib.suppress(ValueError, RecursionError):
                 contents.take(line)
     return contents, line.endswith(b"\n")
 

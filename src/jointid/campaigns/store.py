@@ -8,7 +8,6 @@ that processes share, which no disk in a network has.
 from __future__ import annotations
 
 import contextlib
-import json
 import sqlite3
 import sys
 import time
@@ -20,6 +19,8 @@ from jointid.campaigns.rows import Outcome, Row
 from jointid.common.errors import RecordError
 
 DATABASE = "campaign.sqlite"
+SHARD_FILES = "shard-*-of-*.jsonl"
+"""Names of the results of shards, which stand in another folder than a database."""
 _LOCK = "campaign.lock"
 _FORMAT = 1
 _PATIENCE = 60.0  # s that a reader may hold the database
@@ -92,13 +93,10 @@ class Database:
         """Forget the results that are no identification, whose cases are then tried again; return how many."""
         with _explain(self._path), self._connection as transaction:
             transaction.execute("DELETE FROM deaths")
-            forgotten = [
-                (content_hash,)
-                for content_hash, text in transaction.execute("SELECT hash, row FROM results").fetchall()
-                if json.loads(text)["outcome"] != Outcome.IDENTIFIED
-            ]
-            transaction.executemany("DELETE FROM results WHERE hash = ?", forgotten)
-            return len(forgotten)
+            done = str(Outcome.IDENTIFIED)
+            return transaction.execute(
+                "DELETE FROM results WHERE json_extract(row, '$.outcome') <> ?", (done,)
+            ).rowcount
 
 
 @contextlib.contextmanager
@@ -109,6 +107,8 @@ def open_database(folder: Path) -> Iterator[Database]:
         RecordError: the folder is on a network's disk, another client is at work in it, or it takes nothing.
     """
     require_local_disk(folder)
+    if any(folder.glob(SHARD_FILES)):
+        raise RecordError(f"{folder} has the results of shards; name another folder by --out, or go on with work.")
     path = folder / DATABASE
     with _explain(path), contextlib.closing(_lock(folder)), contextlib.closing(_connect(path)) as connection:
         connection.executescript(_TABLES)
@@ -154,6 +154,8 @@ def read_database(folder: Path) -> tuple[str, int, list[tuple[float, Row]]]:
     """
     path = folder / DATABASE
     with _explain(path), contextlib.closing(sqlite3.connect(path, timeout=_PATIENCE)) as connection:
+        if not connection.execute("SELECT 1 FROM sqlite_master WHERE name = 'listed'").fetchone():
+            return "", 0, []  # it was only just begun
         about = dict(connection.execute("SELECT key, value FROM about").fetchall())
         (total,) = connection.execute("SELECT count(*) FROM listed").fetchone()
         found = connection.execute("SELECT stored, row FROM results JOIN listed USING (hash)")

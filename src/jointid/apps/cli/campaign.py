@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -83,7 +82,7 @@ def work(campaign: Path, /, *, shard: str, out: Path, workers: int = 1, quiet: Q
     asked = _load(campaign, listener)
     with fresh_folder(out, "--out"), open_shard(out, part) as results:
         ready(listener)
-        engine = LocalProcesses(workers or os.cpu_count() or 1)
+        engine = LocalProcesses(workers)
         show(run_cases(asked.cases, engine, results, name=asked.name, has=part.has, progress=listener))
 
 
