@@ -15,7 +15,7 @@ import pytest
 import jointid as ji
 from jointid.campaigns import addresses
 from jointid.campaigns.campaign_file import load_campaign
-from jointid.campaigns.cases import Case, Resampled, Simulated, Started
+from jointid.campaigns.cases import Case, Redrawn, Simulated, Started
 from jointid.campaigns.export import export_rows, table_of
 from jointid.campaigns.folder import read_results
 from jointid.campaigns.rows import Found, Outcome, Row
@@ -39,7 +39,7 @@ def test_the_same_case_has_the_same_hash_and_any_other_another() -> None:
         replace(case, stamp="1 3"), replace(case, day="2026-11-23"), replace(case, changes=("x=1",)),
         replace(case, program="0"),
         replace(case, varied=Simulated((("inertia", 1.0),))), replace(case, varied=Simulated((), seed=1)),
-        replace(case, varied=Resampled(1)), replace(case, varied=Started((), 1)),
+        replace(case, varied=Redrawn(1)), replace(case, varied=Started((), 1)),
     )  # fmt: skip
     assert len({one.content_hash for one in (case, *others)}) == 1 + len(others)
     again = pickle.loads(pickle.dumps(case))

@@ -111,7 +111,7 @@ def test_a_law_that_cannot_be_identified_is_listed_with_the_reason(
     assert [law.refusal for law in found.laws] == ["", "", *["The loop runs away."] * (len(SPRINGS) - 1)]
     assert "not identified" in str(found)
     assert (
-        "; backlash, cubic, two-piece, hysteretic, three-piece and elastic-load could not be identified"
+        "; backlash, cubic, two-piece, hysteretic, elastic-load and three-piece could not be identified"
         in found.sentence
     )
     assert json.loads(json.dumps(ji.to_dict(found)))["springs"][2]["kept_error_percent"] is None

@@ -25,7 +25,7 @@ from jointid.campaigns.campaign_tables import (
     CampaignTable,
     MultistartTable,
 )
-from jointid.campaigns.cases import Case, Resampled, Simulated, Started
+from jointid.campaigns.cases import Case, Redrawn, Simulated, Started
 from jointid.common.errors import JointFileError
 from jointid.common.text import listed as in_a_row
 from jointid.config import loads
@@ -165,7 +165,7 @@ class Campaign:
     def _of_resamples(self, changes: tuple[str, ...], asked: BootstrapTable) -> Iterator[Case]:
         text, logged = read_text(self.folder / asked.joint), self._named_record(asked.joint, asked.record)
         for number in range(asked.runs):
-            drawn = Resampled(asked.seed + number)
+            drawn = Redrawn(asked.seed + number)
             yield Case(logged.joint, text, logged.address, logged.stamp, "", changes, drawn)
 
     def _of_starts(self, changes: tuple[str, ...], asked: MultistartTable) -> Iterator[Case]:

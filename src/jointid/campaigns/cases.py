@@ -32,7 +32,7 @@ class Simulated:
 
 
 @dataclass(frozen=True, slots=True)
-class Resampled:
+class Redrawn:
     """The error of the case's record, drawn anew: what the identified joint leaves of the torque, in blocks of time.
 
     Attributes:
@@ -82,7 +82,7 @@ class Case:
     stamp: str
     day: str = ""
     changes: tuple[str, ...] = ()
-    varied: Simulated | Resampled | Started | None = None
+    varied: Simulated | Redrawn | Started | None = None
     program: str = __version__
 
     @property

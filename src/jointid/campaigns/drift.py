@@ -37,7 +37,7 @@ _SIDE = 3  # runs that a step has on either side at least
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Drift:
+class Change:
     """The change of a quantity of a joint that explains its runs best.
 
     Attributes:
@@ -65,7 +65,7 @@ class Drift:
         return 100 * (self.after - self.before) / self.before if self.before else float("inf")
 
 
-def best_change(series: Series) -> Drift | None:
+def best_change(series: Series) -> Change | None:
     """Return the change that explains a series best, None where there are too few runs to say.
 
     Example:
@@ -91,10 +91,10 @@ def best_change(series: Series) -> Drift | None:
     is_step = best < kept.values.size - 2 * _SIDE + 1
     since = int(np.argmax(shape > 0)) if is_step else 0
     before, after = (float(levels[best] + slope * end) for end in (shape[0], shape[-1]))
-    return Drift(kept, "step" if is_step else "trend", kept.labels[since], before, after, float(stds[best]), p_value)
+    return Change(kept, "step" if is_step else "trend", kept.labels[since], before, after, float(stds[best]), p_value)
 
 
-def judge(series: Iterable[Series], false_alarm: float = FALSE_ALARM) -> tuple[Drift, ...]:
+def judge(series: Iterable[Series], false_alarm: float = FALSE_ALARM) -> tuple[Change, ...]:
     """Return the best change of every series, the least likely by chance first, those that are named marked (Holm).
 
     Args:
@@ -106,7 +106,7 @@ def judge(series: Iterable[Series], false_alarm: float = FALSE_ALARM) -> tuple[D
     while named < len(found) and found[named].p_value <= false_alarm / (len(found) - named):
         named += 1
     return tuple(
-        Drift(d.series, d.kind, d.since, d.before, d.after, d.std, d.p_value, k < named) for k, d in enumerate(found)
+        Change(d.series, d.kind, d.since, d.before, d.after, d.std, d.p_value, k < named) for k, d in enumerate(found)
     )
 
 

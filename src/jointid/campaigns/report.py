@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jointid.campaigns.drift import FALSE_ALARM, Drift, judge
+from jointid.campaigns.drift import FALSE_ALARM, Change, judge
 from jointid.campaigns.folder import Results, described, read_results
 from jointid.campaigns.rows import Outcome, Row
 from jointid.campaigns.series import Series, series_of
@@ -44,12 +44,12 @@ class CampaignReport(Documented):
         return tuple(series_of(self.results.rows))
 
     @cached_property
-    def changes(self) -> tuple[Drift, ...]:
+    def changes(self) -> tuple[Change, ...]:
         """The best change of every series, the least likely by chance first."""
         return judge(self.series, self.false_alarm)
 
     @property
-    def drifted(self) -> tuple[Drift, ...]:
+    def drifted(self) -> tuple[Change, ...]:
         """Those that are more than scatter."""
         return tuple(one for one in self.changes if one.significant)
 
@@ -148,7 +148,7 @@ def report_of(folder: Path, false_alarm: float = FALSE_ALARM) -> CampaignReport:
     return CampaignReport(read_results(folder), false_alarm)
 
 
-def _drift_row(one: Drift) -> tuple[str, ...]:
+def _drift_row(one: Change) -> tuple[str, ...]:
     scale = 100 / abs(one.before) if one.before else float("inf")
     return (
         _called(one.series), one.series.quantity, signed(one.change_percent, 3), number(2 * scale * one.std, 2),

@@ -15,7 +15,7 @@ import numpy as np
 
 from jointid import Estimate, JointFile, Record, __version__, simulated_record
 from jointid.campaigns.addresses import digest, fetched
-from jointid.campaigns.cases import Case, Resampled, Simulated, Started
+from jointid.campaigns.cases import Case, Redrawn, Simulated, Started
 from jointid.campaigns.rows import Found, Outcome, Row, finite
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError, RecordError
@@ -119,7 +119,7 @@ def _identify(case: Case, path: Path, record_sha256: str) -> dict[str, Any]:
     record = file.record(path)
     if isinstance(case.varied, Simulated):
         record = _simulate(file, record, case.varied)
-    elif isinstance(case.varied, Resampled):
+    elif isinstance(case.varied, Redrawn):
         record = _resample(case, record, record_sha256, path, case.varied.seed)
     estimate = file.identify(record)
     return {
