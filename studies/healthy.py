@@ -12,7 +12,8 @@ import math
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from scipy.signal import lfilter
 import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
+from studies.seeds import judge_seeds
 
 MOTIONS = ("trapezoid", "s-curve", "sweep", "multisine")
 NOISES = ("log", "white force", "coloured force")
@@ -226,12 +228,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--count", type=int, default=20)
     parser.add_argument("--longest", type=float, default=60.0)
+    parser.add_argument("--out", type=Path, help="folder where results are kept, and found again")
     given = parser.parse_args(arguments)
+    seeds = range(given.first, given.first + given.count)
     runs = []
-    for seed in range(given.first, given.first + given.count):
-        runs.append(judge(seed, given.longest))
-        sys.stdout.write(json.dumps(asdict(runs[-1])) + "\n")
-        sys.stdout.flush()
+    for found in judge_seeds("studies.healthy:judge", seeds, {"longest": given.longest}, given.out):
+        runs.append(Said(**found))
+        sys.stdout.write(json.dumps(found) + "\n")
     sys.stderr.write(summarise(runs) + "\n")
 
 

@@ -13,7 +13,8 @@ import math
 import sys
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numba
@@ -33,6 +34,7 @@ from jointid.models.ripple import PositionHarmonics
 from jointid.models.springs import SPRINGS, ElasticLoad, LinearSpring, spring_named
 from jointid.simulation.loop_input import LoopInput, prepare
 from studies.healthy import Drive, drive
+from studies.seeds import judge_seeds
 
 FAULTS = (
     "none", "cubic spring", "backlash", "load-dependent friction", "changing friction", "presliding", "cogging",
@@ -379,21 +381,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--friction", choices=FRICTIONS, default="symmetric")
     parser.add_argument("--ripple", action="store_true", help="declare the period of the cogging")
     parser.add_argument("--choose", choices=("spring", "friction"), help="compare all of them, and say which is shown")
+    parser.add_argument("--out", type=Path, help="folder where results are kept, and found again")
     given = parser.parse_args(arguments)
-    said: list[Said] = []
-    chosen: list[Chosen] = []
+    seeds, said, chosen = range(given.first, given.first + given.count), list[Said](), list[Chosen]()
     for fault in given.fault or FAULTS:
-        for seed in range(given.first, given.first + given.count):
+        asked = {"fault": fault, "longest": given.longest}
+        if given.choose:
+            asked, function = asked | {"kind": given.choose}, "studies.mechanics:choose"
+        else:
+            asked |= {"spring": given.spring, "friction": given.friction, "ripple": given.ripple}
+            function = "studies.mechanics:judge"
+        for found in judge_seeds(function, seeds, asked, given.out):
+            sys.stdout.write(json.dumps(found) + "\n")
             if given.choose:
-                one: Said | Chosen | None = choose(seed, fault, given.longest, given.choose)
+                chosen.append(Chosen(**found))
             else:
-                one = judge(seed, fault, given.longest, given.spring, given.friction, given.ripple)
-            if one is None:
-                continue
-            said += [one] if isinstance(one, Said) else []
-            chosen += [one] if isinstance(one, Chosen) else []
-            sys.stdout.write(json.dumps(asdict(one)) + "\n")
-            sys.stdout.flush()
+                said.append(Said(**found | {"named": tuple(found["named"])}))
     sys.stderr.write((summarise_choices(chosen) if given.choose else summarise(said)) + "\n")
 
 

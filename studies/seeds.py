@@ -1,0 +1,56 @@
+"""The seeds of a study as a campaign: on all cores, each result kept as it comes, so that a study may be ended."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict
+from importlib import import_module
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from jointid.campaigns.cases import Case, Simulated, canonical
+from jointid.campaigns.engines import LocalProcesses
+from jointid.campaigns.folder import read_results
+from jointid.campaigns.rows import Outcome, Row
+from jointid.campaigns.run import run_cases
+from jointid.campaigns.store import open_database
+
+
+def judge_seeds(
+    function: str, seeds: Iterable[int], settings: Mapping[str, Any], out: Path | None = None
+) -> Iterator[dict[str, Any]]:
+    """Yield what a function of a seed gives, for each seed in its order, as a dictionary; nothing where it gives None.
+
+    Args:
+        function: of a seed and the settings, which returns a dataclass or None, as "studies.mechanics:judge".
+        seeds: each a case of the campaign.
+        settings: the function's other arguments, as JSON has them.
+        out: folder in which results are kept, and found again; one for this call alone when None.
+    """
+    cases = [Case(function, "", "", "", changes=(canonical(settings),), varied=Simulated((), seed=n)) for n in seeds]
+    with contextlib.ExitStack() as stack:
+        folder = Path(stack.enter_context(TemporaryDirectory())) if out is None else out
+        folder.mkdir(parents=True, exist_ok=True)
+        with open_database(folder) as database:
+            run_cases(lambda: cases, LocalProcesses(), database, name=function, carry=_carry, progress=_say)
+        rows = {row.content_hash: row for row in read_results(folder).rows}
+    for case in cases:
+        found = json.loads(rows[case.content_hash].sentence)
+        if found is not None:
+            yield found
+
+
+def _carry(case: Case) -> Row:
+    """Return what the function of a case gives, as JSON in the place of a row's sentence."""
+    module, _, name = case.joint.partition(":")
+    assert isinstance(case.varied, Simulated)
+    found = getattr(import_module(module), name)(case.varied.seed, **json.loads(case.changes[0]))
+    return Row.of(case, Outcome.IDENTIFIED, canonical(None if found is None else asdict(found)))
+
+
+def _say(said: str) -> None:
+    sys.stderr.write(f"{said}\n")
