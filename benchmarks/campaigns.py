@@ -12,7 +12,7 @@ import os
 import resource
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 
@@ -27,6 +27,7 @@ from jointid.campaigns.cases import Case
 from jointid.campaigns.engines import DaskCluster, Engine, LocalProcesses, on_one_core
 from jointid.campaigns.export import export_rows
 from jointid.campaigns.folder import read_results
+from jointid.campaigns.rows import Row
 from jointid.campaigns.run import run_cases
 from jointid.campaigns.run_case import run_case
 from jointid.campaigns.shards import Shard, open_shard
@@ -100,8 +101,8 @@ def carried(folder: Path, engine: Engine, cases: list[Case]) -> float:
     with open_database(folder) as database:
         keep, began = database.add, []
 
-        def add(row: object) -> None:
-            keep(row)  # type: ignore[arg-type]
+        def add(rows: Sequence[Row]) -> None:
+            keep(rows)
             began.append(time.perf_counter())
             memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 

@@ -87,6 +87,7 @@ def test_simulated_runs_have_the_truth_and_a_seed_each(place: Path) -> None:
     assert rows[0].text() == run_case(found[0]).text(), "the same case gives the same bytes"
 
 
+@pytest.mark.slow
 def test_a_bootstrap_scatters_as_the_noise_does(place: Path) -> None:
     noisy(place / "run.npy", seed=3)
     found = campaign(place, '[bootstrap]\njoint = "joint.toml"\nruns = 60\nseed = 5\n')
@@ -259,8 +260,7 @@ def test_a_record_that_is_gone_or_has_an_odd_name_fails_its_own_case_alone(place
     rows = [run_case(case) for case in found]
     assert sorted(row.outcome for row in rows) == [Outcome.IDENTIFIED] * 4 + [Outcome.REFUSED]
     with open_database(place) as database:
-        for row in rows:
-            database.add(row)
+        database.add(rows)
     assert {row.record for row in read_results(place).rows} == set()  # none is listed yet
     assert Row.read(rows[-1].text()) == rows[-1]
 
@@ -288,7 +288,7 @@ def test_no_cell_of_a_table_is_a_formula(tmp_path: Path) -> None:
 def test_a_shard_belongs_to_one_process_and_knows_what_others_finished(tmp_path: Path) -> None:
     rows = [Row.of(Case(name, "", "", ""), Outcome.IDENTIFIED, "found") for name in "ab"]
     with open_shard(tmp_path, Shard(1, 2)) as first:
-        first.add(rows[0])
+        first.add(rows[:1])
         program = (
             "from pathlib import Path; from jointid.campaigns.shards import *\n"
             f"with open_shard(Path({str(tmp_path)!r}), Shard(1, 2)): pass"

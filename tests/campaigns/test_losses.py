@@ -11,7 +11,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, Future
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
@@ -20,7 +20,7 @@ import pytest
 
 from jointid.campaigns.engines import LocalProcesses, Workers
 from jointid.campaigns.folder import read_results
-from jointid.campaigns.rows import Outcome
+from jointid.campaigns.rows import Outcome, Row
 from jointid.campaigns.run import run_cases
 from jointid.campaigns.shards import Shard, open_shard, read_shards
 from jointid.campaigns.store import open_database, require_local_disk
@@ -160,8 +160,8 @@ def test_a_client_that_is_interrupted_ends_at_once_and_keeps_what_there_is(tmp_p
     with pytest.raises(KeyboardInterrupt), open_database(tmp_path) as database:
         keep = database.add
 
-        def add(row: object) -> None:
-            keep(row)  # type: ignore[arg-type]
+        def add(rows: Sequence[Row]) -> None:
+            keep(rows)
             interrupt("")
 
         database.add = add  # type: ignore[method-assign]

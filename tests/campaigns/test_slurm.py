@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import stat
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -60,8 +61,8 @@ def test_jobs_give_what_processes_give_and_outlive_their_client(slurm: SlurmJobs
     with pytest.raises(KeyboardInterrupt), open_database(tmp_path / "slurm") as database:
         keep = database.add
 
-        def leave(row: Row) -> None:
-            keep(row)
+        def leave(rows: Sequence[Row]) -> None:
+            keep(rows)
             raise KeyboardInterrupt
 
         database.add = leave  # type: ignore[method-assign]

@@ -8,7 +8,7 @@ other is blamed.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from dataclasses import dataclass
 from itertools import islice
@@ -27,6 +27,7 @@ _DEATHS = 2  # of workers, after which a case is set aside
 _IDLE_DEATHS = 10  # of workers in a row that had no case, after which it is no use to start others
 
 Carry = Callable[[Case], Row]
+Keep = Callable[[Sequence[Row]], None]
 _UnderWay: TypeAlias = dict[Future[list[Row]], list[Case]]
 
 
@@ -82,12 +83,12 @@ def run_cases(
     if left:
         work = Work(progress, "cases", left, "cases")
 
-        def keep(row: Row) -> None:
-            if results.is_finished(row.content_hash):
-                return
-            results.add(row)
-            made[row.outcome] += 1
-            work.add()
+        def keep(rows: Sequence[Row]) -> None:
+            new = [row for row in rows if not results.is_finished(row.content_hash)]
+            results.add(new)
+            for row in new:
+                made[row.outcome] += 1
+                work.add()
 
         waiting = _Waiting((case for case in cases() if has(case.content_hash)), results.is_finished)
         idle_deaths = 0
@@ -140,7 +141,7 @@ class _Waiting:
         self._back.append(batch)
 
 
-def _run_together(waiting: _Waiting, engine: Engine, carry: Carry, keep: Callable[[Row], None]) -> list[Case]:
+def _run_together(waiting: _Waiting, engine: Engine, carry: Carry, keep: Keep) -> list[Case]:
     """Carry out cases until all are done or a worker dies; return those that were under way then."""
     suspects: list[Case] = []
     under_way: _UnderWay = {}
@@ -153,8 +154,8 @@ def _run_together(waiting: _Waiting, engine: Engine, carry: Carry, keep: Callabl
                 rows = _result(future, engine)
                 if rows is None:
                     suspects += batch
-                for row in rows or ():
-                    keep(row)
+                else:
+                    keep(rows)
             if not suspects:
                 _fill(under_way, waiting, workers, carry)
     return suspects
@@ -171,7 +172,7 @@ def _fill(under_way: _UnderWay, waiting: _Waiting, workers: Workers, carry: Carr
             return
 
 
-def _run_alone(case: Case, engine: Engine, results: Results, carry: Carry, keep: Callable[[Row], None]) -> None:
+def _run_alone(case: Case, engine: Engine, results: Results, carry: Carry, keep: Keep) -> None:
     """Carry out a case with nothing beside it, and set it aside when two workers died of it."""
     while True:
         with engine.open(1) as workers:
@@ -185,7 +186,7 @@ def _run_alone(case: Case, engine: Engine, results: Results, carry: Carry, keep:
                 "record, and into the worker's memory.",
             )
         if row is not None:
-            keep(row)
+            keep([row])
             return
 
 

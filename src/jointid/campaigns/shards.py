@@ -12,7 +12,7 @@ import json
 import os
 import re
 import time
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -112,11 +112,12 @@ class ShardFile:
         """Return whether the result of a case is there."""
         return content_hash in self._finished
 
-    def add(self, row: Row) -> None:
-        """Keep a result; it is on the disk when this returns."""
-        if row.content_hash not in self._finished:
-            self._append({"row": asdict(row), "stored": time.time()})
-            self._finished.add(row.content_hash)
+    def add(self, rows: Sequence[Row]) -> None:
+        """Keep results; they are on the disk when this returns."""
+        for row in rows:
+            if row.content_hash not in self._finished:
+                self._append({"row": asdict(row), "stored": time.time()})
+                self._finished.add(row.content_hash)
 
     def count_death(self, content_hash: str) -> int:
         """Count a worker that died of a case; see `store.Results`."""

@@ -11,7 +11,7 @@ import contextlib
 import sqlite3
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -46,8 +46,8 @@ class Results(Protocol):
     def is_finished(self, content_hash: str) -> bool:
         """Return whether the result of a case is there."""
 
-    def add(self, row: Row) -> None:
-        """Keep a result; of a case that has one already, the first stays."""
+    def add(self, rows: Sequence[Row]) -> None:
+        """Keep results, all of them or none; of a case that has one already, the first stays."""
 
     def count_death(self, content_hash: str) -> int:
         """Count a worker that died of a case while it had nothing else to do, and return how many have by now."""
@@ -74,11 +74,12 @@ class Database:
             found = self._connection.execute("SELECT 1 FROM results WHERE hash = ?", (content_hash,))
             return found.fetchone() is not None
 
-    def add(self, row: Row) -> None:
-        """Keep a result; it is on the disk when this returns."""
+    def add(self, rows: Sequence[Row]) -> None:
+        """Keep results in one transaction; they are on the disk when this returns."""
         with _explain(self._path), self._connection as transaction:
-            transaction.execute(
-                "INSERT OR IGNORE INTO results VALUES (?, ?, ?)", (row.content_hash, time.time(), row.text())
+            transaction.executemany(
+                "INSERT OR IGNORE INTO results VALUES (?, ?, ?)",
+                [(row.content_hash, time.time(), row.text()) for row in rows],
             )
 
     def count_death(self, content_hash: str) -> int:
