@@ -165,6 +165,22 @@ def test_a_law_that_no_joint_has_is_said(law: str, wrong: dict[str, float]) -> N
     assert simulate(loop, prepare(loop, case.clean), values).outcome is Outcome.INVALID
 
 
+@pytest.mark.parametrize(
+    "wrong", [{"load_coulomb_drift": -1e3}, {"swinging_share": 1.0}, {"harmonic_1_sine": float("nan")}]
+)
+def test_what_fades_to_less_than_nothing_or_is_no_number_is_not_simulated(wrong: dict[str, float]) -> None:
+    case = prismatic(1)
+    joint = replace(
+        case.loop.joint, friction=FRICTIONS["drifting"](), spring=SPRINGS["elastic-load"](),  # type: ignore[call-arg]
+        ripple=PositionHarmonics(0.05),
+    )  # fmt: skip
+    loop, values = replace(case.loop, joint=joint), case.truth | {"swinging_stiffness": 1e5}
+    values |= {p.name: 0.0 for p in joint.parameters if p.name not in values}
+    experiment = prepare(loop, case.clean)
+    assert simulate(loop, experiment, values).outcome is Outcome.FINISHED
+    assert simulate(loop, experiment, values | wrong).outcome is Outcome.INVALID
+
+
 def test_laws_in_pieces_and_smooth_ones_are_not_simulated_beside_each_other() -> None:
     with pytest.raises(
         MethodError, match=r'"stribeck" and "cubic" of friction and spring are not simulated beside each'

@@ -34,9 +34,9 @@ class Outcome(StrEnum):
     TOO_STIFF = "the joint's own motion is too fast for the controller's period to be worth simulating"
     CHATTERING = "the joint started and stopped more often within one period than a real one can"
     INVALID = (
-        "an inertia or the Coulomb friction is not positive, friction at rest is less than nothing, a Stribeck speed "
-        "is 0, the torques of a spring's pieces do not rise, something winds up over less than nothing, a share of the "
-        "torque is 1 or more, or a value is not a number"
+        "an inertia or the Coulomb friction is not positive, friction at rest or at the end of the record is less than "
+        "nothing, a Stribeck speed is 0, the torques of a spring's pieces do not rise, something winds up over less "
+        "than nothing, a share of the torque or of the load is 1 or more, or a value is not a number"
     )
 
 
@@ -211,7 +211,7 @@ def run(
     try:
         drive, gravity = loop.joint.coefficients(values), loop.joint.gravity_coefficients(values)
         segments, beyond = loop.joint.segments(values), loop.joint.beyond(values)
-        places = loop.joint.places(values)
+        places = np.zeros((0, 5)) if beyond is None else loop.joint.places(values)
     except KeyError:
         missing = ", ".join(p.name for p in loop.joint.parameters if p.name not in values)
         raise MethodError(f"A simulation needs a value for every parameter; {missing} has none: give one.") from None
@@ -225,7 +225,7 @@ def run(
     accelerations = array("accelerations", (kept if beyond is not None else 0, 2))
     counts = np.zeros(4, dtype=np.int64)
     outcome, before = Outcome.INVALID, 0.0
-    possible = _possible(drive, gravity) and _ordered(segments) and _smooth(beyond, drive, periods * law.period)
+    possible = _possible(drive, gravity) and _ordered(segments) and _smooth(beyond, places, drive, periods * law.period)
     if possible and math.isfinite(position) and math.isfinite(velocity):
         state, first = first_state(experiment, position, velocity, initial.torque)
         before = first + experiment.after_limit[0]
@@ -324,13 +324,13 @@ def _ordered(segments: FloatArray | None) -> bool:
     return bool(rising and np.min(segments[:, 2:4]) >= 0 and cones >= 0)
 
 
-def _smooth(beyond: FloatArray | None, drive: FloatArray, duration: float) -> bool:
+def _smooth(beyond: FloatArray | None, places: FloatArray, drive: FloatArray, duration: float) -> bool:
     """True of smooth laws whose numbers are not negative, shares below 1, and of friction that never is below 0."""
     if beyond is None:
         return True
     _, slider, slips, *distances, lost, _, _, share, stiffness, damping, motor, load = beyond.tolist()
     faded = (min(drive[6:8]) + motor * duration, min(drive[10:12]) + load * duration)
-    if min(motor, load) < 0 and min(faded) < 0:
+    if not np.all(np.isfinite(places)) or (min(motor, load) < 0 and min(faded) < 0):
         return False
     slips_at_all = slider >= 0 and (slips > 0 or slider == 0)
     swings = 0 <= share < 1 and min(stiffness, damping) >= 0
