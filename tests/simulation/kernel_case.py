@@ -117,8 +117,10 @@ def run(
             far,
             u,
             np.empty(0),
+            np.empty((0, 1)),
             states,
             pushed,
+            np.empty((0, stepped_drive.STEP_TAPE)),
             counts,
         )
         return status, u, states[:: len(lengths)], counts

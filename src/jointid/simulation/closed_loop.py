@@ -117,10 +117,12 @@ class ClosedLoopRun:
         segments: (segments, 23) those of its spring or its friction in pieces, or None.
         beyond: those of smooth laws (`models.beyond`), with which it was simulated in steps; or None.
         position, velocity: of the motor at the first sample. torque: the controller's there, where that is said.
+        sliding: direction of a motion that began before it; 0 of none.
         before: torque that acted before it.
         command: (periods,) the controller's output. tapped: the same behind its limit, before what filters follow.
         excess: (periods, elements) what limits and gates took away, where it was kept and `command` does not say it.
-        states, modes, tape: see `kernels.run`; empty when they were not kept. In steps there are no modes and no tape.
+        states, modes, tape: see `kernels.run`; empty when they were not kept. In steps there are no
+            modes, and the tape is that of `kernels.stepped_drive`.
         accelerations: (periods * parts, 2) of motor and load just after each torque begins to act, where the simulation
             went in steps and kept its states.
         outcome: how it ended.
@@ -137,6 +139,7 @@ class ClosedLoopRun:
     position: float
     velocity: float
     torque: float | None
+    sliding: float
     before: float
     command: FloatArray
     tapped: FloatArray
@@ -147,6 +150,10 @@ class ClosedLoopRun:
     accelerations: FloatArray
     outcome: Outcome
     counts: NDArray[np.int64]
+
+    def start(self, values: Mapping[str, float], position: float, velocity: float) -> FloatArray:
+        """Return the first state of such a run, (4,): `start_state`."""
+        return start_state(self.loop, values, position, velocity, self.sliding)
 
     def response(self) -> Response:
         """Return the signals that an estimator reads."""
@@ -221,18 +228,17 @@ def run(
     kept = periods * parts if keep else 0
     array = (room or _FRESH).array
     states, excess = array("states", (kept, 4)), array("excess", (periods if keep else 0, elements))
-    modes, tape = array("modes", (kept,), np.int16), array("tape", (taped, kernels.TAPE))
+    modes = array("modes", (kept,), np.int16)
+    tape = array("tape", (taped, kernels.TAPE if beyond is None else stepped_drive.STEP_TAPE))
     accelerations = array("accelerations", (kept if beyond is not None else 0, 2))
     counts = np.zeros(4, dtype=np.int64)
-    outcome, before = Outcome.INVALID, 0.0
+    outcome, before, sliding = Outcome.INVALID, 0.0, 0.0
     possible = _possible(drive, gravity) and _ordered(segments) and _smooth(beyond, places, drive, periods * law.period)
     if possible and math.isfinite(position) and math.isfinite(velocity):
         state, first = first_state(experiment, position, velocity, initial.torque)
         before = first + experiment.after_limit[0]
         sliding = wound_up(experiment, velocity) if initial.wound_up is None else initial.wound_up
-        start = loop.joint.start(values, position, velocity)
-        if beyond is not None and not sliding:  # friction that has not wound up drags no more than at rest
-            start[::2] = loop.joint.start(values, position, 0.0)[::2]
+        start = start_state(loop, values, position, velocity, sliding)
         common = experiment.lengths, experiment.lags, state, experiment.kernel, experiment.feedforward
         beginning = experiment.after_limit, before, start
         far = experiment.far + abs(position)
@@ -242,8 +248,9 @@ def run(
             )
         else:
             status = stepped_drive.run(
-                drive, beyond, places, *common, *beginning, sliding, far, command, tapped, states, accelerations, counts
-            )
+                drive, beyond, places, *common, *beginning, sliding, far, command, tapped, excess, states,
+                accelerations, tape, counts,
+            )  # fmt: skip
         outcome = _OUTCOMES[status]
     done = int(counts[2])
     for output in (command, tapped):
@@ -256,7 +263,8 @@ def run(
             np.nan_to_num(signal, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     shown = tapped if tapped.size else command
     return ClosedLoopRun(
-        loop, experiment, values, drive, gravity, segments, beyond, position, velocity, initial.torque, before, command,
+        loop, experiment, values, drive, gravity, segments, beyond, position, velocity, initial.torque, sliding, before,
+        command,
         shown, excess, states, modes, tape, accelerations, outcome, counts,
     )  # fmt: skip
 
@@ -295,7 +303,7 @@ def simulate(
 
     Exact to rounding for held torques and laws in pieces of lines; gravity that follows the position is held over each
     part of a period, at an error of second order in it; with smooth laws (`Joint.stepped`) the motion is
-    integrated in steps, of which each leaves an error of 1e-9 of the largest velocity.
+    followed by its Taylor series, whose last coefficient is below 1e-9 of the largest velocity.
     """
     return run(loop, experiment, values, initial, keep=True).simulation()
 
@@ -335,6 +343,16 @@ def _smooth(beyond: FloatArray | None, places: FloatArray, drive: FloatArray, du
     slips_at_all = slider >= 0 and (slips > 0 or slider == 0)
     swings = 0 <= share < 1 and min(stiffness, damping) >= 0
     return bool(np.all(np.isfinite(beyond)) and slips_at_all and min(distances) >= 0 and 0 <= lost < 1 and swings)
+
+
+def start_state(
+    loop: ClosedLoop, values: Mapping[str, float], position: float, velocity: float, sliding: float
+) -> FloatArray:
+    """Return the state at rest or in steady motion, (4,); friction that has not wound up drags no more than at rest."""
+    start = loop.joint.start(values, position, velocity)
+    if loop.joint.stepped and not sliding:
+        start[::2] = loop.joint.start(values, position, 0.0)[::2]
+    return start
 
 
 def wound_up(experiment: LoopInput, velocity: float) -> float:

@@ -3,21 +3,21 @@
 `simulate_sensitivities` runs a loop once and follows the run with a column per parameter. A parameter may belong to the
 joint, to the motor's state at the first sample, or to the controller: any number its law is made of, and its computing
 delay. How the controller's output depends on its own numbers, with the position it saw held, is exact, too: the law is
-run on the simulated position at two neighbouring values, and is linear in its signals. Where a law of the joint is
-smooth there is no tape to follow, and the derivatives are differences of runs (`differences`).
+run on the simulated position at two neighbouring values, and is linear in its signals.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Container, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray, Fresh, Room
+from jointid.common.errors import MethodError
 from jointid.models.controllers import POSITION, SampledLaw, number, respond, with_numbers
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
 from jointid.records.record import Tap, Timing
@@ -25,12 +25,12 @@ from jointid.simulation.closed_loop import (
     ClosedLoopRun,
     Initial,
     Outcome,
+    Response,
     Simulation,
     first_state,
     run,
     smallest,
 )
-from jointid.simulation.differences import Sensitivities, differences, none, require_same_structure
 from jointid.simulation.loop_input import LoopInput, acting, as_logged, averages, seen_torque
 
 _STEP = 1e-4  # of a controller's number: its output is a low-order polynomial in it
@@ -45,6 +45,30 @@ _INITIAL = {
     "initial_velocity": (0.0, 1.0, 0.0),
     "initial_torque": (0.0, 0.0, 1.0),
 }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sensitivities:
+    """A run and its derivatives, in the order of the names asked for.
+
+    Attributes:
+        response: of the loop.
+        torque: (samples, names) of the torque as the log shows it.
+        motor_position, load_position: (samples, names); empty where positions were not asked for, the second also for a
+            rigid joint.
+    """
+
+    response: Response
+    torque: FloatArray
+    motor_position: FloatArray
+    load_position: FloatArray
+
+
+def none(response: Response, count: int, positions: bool, flexible: bool) -> Sensitivities:
+    """Return derivatives of 0."""
+    torque = np.zeros((response.torque.size, count))
+    position = torque if positions else torque[:, :0]
+    return Sensitivities(response, torque, position, position if flexible else torque[:, :0])
 
 
 def simulate_sensitivities(
@@ -68,8 +92,6 @@ def simulate_sensitivities(
         initial: where the motor is at the first sample.
         positions: also return the derivatives of the positions.
 
-    Of a joint with smooth laws they are central differences (`differences`), else exact.
-
     Of a run that did not finish all derivatives are 0; so are those of an unstable loop that its torque's limit holds,
     where two neighbours part at once and a derivative says nothing (above 1e100). At a delay of a whole number of
     periods the derivative is that towards longer delays; for a motor at rest, that by its velocity is of a load that
@@ -78,8 +100,6 @@ def simulate_sensitivities(
     Raises:
         MethodError: a name is none of these, or of a part that is not there, as a `integral_gain` of 0.
     """
-    if loop.joint.stepped:
-        return differences(loop, experiment, values, names, initial, positions=positions)[1]
     return _derived(_taped(loop, experiment, values, names, initial), names, positions)
 
 
@@ -91,9 +111,6 @@ def simulate_with_sensitivities(
     initial: Initial | None = None,
 ) -> tuple[Simulation, FloatArray]:
     """Return the result of `simulate` and the torque's derivatives of `simulate_sensitivities`, from one run."""
-    if loop.joint.stepped:
-        base, found = differences(loop, experiment, values, names, initial)
-        return base.simulation(), found.torque
     out = _taped(loop, experiment, values, names, initial)
     return out.simulation(), _derived(out, names, positions=False).torque
 
@@ -111,6 +128,8 @@ def _taped(
         if _is_of_law(own, name):
             number(loop.controller, name)
     rows = taped_rows(experiment.periods)
+    if loop.joint.stepped:
+        rows += experiment.periods * experiment.lengths.size
     out = run(loop, experiment, values, initial, keep=True, taped=rows, room=_ROOM)
     if out.counts[1] > rows:  # a joint that turns round and sticks all the time
         out = run(loop, experiment, values, initial, keep=True, taped=int(out.counts[1]), room=_ROOM)
@@ -173,6 +192,7 @@ def _followed(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tupl
     The first are (periods, lanes), the last (periods * parts, 4, lanes).
     """
     from jointid.simulation.kernels import drive_sensitivities as sensitivity_kernels
+    from jointid.simulation.kernels import stepped_sensitivities
 
     experiment, joint = out.experiment, out.loop.joint
     law, width = experiment.feedback, sensitivity_kernels.LANES
@@ -181,6 +201,12 @@ def _followed(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tupl
     seeds, weights, start = np.zeros((14, width)), np.zeros((3, width)), np.zeros((4, width))
     memory, delay, limits = np.zeros((law.order, width)), np.zeros(width), np.zeros((law.limits.size, width))
     explicit, by_name = [], _seeds(joint)
+    smooth = None if out.beyond is None else _smooth_seeds(joint)
+    places = np.zeros((0, 5)) if smooth is None else joint.places(out.values)
+    dbeyond, dplaces = (
+        np.zeros((0 if out.beyond is None else out.beyond.size, width)),
+        np.zeros((len(places), 3, width)),
+    )
     in_pieces = _in_pieces(joint)
     for j, name in enumerate(names):
         if name in by_name:
@@ -191,8 +217,11 @@ def _followed(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tupl
                 pieces[:, :14, j] = by_name[name]
             if out.gravity is not None:
                 weights[:, j] = gravity_seed(joint, name)
-            if out.velocity != 0.0 or out.gravity is not None:  # else it begins where the motor is, whatever it is like
-                start[:, j] = start_slope(lambda at: joint.start(at, out.position, out.velocity), out.values, name)
+            if smooth is not None:
+                dbeyond[:, j], dplaces[:, :, j] = smooth[name]
+            # At rest it else begins where the motor is, whatever it is like.
+            if out.velocity != 0.0 or out.gravity is not None or smooth is not None:
+                start[:, j] = start_slope(lambda at: out.start(at, out.position, out.velocity), out.values, name)
         elif name in _INITIAL:
             at = _INITIAL[name]
             start[:, j] = _moved_start(out, *at[:2]) if any(at[:2]) else 0.0
@@ -207,12 +236,19 @@ def _followed(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tupl
     tapped = _FRESH.array("tapped", (width, periods if law.tap != law.output else 0))
     states = _ROOM.array("moved", (len(out.states) if positions else 0, 4, width))
     explained = np.stack(explicit, axis=2) if explicit else np.zeros((periods, elements, 0))
-    sensitivity_kernels.follow(
-        experiment.lengths, experiment.lags, out.states, out.modes, out.tape, int(out.counts[1]), out.command,
-        experiment.after_limit, out.before, out.excess, experiment.kernel, out.drive, seeds, explained,
-        len(names) - len(explicit), delay, limits, start, memory, command, tapped, states,
-        out.gravity, None if out.gravity is None else weights, segments, None if segments is None else pieces,
-    )  # fmt: skip
+    driven = out.command, experiment.after_limit, out.before, out.excess, experiment.kernel, out.drive, seeds
+    of_law, moves = len(names) - len(explicit), (delay, limits, start, memory, command, tapped, states)
+    if out.beyond is None:
+        sensitivity_kernels.follow(
+            experiment.lengths, experiment.lags, out.states, out.modes, out.tape, int(out.counts[1]), *driven,
+            explained, of_law, *moves, out.gravity, None if out.gravity is None else weights, segments,
+            None if segments is None else pieces,
+        )  # fmt: skip
+    else:
+        stepped_sensitivities.follow_steps(
+            experiment.lengths, experiment.lags, out.tape[: int(out.counts[1])], *driven, out.beyond, dbeyond, places,
+            dplaces, explained, of_law, *moves,
+        )  # fmt: skip
     return command.T, tapped.T, states
 
 
@@ -237,6 +273,24 @@ def _seeds(joint: Joint) -> Mapping[str, FloatArray]:
     for seed in found.values():
         seed.setflags(write=False)
     return found
+
+
+@lru_cache(maxsize=64)
+def _smooth_seeds(joint: Joint) -> Mapping[str, tuple[FloatArray, FloatArray]]:
+    """Return how what a joint has beyond lines depends on each of its parameters, by name: it is linear in them.
+
+    The numbers of `models.beyond`, (13,), and the factors of the forces that follow a position, (forces, 3).
+    """
+    nothing = dict.fromkeys([p.name for p in joint.parameters], 0.0)
+
+    def numbers(values: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
+        beyond = joint.beyond(values)
+        assert beyond is not None
+        return beyond, joint.places(values)[:, :3]
+
+    constant = numbers(nothing)
+    ends = {name: numbers(nothing | {name: 1.0}) for name in nothing}
+    return {name: (end[0] - constant[0], end[1] - constant[1]) for name, end in ends.items()}
 
 
 def _in_pieces(joint: Joint) -> set[str]:
@@ -281,11 +335,11 @@ def _moved_start(out: ClosedLoopRun, position: float, velocity: float) -> FloatA
     """
     if velocity and out.velocity == 0.0:  # the drag of steady motion jumps there
         return np.array([0.0, 1.0, 0.0, 1.0])
-    step = 1.0 if out.gravity is None and out.segments is None else _SMALL
+    bends = any(one is not None for one in (out.gravity, out.segments, out.beyond))
+    step = _SMALL if bends else 1.0
     by = (step * position, step * velocity * 0.5 * out.velocity)
-    start = out.loop.joint.start
-    moved = start(out.values, out.position + by[0], out.velocity + by[1])
-    return np.asarray((moved - start(out.values, out.position, out.velocity)) / (by[0] + by[1]))
+    moved = out.start(out.values, out.position + by[0], out.velocity + by[1])
+    return np.asarray((moved - out.start(out.values, out.position, out.velocity)) / (by[0] + by[1]))
 
 
 def _moved_memory(out: ClosedLoopRun, by: tuple[float, float, float]) -> FloatArray:
@@ -321,6 +375,15 @@ def _explicit(out: ClosedLoopRun, name: str) -> tuple[FloatArray, FloatArray]:
     with np.errstate(invalid="ignore"):
         limits = np.where(np.isinf(low.limits), 0.0, (high.limits - low.limits) / width)
     return slope, limits
+
+
+def require_same_structure(low: SampledLaw, high: SampledLaw, name: str) -> None:
+    """Raise a `MethodError` if what a number of the controller belongs to is not there, such as an integral."""
+    if high.limits.size != low.limits.size or (high.integral() is None) != (low.integral() is None):
+        raise MethodError(
+            f"The {name} of this controller is 0, and what it belongs to is not there, so it has no derivative; "
+            "declare another."
+        )
 
 
 def _cut(out: ClosedLoopRun, inputs: FloatArray) -> FloatArray:

@@ -36,6 +36,7 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import compiled, inlined
+from jointid.simulation.kernels.polynomial import ORDER, ROOM, SOUGHT, first_root, value_at
 
 IntArray: TypeAlias = NDArray[np.int64]
 State: TypeAlias = tuple[float, float, float, float]
@@ -45,9 +46,9 @@ FINISHED, DIVERGED, TOO_STIFF, CHATTERING = 0, 1, 2, 3
 
 _MAP = 24  # one mode's map: five columns of four, then what its proofs need
 _MAP_ORDER = 14  # of its Taylor series
-_ORDER = 10  # of the event solver's; with the step below, its remainder is at most 30 times the rounding error
-_STEP = 0.25  # longest Taylor step, as a fraction of 1/(fastest rate of the drive)
-_DEPTH = 40  # of the halvings that isolate a root
+# Longest Taylor step, as a fraction of 1/(fastest rate of the drive): the remainder of a series of the order `ORDER` is
+# at most 30 times the rounding error.
+_STEP = 0.25
 _EVENTS = 200  # per period; a physical drive has a handful
 _PIECES = 4096  # Taylor steps per period at most: a drive faster than that is no drive under this controller
 _WORK = 20  # Taylor steps a simulation may take, per period: bounds the time an absurd candidate can cost
@@ -61,22 +62,7 @@ _EDGE = 2  # of a segment, where the index of a mass may stand
 SEGMENT = 23
 _BOX, _STEPS = 14, 20
 
-# Rows of the event solver's scratch: the series of the states and the spring's force, the function whose root is
-# sought and its slope, then the stack of halved intervals, each with its ends in two more columns.
-_SPRING, _SOUGHT, _SLOPE, _STACK = 4, 5, 6, 7
-_LOW, _HIGH = _ORDER + 1, _ORDER + 2
-
-
-def _bernstein_table() -> FloatArray:
-    n = _ORDER
-    table = np.zeros((n + 1, n + 1))
-    for i in range(n + 1):
-        for j in range(i + 1):
-            table[i, j] = math.comb(i, j) / math.comb(n, j)
-    return table
-
-
-_BERNSTEIN = _bernstein_table()
+_SPRING = 4  # row of the event solver's scratch after the states: the spring's force
 _FACTOR = np.array([1.0 / math.factorial(i) for i in range(_MAP_ORDER + 1)])
 
 
@@ -415,103 +401,6 @@ def _calm(
 
 
 @inlined
-def _value(c: FloatArray, row: int, t: float) -> float:
-    """Return a polynomial's value: Estrin's scheme, whose chain is half as long as Horner's."""
-    t2 = t * t
-    t4 = t2 * t2
-    low = (c[row, 0] + c[row, 1] * t) + (c[row, 2] + c[row, 3] * t) * t2
-    middle = (c[row, 4] + c[row, 5] * t) + (c[row, 6] + c[row, 7] * t) * t2
-    high = (c[row, 8] + c[row, 9] * t) + c[row, 10] * t2
-    return low + (middle + high * t4) * t4
-
-
-@inlined
-def _first_root(c: FloatArray) -> float:
-    """Return the first root in (0, 1] of the polynomial in row _SOUGHT; 2.0 if there is none.
-
-    A start below zero is a root at 0. Newton, kept inside a shrinking bracket.
-    """
-    start, slope = c[_SOUGHT, 0], c[_SOUGHT, 1]
-    total, size, slopes, slope_size = slope, abs(slope), 0.0, 0.0
-    c[_SLOPE, 0], c[_SLOPE, _ORDER] = slope, 0.0
-    for i in range(2, _ORDER + 1):
-        value = c[_SOUGHT, i]
-        rise = i * value
-        total += value
-        size += abs(value)
-        slopes += rise
-        slope_size += abs(rise)
-        c[_SLOPE, i - 1] = rise
-    root, low, high, t = 2.0, 0.0, 1.0, 2.0
-    if start < 0.0:
-        root = 0.0
-    elif start + 0.5 * (total - size) > 0.0 or slope + 0.5 * (slopes - slope_size) >= 0.0:
-        pass  # positive throughout, or rising throughout
-    elif slope + 0.5 * (slopes + slope_size) < 0.0:  # falling throughout: one root or none
-        if start + total < 0.0:
-            # The root of the leading parabola starts Newton a step ahead.
-            t = 2.0 * start / (math.sqrt(max(slope * slope - 4.0 * start * c[_SOUGHT, 2], 0.0)) - slope)
-            t = min(t, 1.0)
-    else:
-        low, high = _isolate(c)
-        t = 0.5 * (low + high)
-    if t <= 1.0:
-        for _ in range(100):
-            value, slope = _value(c, _SOUGHT, t), _value(c, _SLOPE, t)
-            if value < 0.0:
-                high = t
-            else:
-                low = t
-            new = t - value / slope if slope != 0.0 else t + 1.0
-            root = min(max(new, low), high)
-            if abs(new - t) <= 1e-9:  # Newton squares the error: the next step would be under the rounding
-                break
-            t = new if low < new < high else 0.5 * (low + high)
-            if high - low <= 1e-16:
-                break
-    return root
-
-
-@compiled
-def _isolate(c: FloatArray) -> tuple[float, float]:
-    """Return an interval in which the polynomial in row _SOUGHT has its first sign change, and only that; 2.0: none.
-
-    The signs of its Bernstein coefficients bound the number of roots: none changes, no root; one change, one
-    root. Otherwise the interval is halved, left half first.
-    """
-    n = _ORDER
-    top = _STACK
-    c[top, _LOW], c[top, _HIGH] = 0.0, 1.0
-    for i in range(n + 1):
-        c[top, i] = 0.0
-        for j in range(i + 1):
-            c[top, i] += _BERNSTEIN[i, j] * c[_SOUGHT, j]
-    while top >= _STACK:
-        changes = 0
-        sign = 1.0
-        for i in range(n + 1):
-            if c[top, i] * sign < 0.0:
-                changes += 1
-                sign = -sign
-        low, high = c[top, _LOW], c[top, _HIGH]
-        if changes == 1:
-            return low, high
-        # Two roots within rounding: it touches zero and comes back.
-        if changes == 0 or top == _STACK + _DEPTH - 1 or high - low < 1e-12:
-            top -= 1
-            continue
-        middle = 0.5 * (low + high)
-        for i in range(n + 1):  # de Casteljau: the left half goes above, the right half stays
-            c[top + 1, i] = c[top, 0]
-            for j in range(n - i):
-                c[top, j] = 0.5 * (c[top, j] + c[top, j + 1])
-        c[top, _LOW] = c[top + 1, _HIGH] = middle
-        c[top + 1, _LOW] = low
-        top += 1
-    return 2.0, 2.0
-
-
-@inlined
 def _series(c: FloatArray, p: Drive, f: _Motion, x: State, s: float, h: float, loose1: bool, loose2: bool) -> None:
     """Fill c[state, order] with the Taylor series of the motion over a step of `h`, time counted in steps.
 
@@ -524,11 +413,11 @@ def _series(c: FloatArray, p: Drive, f: _Motion, x: State, s: float, h: float, l
     force1, force2 = (s + f.force1) * h1, f.force2 * h2
     c[0, 0], c[2, 0] = x[0], x[2]
     stretch, v1, v2 = x[2] - x[0], x[1], x[3]
-    for k in range(_ORDER + 1):
+    for k in range(ORDER + 1):
         apart = v2 - v1
         c[1, k], c[3, k] = v1 * _FACTOR[k], v2 * _FACTOR[k]
         c[_SPRING, k] = (p.stiffness * stretch + p.damping * apart) * _FACTOR[k]
-        if k < _ORDER:
+        if k < ORDER:
             c[0, k + 1], c[2, k + 1] = v1 * (h * _FACTOR[k + 1]), v2 * (h * _FACTOR[k + 1])
         v1 = ((force1 + stiff1 * stretch) - drag1 * v1) + damp1 * apart
         v2 = ((force2 - stiff2 * stretch) - drag2 * v2) - damp2 * apart
@@ -568,14 +457,14 @@ def _first_event(
             else:
                 sign = float(direction)
                 constant = (p.coulomb2 if direction > 0 else p.coulomb2_back) + direction * p.offset2
-        for i in range(_ORDER + 1):
-            c[_SOUGHT, i] = sign * c[row, i]
-        c[_SOUGHT, 0] += constant
+        for i in range(ORDER + 1):
+            c[SOUGHT, i] = sign * c[row, i]
+        c[SOUGHT, 0] += constant
         for _ in range(out):  # at the edge only a push that grows leads out
-            for i in range(_ORDER):
-                c[_SOUGHT, i] = c[_SOUGHT, i + 1]
-            c[_SOUGHT, _ORDER] = 0.0
-        moment = _first_root(c)
+            for i in range(ORDER):
+                c[SOUGHT, i] = c[SOUGHT, i + 1]
+            c[SOUGHT, ORDER] = 0.0
+        moment = first_root(c)
         if moment < first:
             first, which, loose = moment, mass, direction if mode == 0 else 0
     return first, which, loose
@@ -614,7 +503,7 @@ def _travel(
             tape[taped, 8], tape[taped, 9], tape[taped, 10] = -1.0, 0.0, segment
         back1, back2 = loose1, loose2  # came loose, and is pushed back at once
         if t > 0.0:
-            x0, x1, x2, x3 = _value(c, 0, t), _value(c, 1, t), _value(c, 2, t), _value(c, 3, t)
+            x0, x1, x2, x3 = value_at(c, 0, t), value_at(c, 1, t), value_at(c, 2, t), value_at(c, 3, t)
             done = h if pieces == 1 and t == 1.0 else done + t * step
             known1, known2 = 0, 0
             back1, back2 = False, False
@@ -638,11 +527,11 @@ def _travel(
             if mass == 0:
                 if stopped:
                     x1 = 0.0
-                m1, known1 = _after(m1, loose, back1, _settled(p, (x0, x1, x2, x3), s, 0))
+                m1, known1 = mode_after(m1, loose, back1, _settled(p, (x0, x1, x2, x3), s, 0))
             else:
                 if stopped:
                     x3 = 0.0
-                m2, known2 = _after(m2, loose, back2, _settled(p, (x0, x1, x2, x3), s, 1))
+                m2, known2 = mode_after(m2, loose, back2, _settled(p, (x0, x1, x2, x3), s, 1))
             if stopped and taped < tape.shape[0]:
                 tape[taped, 8], tape[taped, 9] = mass, m1 if mass == 0 else m2
             events = events + 1 if events < _EVENTS else -1
@@ -667,21 +556,21 @@ def _first_edge(
         sign = -1.0 if side > 0 else 1.0
         if what > 1:
             sign *= mode
-        for i in range(_ORDER + 1):
-            c[_SOUGHT, i] = sign * (c[2, i] - c[0, i] if what == 1 else c[2 * what - 3, i])
-        c[_SOUGHT, 0] += edge if side > 0 else -edge
+        for i in range(ORDER + 1):
+            c[SOUGHT, i] = sign * (c[2, i] - c[0, i] if what == 1 else c[2 * what - 3, i])
+        c[SOUGHT, 0] += edge if side > 0 else -edge
         if crossed == side:
-            for i in range(_ORDER):
-                c[_SOUGHT, i] = c[_SOUGHT, i + 1]
-            c[_SOUGHT, _ORDER] = 0.0
-        moment = _first_root(c)
+            for i in range(ORDER):
+                c[SOUGHT, i] = c[SOUGHT, i + 1]
+            c[SOUGHT, ORDER] = 0.0
+        moment = first_root(c)
         if moment < first:
             first, mass, loose = moment, _EDGE, side
     return first, mass, loose
 
 
 @inlined
-def _after(mode: int, loose: int, back: bool, settled: int) -> tuple[int, int]:
+def mode_after(mode: int, loose: int, back: bool, settled: int) -> tuple[int, int]:
     """Return the mode of a mass after its event, and what is then known of it (see `_first_event`)."""
     after, known = settled, 1 if settled != 0 else 0
     if mode == 0:
@@ -714,10 +603,13 @@ def control_any(
     q: float,
     z: FloatArray,
     new: FloatArray,
-    raw: FloatArray,
+    out: FloatArray,
     cut: FloatArray,
 ) -> None:
-    """Evaluate any law: write what its elements would put out and what their limits and gates take; move its states."""
+    """Evaluate any law: write what its elements put out and what their limits and gates took; move its states.
+
+    At its limit an element puts out that limit to the last bit: the derivatives ask whether it is there.
+    """
     phase, nz = k % feedback.A.shape[0], z.size
     for i in range(cut.size):
         value = w[i, k] + feedback.D[phase, i] * q
@@ -725,12 +617,13 @@ def control_any(
             value += feedback.C[phase, i, j] * z[j]
         for j in range(i):
             value += feedback.E[phase, i, j] * cut[j]
-        raw[i], cut[i] = value, 0.0
+        out[i], cut[i] = value, 0.0
         if feedback.gates[i] >= 0:
             if value * cut[feedback.gates[i]] < 0.0:
-                cut[i] = -value
+                out[i], cut[i] = 0.0, -value
         elif abs(value) > feedback.limits[i]:
-            cut[i] = math.copysign(feedback.limits[i], value) - value
+            out[i] = math.copysign(feedback.limits[i], value)
+            cut[i] = out[i] - value
     for i in range(nz):
         value = feedback.Bq[phase, i] * q
         if feedback.driven.shape[0] > 0:
@@ -922,8 +815,8 @@ def run(
         return TOO_STIFF
     maps = np.empty(parts * 9 * count * _MAP)
     filled = np.zeros(9 * count, dtype=np.bool_)
-    c = np.empty((_STACK + _DEPTH, _ORDER + 3))
-    new, raw, cut = np.empty(nz), np.zeros(w.shape[0]), np.zeros(w.shape[0])
+    c = np.empty(ROOM)
+    new, out, cut = np.empty(nz), np.zeros(w.shape[0]), np.zeros(w.shape[0])
     x0, x1, x2, x3 = x[0], x[1], x[2], x[3]
     m1 = 0 if x1 == 0.0 else (1 if x1 > 0.0 else -1)
     m2 = 0 if x3 == 0.0 else (1 if x3 > 0.0 else -1)
@@ -968,10 +861,10 @@ def run(
             if k == n:
                 break
         else:
-            control_any(feedback, w, k, x0, z, new, raw, cut)
-            u[k] = raw[feedback.output] + cut[feedback.output]
+            control_any(feedback, w, k, x0, z, new, out, cut)
+            u[k] = out[feedback.output]
             if tapped.size > 0:
-                tapped[k] = raw[feedback.tap] + cut[feedback.tap]
+                tapped[k] = out[feedback.tap]
             if excess.shape[0] > 0:
                 excess[k] = cut
             if cut[feedback.tap] != 0.0:

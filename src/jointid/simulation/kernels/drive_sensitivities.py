@@ -39,11 +39,11 @@ _STEP = 0.25  # longest Taylor step, as a fraction of 1/(fastest rate of the dri
 _AT_REST = 4  # the mode of both masses
 _LINE = 8  # numbers of a cache line
 _INPUTS = 5  # of a map: motor velocity, stretch, load velocity, torque, constant forces
-_NOTHING = (
+NOTHING = (
     1e-200  # what falls below it is 0: near the smallest numbers there are, many machines are a hundred times slower
 )
 _EDGE = 2  # on the tape, of the spring's segment, where the index of a mass may stand
-_OFTEN = 64  # periods after which that is looked for
+OFTEN = 64  # periods after which that is looked for
 _WIDE = 4 * LANES  # of the derivatives of a state
 _FACTOR = np.array([1.0 / math.factorial(i) for i in range(_ORDER + 1)])
 
@@ -54,7 +54,8 @@ _FACTOR = np.array([1.0 / math.factorial(i) for i in range(_ORDER + 1)])
 # coefficient and constant force of the motor and of the load in the modes they are in: beside what is written, where
 # the compiler sees that nothing overlaps.
 _S, _T, _DS, _W, _Z, _OUT, _LIMIT, _EXPLICIT = (LANES * row for row in (0, 4, 8, 9, 12, 14, 15, 16))
-_SLID, _HUNG, _WEIGHT, _SPRING, _INERTIA, _SIDE, _ROWS = (LANES * row for row in (17, 18, 19, 22, 24, 26, 30))
+POSITION = _S  # of the motor, the first of the state
+_SLID, _HUNG, _WEIGHT, _SPRING, _INERTIA, _SIDE, SCRATCH = (LANES * row for row in (17, 18, 19, 22, 24, 26, 30))
 
 
 class _Law(NamedTuple):
@@ -352,13 +353,28 @@ def _hang(
 
 
 @inlined
-def _control(q: FloatArray, law: _Law, saturated: float, at: int, du: FloatArray) -> None:
-    """Write the derivatives of the output of a law of two states at most, and move those of its states.
+def begin_small(q: FloatArray, feedback: Feedback, nz: int, Z: FloatArray, dlimits: FloatArray) -> _Law:
+    """Write the first derivatives of the states of a law of two at most and of its limit; return that law."""
+    law, seen = _law(feedback, nz)
+    for i in range(seen.shape[1]):
+        for j in range(LANES):
+            q[_Z + j] += seen[0, i] * Z[i, j]
+            q[_Z + LANES + j] += seen[1, i] * Z[i, j]
+    q[_LIMIT : _LIMIT + LANES] = dlimits[0]
+    return law
 
-    `saturated` is the sign of an output at its limit, else 0.
-    """
+
+@inlined
+def control_small(
+    q: FloatArray, law: _Law, u: float, limit: float, explicit: FloatArray, first_explicit: int, at: int,
+    du: FloatArray,
+) -> None:  # fmt: skip
+    """Write the derivatives of the output u of a law of two states at most, and move those of its states."""
     wide_vectors()
     row = np.uint64(at)
+    saturated = 0.0 if abs(u) < limit else math.copysign(1.0, u)
+    for i in range(explicit.shape[2]):
+        q[_EXPLICIT + first_explicit + i] = explicit[at, 0, i]
     if saturated == 0.0:
         for j in range(LANES):
             position, z0, z1 = q[_S + j], q[_Z + j], q[_Z + LANES + j]
@@ -378,7 +394,7 @@ def _control(q: FloatArray, law: _Law, saturated: float, at: int, du: FloatArray
 
 
 @compiled
-def _control_any(
+def control_slopes(
     q: FloatArray, z: FloatArray, e: FloatArray, feedback: Feedback, excess: FloatArray, explicit: FloatArray,
     first_explicit: int, dlimits: FloatArray, at: int, du: FloatArray, dtapped: FloatArray,
 ) -> None:  # fmt: skip
@@ -470,7 +486,7 @@ def _rate(drive: FloatArray, side: FloatArray) -> float:
 
 
 @inlined
-def _aligned(size: int) -> FloatArray:
+def aligned(size: int) -> FloatArray:
     """Return so many zeros that begin with a line of the cache, as every row of a wide vector then does."""
     room = np.zeros(size + _LINE)
     first = (-(room.ctypes.data // 8)) % _LINE
@@ -535,9 +551,9 @@ def follow(
         rate = max(rate, _rate(drives[i], sides[i]))
     spring, side, dside = drives[0, 2:4], sides[0], dsides[0]
     phi = np.empty((9 * count * parts, 4 * _INPUTS))
-    M = _aligned(9 * count * parts * _INPUTS * _WIDE).reshape((9 * count * parts, _INPUTS * _WIDE))
+    M = aligned(9 * count * parts * _INPUTS * _WIDE).reshape((9 * count * parts, _INPUTS * _WIDE))
     filled = np.zeros(9 * count * parts, dtype=np.bool_)
-    q, scratch, z = _aligned(_ROWS), _aligned(_ROWS), np.zeros((2 * nz, LANES))
+    q, scratch, z = aligned(SCRATCH), aligned(SCRATCH), np.zeros((2 * nz, LANES))
     e = np.zeros((elements, LANES))
     for one in (q, scratch):
         _take(one, dseeds, 0)
@@ -547,12 +563,7 @@ def follow(
     q[_S : _S + _WIDE] = S.reshape(-1)
     z[:nz] = Z
     small = nz <= 2 and feedback.D.size == 1  # one phase, one element
-    (law, seen), limit = _law(feedback, nz if small else 0), feedback.limits[0]
-    for i in range(seen.shape[1]):
-        for j in range(LANES):
-            q[_Z + j] += seen[0, i] * Z[i, j]
-            q[_Z + LANES + j] += seen[1, i] * Z[i, j]
-    q[_LIMIT : _LIMIT + LANES] = dlimits[0]
+    law, limit = begin_small(q, feedback, nz if small else 0, Z, dlimits), feedback.limits[0]
     delayed = np.any(ddelay != 0.0)
     if gravity is not None and dgravity is not None:
         at = 3 if gravity[4] > 0.0 else 1
@@ -564,17 +575,17 @@ def follow(
     row, last = 0, before
     k = 0
     while k < n:
-        if k % _OFTEN == 0:
+        if k % OFTEN == 0:
             for i in range(_WIDE):
-                q[_S + i] = q[_S + i] if abs(q[_S + i]) > _NOTHING else 0.0
+                q[_S + i] = q[_S + i] if abs(q[_S + i]) > NOTHING else 0.0
             for i in range(2 * LANES):
-                q[_Z + i] = q[_Z + i] if abs(q[_Z + i]) > _NOTHING else 0.0
+                q[_Z + i] = q[_Z + i] if abs(q[_Z + i]) > NOTHING else 0.0
         if plain and abs(u[k]) < limit and (row >= rows or tape[row, 0] > k):
             mode = int(modes[k])
             if segments is not None and mode // 9 != now:
                 now = mode // 9
                 spring, side, dside = drives[now, 2:4], sides[now], dsides[now]
-            end = min(k - k % _OFTEN + _OFTEN, n)
+            end = min(k - k % OFTEN + OFTEN, n)
             if row < rows:
                 end = min(end, int(tape[row, 0]))
             if mode - 9 * now == _AT_REST:
@@ -587,12 +598,9 @@ def follow(
             k = _glide(q, law, phi, M, mode, k, end, limit, states, modes, u, post, explicit, first_explicit, du)
             continue
         if small:
-            saturated = 0.0 if abs(u[k]) < limit else math.copysign(1.0, u[k])
-            for i in range(explicit.shape[2]):
-                q[_EXPLICIT + first_explicit + i] = explicit[k, 0, i]
-            _control(q, law, saturated, k, du)
+            control_small(q, law, u[k], limit, explicit, first_explicit, k, du)
         else:
-            _control_any(q, z, e, feedback, excess, explicit, first_explicit, dlimits, k, du, dtapped)
+            control_slopes(q, z, e, feedback, excess, explicit, first_explicit, dlimits, k, du, dtapped)
         for part in range(parts):
             at = k * parts + part
             x0, x1, x2, x3 = states[at, 0], states[at, 1], states[at, 2], states[at, 3]

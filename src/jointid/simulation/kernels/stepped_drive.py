@@ -1,28 +1,13 @@
-"""The simulation of a drive with smooth laws, in steps whose error is controlled, compiled.
+"""The simulation of a drive with smooth laws, by Taylor series of its motion, compiled.
 
-A cubic or hysteretic spring, friction that winds up over a displacement, that grows with the torque through the spring
-or changes with time, a force that follows the position: none has an affine map (`kernels.drive`). So the motion is
-integrated by the pair of orders 5 and 4 of J. R. Dormand and P. J. Prince (A family of embedded Runge-Kutta formulae,
-Journal of Computational and Applied Mathematics 6, 1980), whose difference bounds the error of a step. Between two
-events the laws are smooth, and the events are located: a mass that stops or comes loose, as in `kernels.drive`, the
-reversals from which friction or spring wind up anew, and the torque of the spring through 0. A guard is positive until
-its event; where one is negative at the end of a step, or at the bottom of a dip between both ends, the step is made
-shorter, to the guard's root.
-
-What winds up over a displacement follows a law of P. R. Dahl (Solid friction damping of mechanical vibrations, AIAA
-Journal 14, 1976), which is integrated in closed form, as a function of the displacement since the last reversal: with
-the force ``F0`` there, the limit ``L`` and the stiffness ``k``, in the direction ``d``::
-
-    F(x) = d L + (F0 - d L) exp(-k |x - x0| / L)
-
-State ``y`` = position and velocity of the motor, of the load, and of the part of an elastic load that swings, which
-follows the load with a spring and a damper of its own, without friction.
+A step is as long as the last coefficient of its series (`kernels.smooth_series`) allows, and none is made in vain.
+What happens within one is a root of a polynomial, isolated as in `kernels.drive`: a mass that stops or comes loose, the
+reversal from which a spring winds up anew, the spring's torque through 0.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -38,381 +23,291 @@ from jointid.simulation.kernels.drive import (
     IntArray,
     control_any,
     drive_of,
+    mode_after,
+)
+from jointid.simulation.kernels.polynomial import ORDER, ROOM, SOUGHT, first_root
+from jointid.simulation.kernels.smooth_series import (
+    LOAD,
+    MORE1,
+    MOTOR,
+    PUSH1,
+    ROWS,
+    STATES,
+    SWINGING,
+    TERMS,
+    TORQUE,
+    WOUND,
+    WOUND1,
+    WOUND2,
+    Beyond,
+    Known,
+    Modes,
+    beyond_of,
+    fill_series,
 )
 
-_TOLERANCE = 1e-9  # of the largest velocity so far: the error of one step
-_FIRST = 0.05  # of the time in which the drive's own motion changes: the first step
-_TURN = 1.0  # rad of a force that follows the position: a longer step might miss one
+_TOLERANCE = 1e-9  # of the largest velocity so far: the last coefficient of a step
+_BEFORE_LAST = 0.1  # of the last coefficient but one: as much counts, as a swing has but every other
+_SHORTEST = 1e-12  # of a period: a step below it shows a drive that is too stiff
 _EVENTS = 1000  # per period; a physical drive has a handful
 _WORK = 20  # steps a simulation may take, per period: bounds the time an absurd candidate can cost
-_NEAR, _DIPS = 1e-2, 12  # of a guard's ends: a cubic may err by less; steps to the bottom of a dip
-_ROOT = 1e-13  # of a step: where an event is located to
-_STATES = 6
-_GUARDS = 6  # of motor, load, reversing spring, spring's torque; of motor and load the other way while they rest
+_WOUND_UP = 1e-12  # of a limit: what is nearer to it is at it
+
+# One row of the tape for each step: which part, how long, the modes in it, whether motor and load had just come loose,
+# the state it began with, then the mass whose velocity its event took to zero (or -1) and its acceleration after that
+# over the one before.
+STEP_TAPE = 19
 
 
-class _Beyond(NamedTuple):
-    """What the laws have beyond lines: the row of numbers that `run` is given."""
-
-    cubic: float
-    slope: float
-    limit: float
-    soft1: float
-    soft2: float
-    loss: float
-    drift1: float
-    drift2: float
-    share: float
-    stiffness2: float
-    damping2: float
-    fade1: float
-    fade2: float
+@inlined
+def _shortened(c: FloatArray, share: float) -> None:
+    """Count time in a share of the step."""
+    power = 1.0
+    for k in range(1, TERMS + 1):
+        power *= share
+        for i in range(ROWS):
+            c[i, k] *= power
 
 
-class _State(NamedTuple):
-    """Positions and velocities of motor and load, and of what swings on an elastic one."""
+@inlined
+def _share(c: FloatArray, fastest: float) -> float:
+    """Return how much of the step its series holds for, from its last coefficients; 0 where they are no numbers."""
+    last, before = 0.0, 0.0
+    for i in (MOTOR, LOAD, SWINGING):
+        last, before = max(last, abs(c[i, TERMS])), max(before, abs(c[i, TERMS - 1]))
+    size = max(fastest, abs(c[1, 0]), abs(c[3, 0]), 1e-3 * max(abs(c[1, 1]), abs(c[3, 1])))
+    error = max(last, _BEFORE_LAST * before)
+    share = 1.0
+    if not error <= _TOLERANCE * size:
+        share = 0.95 * (_TOLERANCE * size / error) ** (1.0 / TERMS) if error < np.inf else 0.0
+    return share
 
-    q1: float
-    v1: float
-    q2: float
-    v2: float
-    q3: float
-    v3: float
+
+@inlined
+def _end(c: FloatArray, row: int) -> float:
+    total = 0.0
+    for k in range(TERMS, -1, -1):
+        total += c[row, k]
+    return total
 
 
-class _Modes(NamedTuple):
-    """Directions of motor, load, the spring's rate and its torque (0: at rest), and what each winds up from.
+@inlined
+def _value(c: FloatArray, row: int, t: float) -> float:
+    total = 0.0
+    for k in range(TERMS, -1, -1):
+        total = total * t + c[row, k]
+    return total
 
-    Of motor, load and spring: the force, or the share of the Coulomb force, at the last reversal, and where that was.
+
+@inlined
+def _clear(c: FloatArray, row: int, sign: float, constant: float) -> bool:
+    """Prove that a guard is positive throughout a step, from the sum of what could make it fall."""
+    lowest = constant + sign * c[row, 0]
+    for k in range(1, TERMS + 1):
+        lowest += min(sign * c[row, k], 0.0)
+    return bool(lowest > 0.0)
+
+
+@inlined
+def _first_event(p: Drive, b: Beyond, m: Modes, known: Known, c: FloatArray, roots: FloatArray) -> tuple[float, int]:
+    """Return when the first event is (2.0: not in this step), in steps, and its guard.
+
+    Guards 0 and 1 are of the motor, 2 and 3 of the load: the first of both also where it moves and may stop, else a
+    rest that it leaves forwards and backwards. Guard 4 is of the spring's rate, 5 of its torque.
     """
-
-    motor: int
-    load: int
-    rate: int
-    torque: int
-    wound1: float
-    from1: float
-    wound2: float
-    from2: float
-    wound: float
-    since: float
-
-
-@inlined
-def _wound(direction: int, begun: float, way: float) -> float:
-    """Return what is wound up, of a limit of 1, after a way in its own length since `begun`."""
-    return direction + (begun - direction) * math.exp(-min(max(direction * way, 0.0), 700.0))
-
-
-@inlined
-def _spring(p: Drive, b: _Beyond, m: _Modes, s: _State) -> tuple[float, float]:
-    """Return the torque of spring and damper, and the slope of the first over the deflection."""
-    e = s.q2 - s.q1
-    torque = (p.stiffness + b.cubic * e * e) * e + p.damping * (s.v2 - s.v1)
-    slope = p.stiffness + 3.0 * b.cubic * e * e
-    if b.slope > 0.0:
-        wound = _wound(m.rate, m.wound, (e - m.since) * b.slope / b.limit)
-        torque += b.limit * wound
-        slope += b.slope * (1.0 - m.rate * wound)
-    return torque, slope
-
-
-@inlined
-def _pull(b: _Beyond, s: _State) -> float:
-    """Return the torque by which the part of an elastic load that swings pulls the rest of it."""
-    return b.stiffness2 * (s.q3 - s.q2) + b.damping2 * (s.v3 - s.v2) if b.share > 0.0 else 0.0
-
-
-@inlined
-def _held_back(places: FloatArray, side: int, q: float) -> float:
-    """Return the force on a side that follows its position."""
-    force = 0.0
-    for i in range(places.shape[0]):
-        if places[i, 4] == side:
-            phase = places[i, 3] * q
-            force += places[i, 0] * math.cos(phase) + places[i, 1] * math.sin(phase) + places[i, 2] * q
-    return force
-
-
-@inlined
-def _friction(
-    mode: int, v: float, viscous: float, viscous_back: float, coulomb: float, back: float, soft: float, wound: float,
-    since: float, q: float,
-) -> float:  # fmt: skip
-    """Return the friction of a mass in motion."""
-    held = coulomb if mode > 0 else -back
-    if soft > 0.0:
-        held = (coulomb if mode > 0 else back) * _wound(mode, wound, (q - since) / soft)
-    return (viscous if mode > 0 else viscous_back) * v + held
-
-
-@inlined
-def _pushes(
-    p: Drive, b: _Beyond, places: FloatArray, m: _Modes, s: _State, torque: float
-) -> tuple[float, float, float]:
-    """Return what pushes motor and load but their friction, and the spring's torque."""
-    spring, _ = _spring(p, b, m, s)
-    motor = torque - p.offset1 + spring - _held_back(places, 0, s.q1)
-    return motor, -p.offset2 - spring + _pull(b, s) - _held_back(places, 1, s.q2), spring
-
-
-@inlined
-def _accelerations(
-    p: Drive, b: _Beyond, places: FloatArray, m: _Modes, s: _State, time: float, torque: float
-) -> tuple[float, float, float]:
-    """Return the accelerations of motor and load, and of what swings on it."""
-    push1, push2, spring = _pushes(p, b, places, m, s, torque)
-    a1, a2 = 0.0, 0.0
-    if m.motor != 0:
-        drift, more = b.drift1 * time, b.fade1 * time
-        drag = _friction(
-            m.motor, s.v1, p.viscous1 + drift, p.viscous1_back + drift, p.coulomb1 + more, p.coulomb1_back + more,
-            b.soft1, m.wound1, m.from1, s.q1,
-        )  # fmt: skip
-        a1 = (push1 - drag) / p.inertia1
-    if m.load != 0:
-        drift, more = b.drift2 * time, b.fade2 * time + b.loss * m.torque * spring
-        drag = _friction(
-            m.load, s.v2, p.viscous2 + drift, p.viscous2_back + drift, p.coulomb2 + more, p.coulomb2_back + more,
-            b.soft2, m.wound2, m.from2, s.q2,
-        )  # fmt: skip
-        a2 = (push2 - drag) / ((1.0 - b.share) * p.inertia2)
-    return a1, a2, -_pull(b, s) / (b.share * p.inertia2) if b.share > 0.0 else 0.0
-
-
-@inlined
-def _state(y: FloatArray) -> _State:
-    return _State(y[0], y[1], y[2], y[3], y[4], y[5])
-
-
-@inlined
-def _slopes(
-    p: Drive, b: _Beyond, places: FloatArray, m: _Modes, y: FloatArray, time: float, torque: float, k: FloatArray
-) -> None:
-    """Write how fast the state changes into `k`."""
-    s = _state(y)
-    a1, a2, a3 = _accelerations(p, b, places, m, s, time, torque)
-    k[0], k[1], k[2], k[3], k[4], k[5] = s.v1, a1, s.v2, a2, s.v3, a3
-
-
-@compiled
-def _step(
-    p: Drive,
-    b: _Beyond,
-    places: FloatArray,
-    m: _Modes,
-    y: FloatArray,
-    k: FloatArray,
-    new: FloatArray,
-    time: float,
-    h: float,
-    torque: float,
-) -> tuple[float, float]:
-    """Write the state after `h` seconds into `new` and the slopes of the stages into `k`; return both errors.
-
-    These are of the velocities, and of the positions: of the lower of both orders, over one step.
-    """
-    _slopes(p, b, places, m, y, time, torque, k[0])
-    for i in range(_STATES):
-        new[i] = y[i] + h * (1 / 5 * k[0, i])
-    _slopes(p, b, places, m, new, time + 1 / 5 * h, torque, k[1])
-    for i in range(_STATES):
-        new[i] = y[i] + h * (3 / 40 * k[0, i] + 9 / 40 * k[1, i])
-    _slopes(p, b, places, m, new, time + 3 / 10 * h, torque, k[2])
-    for i in range(_STATES):
-        new[i] = y[i] + h * (44 / 45 * k[0, i] - 56 / 15 * k[1, i] + 32 / 9 * k[2, i])
-    _slopes(p, b, places, m, new, time + 4 / 5 * h, torque, k[3])
-    for i in range(_STATES):
-        new[i] = y[i] + h * (
-            19372 / 6561 * k[0, i] - 25360 / 2187 * k[1, i] + 64448 / 6561 * k[2, i] - 212 / 729 * k[3, i]
-        )
-    _slopes(p, b, places, m, new, time + 8 / 9 * h, torque, k[4])
-    for i in range(_STATES):
-        new[i] = y[i] + h * (
-            9017 / 3168 * k[0, i]
-            - 355 / 33 * k[1, i]
-            + 46732 / 5247 * k[2, i]
-            + 49 / 176 * k[3, i]
-            - 5103 / 18656 * k[4, i]
-        )
-    _slopes(p, b, places, m, new, time + h, torque, k[5])
-    for i in range(_STATES):
-        new[i] = y[i] + h * (
-            35 / 384 * k[0, i] + 500 / 1113 * k[2, i] + 125 / 192 * k[3, i] - 2187 / 6784 * k[4, i] + 11 / 84 * k[5, i]
-        )
-    _slopes(p, b, places, m, new, time + h, torque, k[6])
-    fast, far = 0.0, 0.0
-    for i in range(_STATES):
-        error = abs(h * (
-            71 / 57600 * k[0, i] - 71 / 16695 * k[2, i] + 71 / 1920 * k[3, i] - 17253 / 339200 * k[4, i]
-            + 22 / 525 * k[5, i] - 1 / 40 * k[6, i]
-        ))  # fmt: skip
-        fast, far = (max(fast, error), far) if i % 2 else (fast, max(far, error))
-    return fast, far
-
-
-@inlined
-def _guards(
-    p: Drive,
-    b: _Beyond,
-    places: FloatArray,
-    m: _Modes,
-    y: FloatArray,
-    rates: FloatArray,
-    time: float,
-    torque: float,
-    guards: FloatArray,
-    slopes: FloatArray,
-) -> None:
-    """Write what is positive until an event happens, and how fast it changes; `rates` are those of the state."""
-    s = _state(y)
-    push1, push2, spring = _pushes(p, b, places, m, s, torque)
-    _, slope = _spring(p, b, m, s)
-    a1, a2, a3 = rates[1], rates[3], rates[5]
-    rate = slope * (y[3] - y[1]) + p.damping * (a2 - a1)
-    pulled = b.stiffness2 * (y[5] - y[3]) + b.damping2 * (a3 - a2) if b.share > 0.0 else 0.0
-    for i in range(_GUARDS):
-        guards[i], slopes[i] = 1.0, 0.0
-    if m.motor != 0:
-        guards[0], slopes[0] = m.motor * y[1], m.motor * a1
-    else:
-        more = b.fade1 * time
-        guards[0], slopes[0] = p.coulomb1 + more - push1, b.fade1 - rate
-        guards[4], slopes[4] = p.coulomb1_back + more + push1, b.fade1 + rate
-    if m.load != 0:
-        guards[1], slopes[1] = m.load * y[3], m.load * a2
-    else:
-        more, growth = b.fade2 * time + b.loss * m.torque * spring, b.fade2 + b.loss * m.torque * rate
-        guards[1], slopes[1] = p.coulomb2 + more - push2, growth + rate - pulled
-        guards[5], slopes[5] = p.coulomb2_back + more + push2, growth - rate + pulled
-    if b.slope > 0.0:
-        guards[2], slopes[2] = m.rate * (y[3] - y[1]), m.rate * (a2 - a1)
-    if b.loss > 0.0:
-        guards[3], slopes[3] = m.torque * spring, m.torque * rate
-
-
-@inlined
-def _dip(start: float, slope: float, end: float, last: float, h: float) -> float:
-    """Return where in (0, 1) the cubic through both ends, with their slopes, is lowest and near 0; 1.0: nowhere."""
-    b, c = slope * h, last * h
-    if not (start >= 0.0 and end >= 0.0 and b < 0.0 < c):
-        return 1.0
-    cubic, square = 2.0 * (start - end) + b + c, 3.0 * (end - start) - 2.0 * b - c
-    # The lower of both turning points, without a cancellation.
-    root = math.sqrt(max(square * square - 3.0 * cubic * b, 0.0))
-    at = -b / (square + root) if square + root > 0.0 else 0.5
-    if not 0.0 < at < 1.0:
-        return 1.0
-    lowest = ((cubic * at + square) * at + b) * at + start
-    return at if lowest < _NEAR * max(start, end) else 1.0
-
-
-@compiled
-def _locate(
-    p: Drive, b: _Beyond, places: FloatArray, m: _Modes, y: FloatArray, k: FloatArray, new: FloatArray, time: float,
-    h: float, torque: float, which: int, start: float, end: float, guards: FloatArray, slopes: FloatArray,
-) -> float:  # fmt: skip
-    """Return the share of a step after which a guard is 0: the secant that keeps its bracket, and halves it in turn."""
-    low, high, below, above = 0.0, 1.0, end, max(start, 0.0)
-    for count in range(100):
-        at = low + (high - low) * above / (above - below) if count % 3 < 2 else 0.5 * (low + high)
-        if not low < at < high:
-            at = 0.5 * (low + high)
-        _step(p, b, places, m, y, k, new, time, at * h, torque)
-        _guards(p, b, places, m, new, k[6], time + at * h, torque, guards, slopes)
-        if guards[which] < 0.0:
-            high, below = at, guards[which]
+    first, which = 2.0, -1
+    for guard in range(6):
+        mode, beginning, row, other, constant = 1, 0, 0, -1, 0.0
+        if guard < 4:
+            mass, direction = guard // 2, 1 - 2 * (guard % 2)
+            mode, beginning = (m.motor, known.motor) if mass == 0 else (m.load, known.load)
+            if mode != 0:
+                if direction < 0:
+                    continue
+                row, sign, out = 1 + 2 * mass, float(mode), beginning
+                if beginning == 2 and mode * c[row, 2] <= 0.0:  # came loose at the edge but is pushed back
+                    if first > 0.0:
+                        first, which = 0.0, guard
+                    continue
+            else:
+                row, sign, out = PUSH1 + mass, float(-direction), int(beginning == direction)
+                constant = p.coulomb1 if direction > 0 else p.coulomb1_back
+                if mass == 1:
+                    constant = p.coulomb2 if direction > 0 else p.coulomb2_back
+                other = MORE1 + mass
+        elif guard == 4:
+            if b.slope == 0.0:
+                continue
+            row, other, sign, out = LOAD, MOTOR, float(m.rate), known.rate
         else:
-            low, above = at, guards[which]
-        if high - low <= _ROOT or guards[which] == 0.0:
-            break
-    return high
-
-
-@compiled
-def _bottom(
-    p: Drive, b: _Beyond, places: FloatArray, m: _Modes, y: FloatArray, k: FloatArray, new: FloatArray, time: float,
-    h: float, torque: float, which: int, dip: float, guards: FloatArray, slopes: FloatArray,
-) -> tuple[float, float]:  # fmt: skip
-    """Return a share of a step at which a guard is below 0, or lowest, near where its cubic is; and the guard there."""
-    low, high, at, value = 0.0, 1.0, dip, 1.0
-    for _ in range(_DIPS):
-        _step(p, b, places, m, y, k, new, time, at * h, torque)
-        _guards(p, b, places, m, new, k[6], time + at * h, torque, guards, slopes)
-        value = guards[which]
-        if value < 0.0:
-            break
-        if slopes[which] < 0.0:
-            low = at
-        else:
-            high = at
-        at = 0.5 * (low + high)
-    return at, value
-
-
-@inlined
-def _turned(b: _Beyond, m: _Modes, y: FloatArray, mass: int, mode: int) -> _Modes:
-    """Return the modes after a mass took another; what its friction is wound up to is kept."""
-    motor, load = m.motor, m.load
-    wound1, from1, wound2, from2 = m.wound1, m.from1, m.wound2, m.from2
-    if mass == 0:
-        if b.soft1 > 0.0:
-            wound1, from1 = _wound(motor, wound1, (y[0] - from1) / b.soft1), y[0]
-        motor = mode
-    else:
-        if b.soft2 > 0.0:
-            wound2, from2 = _wound(load, wound2, (y[2] - from2) / b.soft2), y[2]
-        load = mode
-    return _Modes(motor, load, m.rate, m.torque, wound1, from1, wound2, from2, m.wound, m.since)
-
-
-@inlined
-def _reversed(b: _Beyond, m: _Modes, y: FloatArray, rate: int) -> _Modes:
-    """Return the modes after the spring began to wind up the other way."""
-    e = y[2] - y[0]
-    wound = _wound(m.rate, m.wound, (e - m.since) * b.slope / b.limit)
-    return _Modes(m.motor, m.load, rate, m.torque, m.wound1, m.from1, m.wound2, m.from2, wound, e)
-
-
-@inlined
-def _through(m: _Modes, torque: int) -> _Modes:
-    """Return the modes after the spring's torque went through 0."""
-    return _Modes(m.motor, m.load, m.rate, torque, m.wound1, m.from1, m.wound2, m.from2, m.wound, m.since)
-
-
-@compiled
-def _settled(p: Drive, b: _Beyond, places: FloatArray, m: _Modes, y: FloatArray, time: float, torque: float) -> _Modes:
-    """Return the modes of what stands still for a moment: held, or the way it is pushed."""
-    s = _state(y)
-    _, _, spring = _pushes(p, b, places, m, s, torque)
-    if b.loss > 0.0 and m.torque * spring < 0.0:
-        m = _through(m, -m.torque)
-    push1, push2, spring = _pushes(p, b, places, m, s, torque)
-    fade1, more = b.fade1 * time, b.fade2 * time + b.loss * abs(spring)
-    for mass in range(2):
-        if y[1 + 2 * mass] != 0.0:
+            if b.loss == 0.0:
+                continue
+            row, sign, out = TORQUE, float(m.torque), known.torque
+        if other < 0 and out == 0 and _clear(c, row, sign, constant):
             continue
-        push, forwards, backwards = push1, p.coulomb1 + fade1, p.coulomb1_back + fade1
-        soft, mode, wound, since, q = b.soft1, m.motor, m.wound1, m.from1, y[0]
-        if mass == 1:
-            push, forwards, backwards = push2, p.coulomb2 + more, p.coulomb2_back + more
-            soft, mode, wound, since, q = b.soft2, m.load, m.wound2, m.from2, y[2]
-        new = 0
+        more = 0.0 if other < 0 else (1.0 if guard < 4 else -sign)
+        for k in range(TERMS + 1):
+            roots[SOUGHT, k] = sign * c[row, k] + (more * c[other, k] if other >= 0 else 0.0)
+        for k in range(TERMS + 1, ORDER + 1):
+            roots[SOUGHT, k] = 0.0
+        roots[SOUGHT, 0] += constant
+        for _ in range(out):  # what is 0 at the start by construction is divided out
+            for k in range(ORDER):
+                roots[SOUGHT, k] = roots[SOUGHT, k + 1]
+            roots[SOUGHT, ORDER] = 0.0
+        moment = first_root(roots)
+        if moment < first:
+            first, which = moment, guard
+    return first, which
+
+
+@inlined
+def _push(p: Drive, b: Beyond, places: FloatArray, y: FloatArray, mass: int, torque: float) -> tuple[float, float]:
+    """Return what pushes a mass but its friction, and the spring's torque."""
+    e = y[2] - y[0]
+    spring = (p.stiffness + b.cubic * e * e) * e + p.damping * (y[3] - y[1]) + b.limit * y[WOUND]
+    push = torque - p.offset1 + spring
+    if mass == 1:
+        push = -p.offset2 - spring
+        if b.share > 0.0:
+            push += b.stiffness2 * (y[4] - y[2]) + b.damping2 * (y[5] - y[3])
+    for j in range(places.shape[0]):
+        if places[j, 4] == mass:
+            q = y[2 * mass]
+            phase = places[j, 3] * q
+            push -= places[j, 0] * math.cos(phase) + places[j, 1] * math.sin(phase) + places[j, 2] * q
+    return push, spring
+
+
+@inlined
+def _bounds(p: Drive, b: Beyond, mass: int, spring: float, time: float) -> tuple[float, float]:
+    """Return the Coulomb force of a mass, forwards and backwards."""
+    more = b.fade1 * time if mass == 0 else b.fade2 * time + b.loss * abs(spring)
+    forwards, backwards = (p.coulomb1, p.coulomb1_back) if mass == 0 else (p.coulomb2, p.coulomb2_back)
+    return forwards + more, backwards + more
+
+
+@inlined
+def _settled(
+    p: Drive, b: Beyond, places: FloatArray, mode: int, y: FloatArray, mass: int, time: float, torque: float
+) -> int:
+    """Return the mode of a mass at rest: 0 while friction can hold it, else the way it is pushed."""
+    push, spring = _push(p, b, places, y, mass, torque)
+    forwards, backwards = _bounds(p, b, mass, spring, time)
+    soft = b.soft1 if mass == 0 else b.soft2
+    new = 0
+    if soft > 0.0:
+        rest = push - y[WOUND1 + mass] * (forwards if mode > 0 else backwards)
+        new = 1 if rest > 0.0 else (-1 if rest < 0.0 else mode)
+    elif push > forwards:
+        new = 1
+    elif push < -backwards:
+        new = -1
+    return new
+
+
+@inlined
+def accelerations_of(
+    p: Drive, b: Beyond, places: FloatArray, m: Modes, y: FloatArray, time: float, torque: float
+) -> tuple[float, float]:
+    """Return the accelerations of motor and load."""
+    found1, found2 = 0.0, 0.0
+    for mass in range(2):
+        mode = m.motor if mass == 0 else m.load
+        if mode == 0:
+            continue
+        push, spring = _push(p, b, places, y, mass, torque)
+        forwards, backwards = _bounds(p, b, mass, spring, time)
+        soft = b.soft1 if mass == 0 else b.soft2
+        held = (forwards if mode > 0 else backwards) * (y[WOUND1 + mass] if soft > 0.0 else mode)
+        if mass == 0:
+            viscous = (p.viscous1 if mode > 0 else p.viscous1_back) + b.drift1 * time
+            found1 = (push - viscous * y[1] - held) / p.inertia1
+        else:
+            viscous = (p.viscous2 if mode > 0 else p.viscous2_back) + b.drift2 * time
+            found2 = (push - viscous * y[3] - held) / ((1.0 - b.share) * p.inertia2)
+    return found1, found2
+
+
+@inlined
+def _begin_part(
+    p: Drive, b: Beyond, places: FloatArray, m: Modes, y: FloatArray, time: float, torque: float
+) -> tuple[Modes, Known]:
+    """Return the modes, and what is known of the guards, where another torque begins to act."""
+    motor, load, rate, sign = m.motor, m.load, m.rate, m.torque
+    if y[1] == 0.0:
+        motor = _settled(p, b, places, motor, y, 0, time, torque)
+    _, spring = _push(p, b, places, y, 1, torque)
+    sign = -sign if sign * spring < 0.0 else sign
+    if y[3] == 0.0:
+        load = _settled(p, b, places, load, y, 1, time, torque)
+    still = y[3] == y[1]
+    if b.slope > 0.0 and still:
+        a1, a2 = accelerations_of(p, b, places, Modes(motor, load, rate, sign), y, time, torque)
+        rate = -rate if rate * (a2 - a1) < 0.0 else rate
+    for i in (WOUND1, WOUND2, WOUND):
+        direction = motor if i == WOUND1 else (load if i == WOUND2 else rate)
+        if abs(y[i] - direction) < _WOUND_UP:
+            y[i] = direction
+    known1, known2 = int(motor != 0 and y[1] == 0.0), int(load != 0 and y[3] == 0.0)
+    return Modes(motor, load, rate, sign), Known(known1, known2, int(still), 0)
+
+
+@inlined
+def _after(
+    p: Drive, b: Beyond, places: FloatArray, m: Modes, known: Known, y: FloatArray, which: int, time: float,
+    torque: float, tape: FloatArray, taped: int,
+) -> tuple[Modes, Known]:  # fmt: skip
+    """Return the modes after the event of a guard, and what is then known; a velocity that fell to 0 is 0."""
+    motor, load, rate, sign = m.motor, m.load, m.rate, m.torque
+    known1, known2, known3, known4 = known.motor, known.load, known.rate, known.torque
+    if which == 4:
+        rate, known3 = -rate, 1
+    elif which == 5:
+        sign, known4 = -sign, 1
+    else:
+        mass, loose = which // 2, 1 - 2 * (which % 2)
+        mode, known_mass, soft = (motor, known1, b.soft1) if mass == 0 else (load, known2, b.soft2)
+        back = known_mass == 2
+        stopped = mode != 0 and not back
+        if stopped:
+            y[1 + 2 * mass] = 0.0
         if soft > 0.0:
-            share = _wound(mode, wound, (q - since) / soft)
-            rest = push - share * (forwards if mode > 0 else backwards)
-            new = 1 if rest > 0.0 else (-1 if rest < 0.0 else mode)
-        elif push > forwards:
-            new = 1
-        elif push < -backwards:
-            new = -1
-        if new != mode:
-            m = _turned(b, m, y, mass, new)
-    if b.slope > 0.0 and y[3] == y[1]:
-        a1, a2, _ = _accelerations(p, b, places, m, _state(y), time, torque)
-        if m.rate * (a2 - a1) < 0.0:
-            m = _reversed(b, m, y, -m.rate)
-    return m
+            mode, known_mass = -mode, 1
+        else:
+            mode, known_mass = mode_after(
+                mode, loose if mode == 0 else 0, back, _settled(p, b, places, mode, y, mass, time, torque)
+            )
+        if mass == 0:
+            motor, known1 = mode, known_mass
+        else:
+            load, known2 = mode, known_mass
+        if stopped and taped >= 0:
+            new = Modes(motor, load, rate, sign)
+            before = accelerations_of(p, b, places, m, y, time, torque)[mass]
+            after = accelerations_of(p, b, places, new, y, time, torque)[mass]
+            tape[taped, 17] = mass
+            # Friction grows where a mass turns round, so the ratio is between 0 and 1; grazing leaves 0/0.
+            tape[taped, 18] = min(max(after / before, 0.0), 1.0) if before != 0.0 else 0.0
+    return Modes(motor, load, rate, sign), Known(known1, known2, known3, known4)
+
+
+@inlined
+def _advance(b: Beyond, c: FloatArray, t: float, y: FloatArray) -> None:
+    """Write the state after a share of a step."""
+    for i in range(STATES):
+        if (4 <= i <= 5 and b.share == 0.0) or (i == WOUND1 and b.soft1 == 0.0) or (i == WOUND2 and b.soft2 == 0.0):
+            continue
+        y[i] = _end(c, i) if t == 1.0 else _value(c, i, t)
+
+
+@inlined
+def _note(row: FloatArray, part: int, h: float, m: Modes, known: Known, y: FloatArray) -> None:
+    """Write a step into its row of the tape."""
+    row[0], row[1], row[2], row[3], row[4], row[5] = part, h, m.motor, m.load, m.rate, m.torque
+    row[6], row[7], row[17], row[18] = known.motor == 2, known.load == 2, -1.0, 0.0
+    for i in range(STATES):
+        row[8 + i] = y[i]
 
 
 @compiled
@@ -432,8 +327,10 @@ def run(
     far: float,
     u: FloatArray,
     tapped: FloatArray,
+    excess: FloatArray,
     states: FloatArray,
     accelerations: FloatArray,
+    tape: FloatArray,
     counts: IntArray,
 ) -> int:
     """Simulate one loop; fill `u`, `tapped`, `states` and `accelerations` and return how it ended.
@@ -459,138 +356,86 @@ def run(
         far: a motor position beyond which the loop counts as diverged.
         u: (periods,) out, the torque that acts.
         tapped: out, as there.
+        excess: out, as there.
         states: out, as there.
         accelerations: (periods * parts, 2) out, of motor and load, just after the torque of each part begins to act; or
             (0, 2).
+        tape: (rows, STEP_TAPE) out, of as many steps as it holds.
         counts: (4,) out: events, steps, periods simulated, periods at the limit.
     """
     n, parts = w.shape[1], lengths.size
     p = drive_of(drive)
-    b = _Beyond(
-        beyond[0], beyond[1], beyond[2], beyond[3], beyond[4], beyond[5], beyond[6], beyond[7],
-        beyond[8], beyond[9], beyond[10], beyond[11], beyond[12],
-    )  # fmt: skip
-    mobility = 1.0 / p.inertia1 + 1.0 / p.inertia2
-    rate = math.sqrt((p.stiffness + b.slope) * mobility) + p.damping * mobility + 1.0 / np.max(lengths)
-    if b.share > 0.0:
-        mobility2 = 1.0 / ((1.0 - b.share) * p.inertia2) + 1.0 / (b.share * p.inertia2)
-        rate += math.sqrt(b.stiffness2 * mobility2) + b.damping2 * mobility2
-    finest = float(np.max(np.abs(places[:, 3]))) if places.shape[0] > 0 else 0.0
-    y, new, k = np.zeros(_STATES), np.zeros(_STATES), np.zeros((7, _STATES))
+    b = beyond_of(beyond)
+    y, c, roots = np.zeros(STATES), np.zeros((ROWS, TERMS + 2)), np.empty(ROOM)
+    turns = np.zeros((places.shape[0], 2, TERMS + 2))
     y[:4] = x
     if b.share > 0.0:
-        y[4:] = x[2:]  # what swings moves with the load
+        y[4:6] = x[2:]  # what swings moves with the load
+    y[WOUND1], y[WOUND2] = (sliding if b.soft1 > 0.0 else 0.0), (sliding if b.soft2 > 0.0 else 0.0)
     first, second = (1 if x[1] >= 0.0 else -1), (1 if x[3] >= 0.0 else -1)
-    spring = p.stiffness * (x[2] - x[0])
-    m = _Modes(
+    m = Modes(
         first if x[1] != 0.0 or b.soft1 > 0.0 else 0, second if x[3] != 0.0 or b.soft2 > 0.0 else 0, 1,
-        1 if spring >= 0.0 else -1, sliding, x[0], sliding, x[2], 0.0, x[2] - x[0],
+        1 if p.stiffness * (x[2] - x[0]) >= 0.0 else -1,
     )  # fmt: skip
-    guards, slopes, ends, lasts = np.zeros(_GUARDS), np.zeros(_GUARDS), np.zeros(_GUARDS), np.zeros(_GUARDS)
-    fresh, raw, cut = np.empty(z.size), np.zeros(w.shape[0]), np.zeros(w.shape[0])
-    events, steps, clipped, status = 0, 0, 0, FINISHED
-    fastest, wanted = 0.0, float(_FIRST / rate)
+    fresh, out, cut = np.empty(z.size), np.zeros(w.shape[0]), np.zeros(w.shape[0])
+    events, steps, clipped, status, fastest = 0, 0, 0, FINISHED, 0.0
     keep = states.shape[0] > 0
     period = np.sum(lengths)
     i = 0
     while i < n and status == FINISHED:
-        control_any(feedback, w, i, y[0], z, fresh, raw, cut)
-        u[i] = raw[feedback.output] + cut[feedback.output]
+        control_any(feedback, w, i, y[0], z, fresh, out, cut)
+        u[i] = out[feedback.output]
         if tapped.size > 0:
-            tapped[i] = raw[feedback.tap] + cut[feedback.tap]
+            tapped[i] = out[feedback.tap]
+        if excess.shape[0] > 0:
+            excess[i] = cut
         if cut[feedback.tap] != 0.0:
             clipped += 1
         if not (abs(y[0]) <= far and abs(u[i]) < np.inf):
             status = DIVERGED
             break
-        time, before_part = i * period, events
+        time, before_period = i * period, events
         for part in range(parts):
             source = i - lags[part]
             torque = u[source] + post[source] if source >= 0 else before
-            m = _settled(p, b, places, m, y, time, torque)
+            m, known = _begin_part(p, b, places, m, y, time, torque)
             if keep:
                 row = i * parts + part
-                a1, a2, _ = _accelerations(p, b, places, m, _state(y), time, torque)
                 states[row] = y[:4]
-                accelerations[row, 0], accelerations[row, 1] = a1, a2
+                accelerations[row] = accelerations_of(p, b, places, m, y, time, torque)
             left = lengths[part]
             while left > 0.0 and status == FINISHED:
-                if wanted * fastest * finest > _TURN:
-                    wanted = _TURN / (fastest * finest)
-                h = left if wanted >= left else (wanted if wanted >= 0.5 * left else min(wanted, 0.5 * left))
-                fast, away = _step(p, b, places, m, y, k, new, time, h, torque)
+                h = left
+                fill_series(p, b, places, m, known, y, time, torque, h, c, turns)
+                share = _share(c, fastest)
+                while share == 0.0 and h > _SHORTEST * period:  # beyond the largest number
+                    h *= 0.1
+                    fill_series(p, b, places, m, known, y, time, torque, h, c, turns)
+                    share = _share(c, fastest)
+                if share < 1.0:
+                    _shortened(c, share)
+                    h *= share
                 steps += 1
-                scale = max(fastest, abs(new[1]), abs(new[3]), 1e-3 * h * max(abs(k[0, 1]), abs(k[0, 3])))
-                error = max(fast, away * rate) / (_TOLERANCE * scale) if scale > 0.0 else 0.0
-                if not error <= 1.0:
-                    shorter = 0.9 * error**-0.2 if error < np.inf else 0.1
-                    wanted = h * max(shorter, 0.1)
-                    if wanted < 1e-12 * period or steps > _WORK * n + 10_000:
-                        status = TOO_STIFF
-                    continue
-                _guards(p, b, places, m, y, k[0], time, torque, guards, slopes)
-                _guards(p, b, places, m, new, k[6], time + h, torque, ends, lasts)
-                share, which = 1.0, -1
-                for guard in range(_GUARDS):
-                    if ends[guard] < 0.0:
-                        start, end = guards[guard], ends[guard]
-                        at = _locate(p, b, places, m, y, k, new, time, h, torque, guard, start, end, slopes, lasts)
-                        _step(p, b, places, m, y, k, new, time, h, torque)
-                        _guards(p, b, places, m, y, k[0], time, torque, guards, slopes)
-                        _guards(p, b, places, m, new, k[6], time + h, torque, ends, lasts)
-                        if which < 0 or at < share:
-                            share, which = at, guard
-                dip, dipped = 1.0, -1
-                for guard in range(_GUARDS):
-                    lowest = _dip(guards[guard], slopes[guard], ends[guard], lasts[guard], h)
-                    if lowest < dip:
-                        dip, dipped = lowest, guard
-                bottom = 2.0
-                if dip < share:
-                    start = guards[dipped]
-                    bottom, end = _bottom(p, b, places, m, y, k, new, time, h, torque, dipped, dip, ends, lasts)
-                    if end < 0.0:
-                        at = _locate(
-                            p, b, places, m, y, k, new, time, bottom * h, torque, dipped, start, end, slopes, lasts
-                        )
-                        share, which = at * bottom, dipped
-                if share < 1.0 or bottom < 1.0:
-                    _step(p, b, places, m, y, k, new, time, share * h, torque)
-                elif which < 0:
-                    wanted = h * min(max(0.9 * max(error, 1e-10) ** -0.2, 0.3), 5.0)
-                for j in range(_STATES):
-                    y[j] = new[j]
-                time += share * h
-                left = 0.0 if share == 1.0 and h == left else left - share * h
-                fastest = max(fastest, abs(y[1]), abs(y[3]))
-                if which >= 0:
-                    events += 1
-                    m = _after(p, b, places, m, y, which, time, torque)
-                    if events - before_part > _EVENTS:
-                        status = CHATTERING
-                if steps > _WORK * n + 10_000:
+                if h < _SHORTEST * period or steps > _WORK * n + 10_000:
                     status = TOO_STIFF
+                    break
+                moment, which = _first_event(p, b, m, known, c, roots)
+                t = min(moment, 1.0)
+                taped = steps - 1 if steps <= tape.shape[0] else -1
+                if taped >= 0:
+                    _note(tape[taped], i * parts + part, t * h, m, known, y)
+                if t > 0.0:
+                    _advance(b, c, t, y)
+                    known = Known(0, 0, 0, 0)
+                    time += t * h
+                    left = 0.0 if t == 1.0 and h == left else left - t * h
+                    fastest = max(fastest, abs(y[1]), abs(y[3]))
+                if moment <= 1.0:
+                    events += 1
+                    m, known = _after(p, b, places, m, known, y, which, time, torque, tape, taped)
+                    if events - before_period > _EVENTS:
+                        status = CHATTERING
         i += 1
     x[:] = y[:4]
     counts[0], counts[1], counts[2], counts[3] = events, steps, i, min(clipped, i)
     return status
-
-
-@compiled
-def _after(
-    p: Drive, b: _Beyond, places: FloatArray, m: _Modes, y: FloatArray, which: int, time: float, torque: float
-) -> _Modes:
-    """Return the modes after the event of a guard; a velocity that fell to 0 is 0."""
-    if which == 2:
-        m = _reversed(b, m, y, -m.rate)
-    elif which == 3:
-        m = _through(m, -m.torque)
-    else:
-        mass = which % 4
-        mode, soft = (m.motor, b.soft1) if mass == 0 else (m.load, b.soft2)
-        if mode == 0:
-            m = _turned(b, m, y, mass, 1 if which < 2 else -1)
-        else:
-            y[1 + 2 * mass] = 0.0
-            m = _turned(b, m, y, mass, -mode) if soft > 0.0 else _settled(p, b, places, m, y, time, torque)
-    return m

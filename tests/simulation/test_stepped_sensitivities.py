@@ -1,0 +1,80 @@
+"""Derivatives of simulations with smooth laws, against differences of runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jointid.common.arrays import FloatArray
+from jointid.models.controllers import numbers_of, with_numbers
+from jointid.models.joints import ClosedLoop
+from jointid.simulation.closed_loop import Initial, simulate
+from jointid.simulation.loop_input import LoopInput, prepare
+from jointid.simulation.sensitivities import simulate_sensitivities
+from tests.plants import Case, prismatic, rotary
+from tests.smooth_laws import LAWS, with_law
+
+_STEP = 3e-6
+
+
+def _moved(loop: ClosedLoop, experiment: LoopInput, values: dict[str, float], begin: Initial, name: str, by: float):
+    if name in values:
+        values = values | {name: values[name] + by}
+    elif name.startswith("initial_"):
+        word = name.removeprefix("initial_")
+        begin = replace(begin, **{word: getattr(begin, word) + by})
+    else:
+        controller = with_numbers(loop.controller, {name: numbers_of(loop.controller)[name] + by})
+        experiment = experiment.with_law(experiment.law_of(controller))
+        loop = replace(loop, controller=controller)
+    return simulate(loop, experiment, values, begin)
+
+
+def _signals(run) -> tuple[FloatArray, FloatArray, FloatArray]:
+    return run.torque, run.motor_position, run.load_position
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("make", [prismatic, rotary])
+def test_derivatives_are_those_of_differences_of_runs(make: Callable[[int], Case], law: str) -> None:
+    case = make(1)
+    loop, values = with_law(case, law)
+    experiment = prepare(loop, case.clean)
+    speed = 0.2 * float(np.ptp(simulate(case.loop, experiment, case.truth).motor_velocity))
+    begin = Initial(position=float(experiment.inputs[0, 0]), velocity=speed, wound_up=1.0)
+    own = [p.name for p in loop.joint.parameters]
+    of_law = [name for name, value in numbers_of(loop.controller).items() if value and np.isfinite(value)]
+    names = [*own, "initial_position", "initial_velocity", *of_law]
+    found = simulate_sensitivities(loop, experiment, values, names, begin, positions=True)
+    columns = found.torque, found.motor_position, found.load_position
+    for i, name in enumerate(names):
+        now = values.get(name) or numbers_of(loop.controller).get(name) or speed
+        step = _STEP * (abs(now) or 1e-3)
+        ends = [_signals(_moved(loop, experiment, values, begin, name, by)) for by in (-step, step)]
+        for low, high, exact in zip(*ends, columns, strict=True):
+            expected = (high - low) / (2 * step)
+            assert np.linalg.norm(exact[:, i] - expected) <= 2e-3 * np.linalg.norm(expected), name
+
+
+@pytest.mark.parametrize("law", ["none", "drifting"])
+@pytest.mark.parametrize("make", [prismatic, rotary])
+def test_a_limit_that_acts_and_a_delay_are_followed(make: Callable[[int], Case], law: str) -> None:
+    case = make(1)
+    loop, values = with_law(case, law) if law != "none" else (case.loop, case.truth)
+    peak = float(np.abs(simulate(loop, prepare(loop, case.clean), values).torque).max())
+    gain = numbers_of(loop.controller)["gain"]
+    controller = with_numbers(loop.controller, {"limit": 0.65 * peak / gain, "delay": 1.5e-4})
+    loop = replace(loop, controller=controller)
+    experiment, begin = prepare(loop, case.clean), Initial()
+    run = simulate(loop, experiment, values)
+    assert run.at_limit > 0.001
+    names = ["stiffness", "limit", "delay", "position_gain"]
+    found = simulate_sensitivities(loop, experiment, values, names)
+    for i, name in enumerate(names):
+        step = _STEP * (values.get(name) or numbers_of(controller)[name])
+        low, high = (_moved(loop, experiment, values, begin, name, by).torque for by in (-step, step))
+        expected = (high - low) / (2 * step)
+        assert np.linalg.norm(found.torque[:, i] - expected) <= 1e-3 * np.linalg.norm(expected), name
