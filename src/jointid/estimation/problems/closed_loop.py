@@ -30,9 +30,8 @@ from jointid.models.joints import ClosedLoop, Joint, RigidJoint
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, decimate_all
 from jointid.simulation.closed_loop import Initial, Outcome, Response, Simulation, simulate, simulate_torque
-from jointid.simulation.sensitivities import Sensitivities
 from jointid.simulation.loop_input import LoopInput, prepare
-from jointid.simulation.sensitivities import simulate_sensitivities
+from jointid.simulation.sensitivities import Sensitivities, simulate_sensitivities
 from jointid.uncertainty.position_dependent_error import Cells, cells
 
 _FLOOR = 1e-3  # a parameter smaller than this share of the torque is measured against that share
