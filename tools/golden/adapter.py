@@ -26,8 +26,9 @@ import jointid as ji
 from jointid.apps.cli import main
 from jointid.diagnostics.check_loop import add_loop_verdict
 from jointid.diagnostics.report_data import collect_report_data as collect
-from jointid.models.disturbances import Drift, PositionHarmonics
+from jointid.models.disturbances import Drift
 from jointid.models.linear import frequency_response
+from jointid.models.ripple import PositionHarmonics
 from jointid.output.export import read_estimated
 from jointid.paper.errata import ERRATA
 from jointid.paper.published import TABLES

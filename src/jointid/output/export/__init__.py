@@ -17,7 +17,7 @@ from jointid.output.export.joint_file import joint_file
 from jointid.output.export.joint_model import JointModel, joint_model
 from jointid.output.export.modelica import modelica
 from jointid.output.export.robots import mjcf, urdf
-from jointid.output.export.state_space import StateSpace, linear_part, matlab, state_space_json
+from jointid.output.export.state_space_model import StateSpace, linear_part, matlab, state_space_json
 from jointid.output.json import read_answer, to_dict
 
 
