@@ -36,7 +36,7 @@ _PERIODS = 60
 def _law(name: str, plant: Plant, own: FloatArray, duration: float) -> Smooth:
     e, travel = windup(own), float(np.ptp(own[:, 0]))
     torque = plant.stiffness * e
-    return {
+    laws = {
         "cubic": Smooth(cubic=0.8 * plant.stiffness / e**2),
         "hysteretic": Smooth(slider=0.4 * plant.stiffness, slips=0.1 * torque),
         "presliding": Smooth(presliding=(0.01 * travel, 0.03 * travel)),
@@ -47,11 +47,16 @@ def _law(name: str, plant: Plant, own: FloatArray, duration: float) -> Smooth:
             drift=(-0.5 * min(plant.fv1) / duration, 0.8 * min(plant.fv2) / duration),
             fade=(0.6 * min(plant.fc1) / duration, -0.7 * min(plant.fc2) / duration),
         ),
-    }[name]
+    }
+    whole = {
+        field: getattr(law, field) for law in laws.values() for field in vars(law) if any(np.ravel(getattr(law, field)))
+    }
+    return Smooth(**whole) if name == "all together" else laws[name]
 
 
 @pytest.mark.parametrize(
-    "name", ["cubic", "hysteretic", "presliding", "load-dependent", "drifting", "elastic-load", "ripple"]
+    "name",
+    ["cubic", "hysteretic", "presliding", "load-dependent", "drifting", "elastic-load", "ripple", "all together"],
 )
 @pytest.mark.parametrize("seed", SEEDS)
 def test_agrees_with_a_reference_that_locates_every_event(seed: int, name: str) -> None:
@@ -198,6 +203,20 @@ def test_a_mass_under_presliding_friction_creeps_until_its_spring_carries_it() -
     w, more = np.zeros(5000), Smooth(presliding=(1e-3, 0.0))
     _, _, x, _ = run(plant, law, w, w, 1e-3, 0.0, 0.0, np.zeros(2), beyond=more.row)
     assert x[-1, 0] == pytest.approx(1e-3 * np.log(1 / (1 - 0.6)), rel=1e-4)
+
+
+@pytest.mark.parametrize("make", [prismatic, rotary])
+def test_friction_that_winds_up_over_next_to_nothing_is_coulombs(make: Callable[[int], Case]) -> None:
+    """However stiff it then is; what it differs by is the motion of a mass that it holds, as the root of its length."""
+    case = make(1)
+    exact = simulate(case.loop, prepare(case.loop, case.clean), case.truth)
+    loop = replace(case.loop, joint=replace(case.loop.joint, friction=FRICTIONS["presliding"]()))
+    for share, within in ((1e-6, 5e-2), (1e-9, 2e-3), (1e-12, 5e-5)):
+        length = share * float(np.ptp(exact.motor_position))
+        values = case.truth | {"motor_presliding_distance": length, "load_presliding_distance": length}
+        found = simulate(loop, prepare(loop, case.clean), values)
+        assert found.outcome is Outcome.FINISHED
+        assert np.abs(found.torque - exact.torque).max() < within * np.abs(exact.torque).max()
 
 
 @pytest.mark.parametrize("kernel", ["exact", "in steps"])

@@ -48,10 +48,11 @@ from jointid.simulation.kernels.smooth_series import (
 
 _TOLERANCE = 1e-9  # of the largest velocity so far: the last coefficient of a step
 _BEFORE_LAST = 0.1  # of the last coefficient but one: as much counts, as a swing has but every other
+_WINDING = 1e-9  # of a limit: the last coefficient of a share of it that is wound up
 _SHORTEST = 1e-12  # of a period: a step below it shows a drive that is too stiff
 _EVENTS = 1000  # per period; a physical drive has a handful
 _WORK = 20  # steps a simulation may take, per period: bounds the time an absurd candidate can cost
-_WOUND_UP = 1e-12  # of a limit: what is nearer to it is at it
+_WOUND_UP = 1e-8  # of a limit: what is nearer to it than that, and so than steps can tell, is at it
 
 # One row of the tape for each step: which part, how long, the modes in it, whether motor and load had just come loose,
 # the state it began with, then the mass whose velocity its event took to zero (or -1) and its acceleration after that
@@ -72,14 +73,16 @@ def _shortened(c: FloatArray, share: float) -> None:
 @inlined
 def _share(c: FloatArray, fastest: float) -> float:
     """Return how much of the step its series holds for, from its last coefficients; 0 where they are no numbers."""
-    last, before = 0.0, 0.0
+    last, before, wound = 0.0, 0.0, 0.0
     for i in (MOTOR, LOAD, SWINGING):
         last, before = max(last, abs(c[i, TERMS])), max(before, abs(c[i, TERMS - 1]))
+    for i in (WOUND1, WOUND2, WOUND):
+        wound = max(wound, abs(c[i, TERMS]))
     size = max(fastest, abs(c[1, 0]), abs(c[3, 0]), 1e-3 * max(abs(c[1, 1]), abs(c[3, 1])))
-    error = max(last, _BEFORE_LAST * before)
+    error = max(max(last, _BEFORE_LAST * before) / (_TOLERANCE * size) if size > 0.0 else 0.0, wound / _WINDING)
     share = 1.0
-    if not error <= _TOLERANCE * size:
-        share = 0.95 * (_TOLERANCE * size / error) ** (1.0 / TERMS) if error < np.inf else 0.0
+    if not error <= 1.0:
+        share = 0.95 * error ** (-1.0 / TERMS) if error < np.inf else 0.0
     return share
 
 
@@ -245,10 +248,6 @@ def _begin_part(
     if b.slope > 0.0 and still:
         a1, a2 = accelerations_of(p, b, places, Modes(motor, load, rate, sign), y, time, torque)
         rate = -rate if rate * (a2 - a1) < 0.0 else rate
-    for i in (WOUND1, WOUND2, WOUND):
-        direction = motor if i == WOUND1 else (load if i == WOUND2 else rate)
-        if abs(y[i] - direction) < _WOUND_UP:
-            y[i] = direction
     known1, known2 = int(motor != 0 and y[1] == 0.0), int(load != 0 and y[3] == 0.0)
     return Modes(motor, load, rate, sign), Known(known1, known2, int(still), 0)
 
@@ -293,12 +292,16 @@ def _after(
 
 
 @inlined
-def _advance(b: Beyond, c: FloatArray, t: float, y: FloatArray) -> None:
-    """Write the state after a share of a step."""
+def _advance(b: Beyond, m: Modes, c: FloatArray, t: float, y: FloatArray) -> None:
+    """Write the state after a share of a step; what is all but wound up is wound up, and a long step goes on with it."""
     for i in range(STATES):
         if (4 <= i <= 5 and b.share == 0.0) or (i == WOUND1 and b.soft1 == 0.0) or (i == WOUND2 and b.soft2 == 0.0):
             continue
         y[i] = _end(c, i) if t == 1.0 else _value(c, i, t)
+    for i in (WOUND1, WOUND2, WOUND):
+        direction = m.motor if i == WOUND1 else (m.load if i == WOUND2 else m.rate)
+        if abs(y[i] - direction) < _WOUND_UP:
+            y[i] = direction
 
 
 @inlined
@@ -425,7 +428,7 @@ def run(
                 if taped >= 0:
                     _note(tape[taped], i * parts + part, t * h, m, known, y)
                 if t > 0.0:
-                    _advance(b, c, t, y)
+                    _advance(b, m, c, t, y)
                     known = Known(0, 0, 0, 0)
                     time += t * h
                     left = 0.0 if t == 1.0 and h == left else left - t * h
