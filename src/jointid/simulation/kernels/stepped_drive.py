@@ -293,7 +293,7 @@ def _after(
 
 @inlined
 def _advance(b: Beyond, m: Modes, c: FloatArray, t: float, y: FloatArray) -> None:
-    """Write the state after a share of a step; what is all but wound up is wound up, and a long step goes on with it."""
+    """Write the state after a share of a step, in which what is all but wound up is wound up."""
     for i in range(STATES):
         if (4 <= i <= 5 and b.share == 0.0) or (i == WOUND1 and b.soft1 == 0.0) or (i == WOUND2 and b.soft2 == 0.0):
             continue
