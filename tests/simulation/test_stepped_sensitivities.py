@@ -59,6 +59,21 @@ def test_derivatives_are_those_of_differences_of_runs(make: Callable[[int], Case
             assert np.linalg.norm(exact[:, i] - expected) <= 2e-3 * np.linalg.norm(expected), name
 
 
+@pytest.mark.parametrize("share", [1e-4, 1e-5])
+def test_friction_that_winds_up_within_a_sample_is_followed(share: float) -> None:
+    case = prismatic(1)
+    loop, values = with_law(case, "presliding")
+    experiment = prepare(loop, case.clean)
+    length = share * float(np.ptp(case.clean.reference.values))  # type: ignore[union-attr]
+    values = values | {"motor_presliding_distance": length, "load_presliding_distance": 0.7 * length}
+    found = simulate_sensitivities(loop, experiment, values, list(values))
+    for i, name in enumerate(values):
+        step = _STEP * (abs(values[name]) or 1e-3)
+        low, high = (_moved(loop, experiment, values, Initial(), name, by).torque for by in (-step, step))
+        expected = (high - low) / (2 * step)
+        assert np.linalg.norm(found.torque[:, i] - expected) <= 5e-3 * np.linalg.norm(expected), name
+
+
 @pytest.mark.parametrize("law", ["none", "drifting"])
 @pytest.mark.parametrize("make", [prismatic, rotary])
 def test_a_limit_that_acts_and_a_delay_are_followed(make: Callable[[int], Case], law: str) -> None:

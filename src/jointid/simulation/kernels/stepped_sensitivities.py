@@ -151,6 +151,13 @@ def _tangent(
     for j in range(LANES):  # a velocity that was not let begin does not come back
         q[_S + MOTOR * LANES + j] *= moves1
         q[_S + LOAD * LANES + j] *= moves2
+    # What is wound up stays so, whatever it came from; its series would not hold for the long step that follows.
+    winds1, winds2 = 1.0 if c[WOUND1, 0] != m.motor else 0.0, 1.0 if c[WOUND2, 0] != m.load else 0.0
+    winds3 = 1.0 if c[WOUND, 0] != m.rate else 0.0
+    for j in range(LANES):
+        q[_S + WOUND1 * LANES + j] *= winds1
+        q[_S + WOUND2 * LANES + j] *= winds2
+        q[_S + WOUND * LANES + j] *= winds3
     for j in range(STATES * LANES):
         q[_X + j] = q[_S + j]
     for j in range(LANES):
