@@ -1,6 +1,7 @@
 """Slow, independent reference for smooth laws: DOP853, the laws in rate form, every event located.
 
-What winds up is a state here, ``z' = (v - |v| z) / s``, where the kernel has it in closed form. Directions are held
+What winds up is a state here as in the kernel, ``z' = (v - |v| z) / s``; its closed form over a
+displacement is a test of its own. Directions are held
 between events, so that what is integrated is smooth.
 """
 

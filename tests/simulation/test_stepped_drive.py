@@ -1,4 +1,4 @@
-"""Smooth laws: against a slow reference in rate form, the exact drive, and differences."""
+"""Smooth laws: against a slow reference in rate form, and the exact drive."""
 
 from __future__ import annotations
 
@@ -81,6 +81,11 @@ def _nothing_more(case: Case, friction: str = "drifting", spring: str = "cubic")
     return replace(case.loop, joint=joint), case.truth | more
 
 
+def _of_nothing(case: Case) -> dict[str, float]:
+    """What a slider without stiffness, or a share of 0 that swings, may have all the same."""
+    return {"hysteresis_torque": 1.0, "swinging_stiffness": 2.5 * case.truth["stiffness"], "swinging_damping": 1.0}
+
+
 @pytest.mark.parametrize("make", [prismatic, rotary])
 def test_laws_that_add_nothing_leave_the_exact_drive(make: Callable[[int], Case]) -> None:
     case = make(1)
@@ -97,10 +102,14 @@ def test_laws_that_add_nothing_leave_the_exact_drive(make: Callable[[int], Case]
     assert np.median(difference) < 1e-6 * np.abs(exact.load.acceleration).max()
 
 
+@pytest.mark.parametrize("spring", ["cubic", "hysteretic", "elastic-load"])
 @pytest.mark.parametrize("make", [prismatic, rotary])
-def test_laws_that_add_nothing_leave_the_derivatives_of_the_exact_drive(make: Callable[[int], Case]) -> None:
+def test_laws_that_add_nothing_leave_the_derivatives_of_the_exact_drive(
+    make: Callable[[int], Case], spring: str
+) -> None:
     case = make(1)
-    loop, values = _nothing_more(case)
+    loop, values = _nothing_more(case, spring=spring)
+    values |= {name: value for name, value in _of_nothing(case).items() if name in values}
     experiment = prepare(loop, case.clean)
     law = [name for name, value in numbers_of(loop.controller).items() if value and np.isfinite(value)]
     names = [*(p.name for p in case.loop.joint.parameters), "initial_position", "initial_velocity", *law]
@@ -203,6 +212,18 @@ def test_a_mass_under_presliding_friction_creeps_until_its_spring_carries_it() -
     w, more = np.zeros(5000), Smooth(presliding=(1e-3, 0.0))
     _, _, x, _ = run(plant, law, w, w, 1e-3, 0.0, 0.0, np.zeros(2), beyond=more.row)
     assert x[-1, 0] == pytest.approx(1e-3 * np.log(1 / (1 - 0.6)), rel=1e-4)
+
+
+def test_a_stop_at_the_end_of_a_period_ends_no_simulation() -> None:
+    """What rounding leaves of a period after it is no step that is too short."""
+    nothing = np.zeros(0)
+    law = Law(np.zeros((0, 0)), nothing, nothing, nothing, 0.0, np.inf, nothing)
+    for speed in (0.1, 0.2, 1.0, 1.0 / 3.0):
+        for periods in range(3, 30):
+            plant = Plant(inertia1=1.0, fc1=(speed / (periods * 1e-3),) * 2)
+            w = np.zeros(periods + 3)
+            status, _, x, _ = run(plant, law, w, w, 1e-3, 0.0, 0.0, np.array([0.0, speed]), beyond=Smooth().row)
+            assert status == 0 and abs(x[-1, 1]) < 1e-12
 
 
 @pytest.mark.parametrize("make", [prismatic, rotary])

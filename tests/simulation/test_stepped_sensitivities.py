@@ -59,6 +59,29 @@ def test_derivatives_are_those_of_differences_of_runs(make: Callable[[int], Case
             assert np.linalg.norm(exact[:, i] - expected) <= 2e-3 * np.linalg.norm(expected), name
 
 
+def test_a_delay_moves_no_edge_of_a_torque_that_goes_on() -> None:
+    case = prismatic(1)
+    controller = with_numbers(case.loop.controller, {"integral_gain": 5.0})
+    plain = replace(case.loop, controller=controller)
+    drifting, values = with_law(replace(case, loop=plain), "drifting")
+    values = {name: value if name in case.truth else 0.0 for name, value in values.items()}
+    begin = Initial(velocity=0.1, torque=71.7)
+    exact, found = (
+        simulate_sensitivities(loop, prepare(loop, case.clean), values, ["delay"], begin).torque
+        for loop in (plain, drifting)
+    )
+    assert np.linalg.norm(found - exact) <= 1e-5 * np.linalg.norm(exact)
+
+
+def test_a_slider_without_stiffness_has_a_derivative_by_it() -> None:
+    case = prismatic(1)
+    loop, values = with_law(case, "hysteretic")
+    experiment, name, columns = prepare(loop, case.clean), "hysteresis_stiffness", []
+    for stiffness in (0.0, 1e-5 * values["stiffness"]):
+        columns.append(simulate_sensitivities(loop, experiment, values | {name: stiffness}, [name]).torque)
+    assert np.linalg.norm(columns[1] - columns[0]) <= 1e-3 * np.linalg.norm(columns[1])
+
+
 @pytest.mark.parametrize("share", [1e-4, 1e-5])
 def test_friction_that_winds_up_within_a_sample_is_followed(share: float) -> None:
     case = prismatic(1)

@@ -1,7 +1,7 @@
 """What a joint has beyond pieces of lines, as the simulation in steps takes it (`simulation.kernels.stepped_drive`).
 
 A law of friction or of a spring names its numbers here (`Friction.beyond`, `Spring.beyond`). Where a joint has any, its
-motion is integrated in steps of a controlled error; all else is exact.
+motion is followed by Taylor series, in steps of a controlled error; all else is exact.
 """
 
 from __future__ import annotations

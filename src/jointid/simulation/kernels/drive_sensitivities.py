@@ -54,7 +54,7 @@ _FACTOR = np.array([1.0 / math.factorial(i) for i in range(_ORDER + 1)])
 # coefficient and constant force of the motor and of the load in the modes they are in: beside what is written, where
 # the compiler sees that nothing overlaps.
 _S, _T, _DS, _W, _Z, _OUT, _LIMIT, _EXPLICIT = (LANES * row for row in (0, 4, 8, 9, 12, 14, 15, 16))
-POSITION = _S  # of the motor, the first of the state
+POSITION, MEMORY = _S, _Z  # of the motor, the first of the state; of a law of two states
 _SLID, _HUNG, _WEIGHT, _SPRING, _INERTIA, _SIDE, SCRATCH = (LANES * row for row in (17, 18, 19, 22, 24, 26, 30))
 
 
@@ -199,7 +199,7 @@ def _glide(
     states: FloatArray, modes: NDArray[np.int16], u: FloatArray, post: FloatArray, explicit: FloatArray,
     first_explicit: int, du: FloatArray,
 ) -> int:  # fmt: skip
-    """Do what `_control` and `_step` do, at once, while the mode lasts and no limit cuts; return the next period.
+    """Do what `control_small` and `_step` do, at once, while the mode lasts and no limit cuts; return the next period.
 
     Nearly all periods are of this kind. One loop whose every value is written once: a machine keeps it in vectors, and
     no value waits in memory.

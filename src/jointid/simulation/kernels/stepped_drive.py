@@ -87,14 +87,6 @@ def _share(c: FloatArray, fastest: float) -> float:
 
 
 @inlined
-def _end(c: FloatArray, row: int) -> float:
-    total = 0.0
-    for k in range(TERMS, -1, -1):
-        total += c[row, k]
-    return total
-
-
-@inlined
 def _value(c: FloatArray, row: int, t: float) -> float:
     total = 0.0
     for k in range(TERMS, -1, -1):
@@ -103,9 +95,9 @@ def _value(c: FloatArray, row: int, t: float) -> float:
 
 
 @inlined
-def _clear(c: FloatArray, row: int, sign: float, constant: float) -> bool:
+def _clear(c: FloatArray, row: int, sign: float) -> bool:
     """Prove that a guard is positive throughout a step, from the sum of what could make it fall."""
-    lowest = constant + sign * c[row, 0]
+    lowest = sign * c[row, 0]
     for k in range(1, TERMS + 1):
         lowest += min(sign * c[row, k], 0.0)
     return bool(lowest > 0.0)
@@ -146,7 +138,7 @@ def _first_event(p: Drive, b: Beyond, m: Modes, known: Known, c: FloatArray, roo
             if b.loss == 0.0:
                 continue
             row, sign, out = TORQUE, float(m.torque), known.torque
-        if other < 0 and out == 0 and _clear(c, row, sign, constant):
+        if other < 0 and out == 0 and _clear(c, row, sign):
             continue
         more = 0.0 if other < 0 else (1.0 if guard < 4 else -sign)
         for k in range(TERMS + 1):
@@ -297,7 +289,7 @@ def _advance(b: Beyond, m: Modes, c: FloatArray, t: float, y: FloatArray) -> Non
     for i in range(STATES):
         if (4 <= i <= 5 and b.share == 0.0) or (i == WOUND1 and b.soft1 == 0.0) or (i == WOUND2 and b.soft2 == 0.0):
             continue
-        y[i] = _end(c, i) if t == 1.0 else _value(c, i, t)
+        y[i] = _value(c, i, t)
     for i in (WOUND1, WOUND2, WOUND):
         direction = m.motor if i == WOUND1 else (m.load if i == WOUND2 else m.rate)
         if abs(y[i] - direction) < _WOUND_UP:
@@ -336,7 +328,7 @@ def run(
     tape: FloatArray,
     counts: IntArray,
 ) -> int:
-    """Simulate one loop; fill `u`, `tapped`, `states` and `accelerations` and return how it ended.
+    """Simulate one loop; fill `u`, `tapped`, `excess`, `states`, `accelerations` and `tape` and return how it ended.
 
     Args:
         drive: (14,) the coefficients, as in `kernels.drive.run`.
@@ -369,7 +361,7 @@ def run(
     n, parts = w.shape[1], lengths.size
     p = drive_of(drive)
     b = beyond_of(beyond)
-    y, c, roots = np.zeros(STATES), np.zeros((ROWS, TERMS + 2)), np.empty(ROOM)
+    y, c, roots = np.zeros(STATES), np.zeros((ROWS, TERMS + 1)), np.empty(ROOM)
     turns = np.zeros((places.shape[0], 2, TERMS + 2))
     y[:4] = x
     if b.share > 0.0:
@@ -419,7 +411,7 @@ def run(
                     _shortened(c, share)
                     h *= share
                 steps += 1
-                if h < _SHORTEST * period or steps > _WORK * n + 10_000:
+                if (h < left and h < _SHORTEST * period) or steps > _WORK * n + 10_000:
                     status = TOO_STIFF
                     break
                 moment, which = _first_event(p, b, m, known, c, roots)

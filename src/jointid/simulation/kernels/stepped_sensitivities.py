@@ -16,6 +16,7 @@ from jointid.common.compiled import compiled, inlined, wide_vectors
 from jointid.simulation.kernels.drive import Drive, Feedback, IntArray, drive_of
 from jointid.simulation.kernels.drive_sensitivities import (
     LANES,
+    MEMORY,
     NOTHING,
     OFTEN,
     POSITION,
@@ -141,9 +142,10 @@ def _tangent(
     moves1, moves2 = 1.0 if m.motor != 0 else 0.0, 1.0 if m.load != 0 else 0.0
     mobility1, mobility2 = moves1 * h / p.inertia1, moves2 * h / ((1.0 - b.share) * p.inertia2)
     swings = h / (b.share * p.inertia2) if b.share > 0.0 else 0.0
+    hangs = 1.0 if b.share > 0.0 else 0.0
     lossy, faster1, faster2 = b.loss * m.torque, b.drift1 * h, b.drift2 * h
     soft1, soft2, winds = b.soft1 > 0.0, b.soft2 > 0.0, b.slope > 0.0
-    follows = places.shape[0] > 0
+    follows, begins = places.shape[0] > 0, b.slope == 0.0 and b.limit > 0.0
     remembers = soft1 or soft2 or winds or follows
     bends = False
     for j in range(LANES):
@@ -153,7 +155,7 @@ def _tangent(
         q[_S + LOAD * LANES + j] *= moves2
     # What is wound up stays so, whatever it came from; its series would not hold for the long step that follows.
     winds1, winds2 = 1.0 if c[WOUND1, 0] != m.motor else 0.0, 1.0 if c[WOUND2, 0] != m.load else 0.0
-    winds3 = 1.0 if c[WOUND, 0] != m.rate else 0.0
+    winds3 = 1.0 if c[WOUND, 0] != m.rate or b.slope == 0.0 else 0.0
     for j in range(LANES):
         q[_S + WOUND1 * LANES + j] *= winds1
         q[_S + WOUND2 * LANES + j] *= winds2
@@ -189,7 +191,7 @@ def _tangent(
             given2 = q[_BEYOND + 9 * LANES + j] * e2 + q[_BEYOND + 10 * LANES + j] * apart2
             q[_APART + j], q[_SPRING + j], q[_MORE + j] = da, torque, fades + lossy * torque
             q[_OLD1 + j], q[_OLD2 + j] = q[_X + WOUND1 * LANES + j], q[_X + WOUND2 * LANES + j]
-            q[_PULL + j] = given2 + b.stiffness2 * de2 + b.damping2 * da2
+            q[_PULL + j] = hangs * (given2 + b.stiffness2 * de2 + b.damping2 * da2)
         if remembers:
             _keep(past, _OF_APART, k, q, _APART)
             for i in range(STATES):
@@ -211,6 +213,11 @@ def _tangent(
                 _wind(q, past, WOUND2, _OF_STATE + LOAD, _V2, m.load, k, c, h / b.soft2, 4)
             if winds:
                 _wind(q, past, WOUND, _OF_APART, _APART, m.rate, k, c, h * b.slope / b.limit, 5)
+        if begins:  # a slider without stiffness: of the first order in it, nothing is wound up
+            for j in range(LANES):
+                wound_up = h / b.limit * inverse * apart * q[_BEYOND + LANES + j]
+                q[_X + WOUND * LANES + j] = wound_up
+                q[_S + WOUND * LANES + j] += wound_up
         # How the Coulomb force, its growth, what is wound up and what the load's torque adds count in the drag.
         holds1, grown1, stores1 = float(m.motor * first), float(m.motor * grows), 0.0
         holds2, stores2, adds2 = float(m.load * first), 0.0, float(m.load)
@@ -260,7 +267,9 @@ def _write_relative(p: Drive, b: Beyond, q: FloatArray) -> None:
         inertia2, share = q[_DRIVE + LANES + j] / p.inertia2, q[_BEYOND + 8 * LANES + j]
         slope, limit = q[_BEYOND + LANES + j], q[_BEYOND + 2 * LANES + j]
         q[_RELATIVE + j] = q[_DRIVE + j] / p.inertia1
-        q[_RELATIVE + LANES + j] = inertia2 - share / (1.0 - b.share)
+        # A share that is just beginning moves with the load on its spring; without one the load has lost it.
+        lost = 0.0 if b.share == 0.0 and b.stiffness2 + b.damping2 > 0.0 else share / (1.0 - b.share)
+        q[_RELATIVE + LANES + j] = inertia2 - lost
         q[_RELATIVE + 2 * LANES + j] = inertia2 + (share / b.share if b.share > 0.0 else 0.0)
         q[_RELATIVE + 3 * LANES + j] = -q[_BEYOND + 3 * LANES + j] / b.soft1 if b.soft1 > 0.0 else 0.0
         q[_RELATIVE + 4 * LANES + j] = -q[_BEYOND + 4 * LANES + j] / b.soft2 if b.soft2 > 0.0 else 0.0
@@ -307,8 +316,8 @@ def follow_steps(
     wide_vectors()
     n, parts, nz, elements = u.size, lengths.size, feedback.A.shape[1], feedback.limits.size
     p, b = drive_of(drive), beyond_of(beyond)
-    c, turns = np.zeros((ROWS, TERMS + 2)), np.zeros((places.shape[0], 2, TERMS + 2))
-    q, past, scratch = aligned(_SCRATCH), np.zeros(_KEPT * (TERMS + 1) * LANES), np.zeros(SCRATCH)
+    c, turns = np.zeros((ROWS, TERMS + 1)), np.zeros((places.shape[0], 2, TERMS + 2))
+    q, past, scratch = aligned(_SCRATCH), np.zeros(_KEPT * (TERMS + 1) * LANES), aligned(SCRATCH)
     z, e = np.zeros((2 * nz, LANES)), np.zeros((elements, LANES))
     z[:nz] = Z
     small = nz <= 2 and feedback.D.size == 1
@@ -320,11 +329,15 @@ def follow_steps(
         q[_S + 4 * LANES : _S + 6 * LANES] = S[2:].reshape(-1)
     delayed, last = np.any(ddelay != 0.0), before
     m = Modes(0, 0, 1, 1)
+    if tape.shape[0] > 0 and (tape[0, 9] != 0.0 or b.soft1 > 0.0):  # it moves as the first torque begins to act
+        m = Modes(int(tape[0, 2]), 0, 1, 1)
     y, keep, period, row = np.empty(STATES), dstates.shape[0] > 0, np.sum(lengths), 0
     for k in range(n):
         if k % OFTEN == 0:
             for i in range(STATES * LANES):
                 q[_S + i] = q[_S + i] if abs(q[_S + i]) > NOTHING else 0.0
+            for i in range(2 * LANES):
+                scratch[MEMORY + i] = scratch[MEMORY + i] if abs(scratch[MEMORY + i]) > NOTHING else 0.0
         for j in range(LANES):
             scratch[POSITION + j] = q[_S + j]
         if small:
