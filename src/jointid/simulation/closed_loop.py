@@ -264,8 +264,7 @@ def run(
     shown = tapped if tapped.size else command
     return ClosedLoopRun(
         loop, experiment, values, drive, gravity, segments, beyond, position, velocity, initial.torque, sliding, before,
-        command,
-        shown, excess, states, modes, tape, accelerations, outcome, counts,
+        command, shown, excess, states, modes, tape, accelerations, outcome, counts,
     )  # fmt: skip
 
 
