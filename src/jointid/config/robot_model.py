@@ -7,7 +7,7 @@ meshes beside it. Links that do not move against each other are one.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -121,7 +121,7 @@ def read_robot(text: str, called: str = "the robot's model") -> Robot:
     except ValueError as error:
         reason = " ".join(str(error).split())[:300]
         raise JointFileError(f"{called} is no robot that MuJoCo reads ({reason}); correct it there.") from error
-    return _in_order(_robot(mujoco, model, root.get("name") or root.get("model") or "robot", called), order)
+    return in_order(_robot(mujoco, model, root.get("name") or root.get("model") or "robot", called), order)
 
 
 def _parse(text: str, called: str) -> ET.Element:
@@ -261,7 +261,7 @@ def _turned(mujoco: Any, axis: FloatArray, angle: float) -> FloatArray:
     return _matrix(mujoco, quaternion)
 
 
-def _in_order(robot: Robot, names: list[str]) -> Robot:
+def in_order(robot: Robot, names: Sequence[str]) -> Robot:
     """Return a robot with its joints in the order of these names, but each after that which carries it."""
     rank = {name: place for place, name in enumerate(dict.fromkeys(names))}
     chosen = list(_sorted(robot, [rank.get(name, len(rank)) for name in robot.names]))

@@ -33,18 +33,25 @@ def test_links_that_are_refused(change: dict[str, Any], says: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("joint", "says"),
+    ("numbers", "says"),
     [
-        (RobotJoint("b", viscous=-1.0), "viscous of the joint b is -1; expected 0 or more"),
-        (RobotJoint("b", spring=JointSpring(1e4)), "positive stiffness and rotor inertia"),
-        (RobotJoint("b", coupling={"d": 1.0}), "the joints are joint0, b, joint2"),
-        (RobotJoint("b", coupling={"joint0": 1.0}), "a joint that no motor moves"),
+        ({"viscous": -1.0}, "joint b: viscous is -1.*; expected a number, 0 or more"),
+        ({"offset": float("inf")}, "joint b: offset is inf"),
+        ({"spring": JointSpring(1e4)}, "has a spring, but no rotor_inertia"),
     ],
 )
-def test_joints_that_are_refused(joint: RobotJoint, says: str) -> None:
-    first = replace(ARM.joints[0], coupling={"b": 1.0} if "joint0" in joint.coupling else {})
+def test_joints_that_are_refused(numbers: dict[str, Any], says: str) -> None:
     with pytest.raises(MethodError, match=says):
-        replace(ARM, joints=(first, joint, ARM.joints[2]))
+        RobotJoint("b", **numbers)
+
+
+def test_couplings_that_are_refused() -> None:
+    first, second, third = ARM.joints
+    with pytest.raises(MethodError, match="the joints are joint0, joint1, joint2"):
+        replace(ARM, joints=(replace(first, coupling={"d": 1.0}), second, third))
+    tied = (replace(first, coupling={"joint1": 1.0}), replace(second, coupling={"joint0": 1.0}), third)
+    with pytest.raises(MethodError, match="a joint that no motor moves"):
+        replace(ARM, joints=tied)
 
 
 def test_a_coupled_wrist() -> None:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
+from jointid.common.settings import check_settings, declare, documented, setting
 from jointid.common.units import Kind
 from jointid.models.robots.inertial import SYMBOLS
 
@@ -53,44 +54,43 @@ class Link:
     inertial: FloatArray = field(default_factory=lambda: np.zeros(10))
 
 
+@documented
 @dataclass(frozen=True, slots=True)
 class JointSpring:
-    """The spring between a motor and its link, and the friction beyond it.
+    """The spring between a motor and its link, and the friction beyond it."""
 
-    Attributes:
-        stiffness: N m/rad or N/m.
-        damping: parallel to it, N m s/rad or N s/m.
-        viscous: friction of the link's side, in the same unit.
-        coulomb: friction of the link's side, N m or N.
-    """
+    stiffness: float = field(metadata=declare("of the spring, where a search begins", unit="N m/rad or N/m", above=0))
+    damping: float = setting(0.0, "parallel to the spring", unit="N m s/rad or N s/m", at_least=0)
+    viscous: float = setting(0.0, "viscous friction of the link's side", unit="N m s/rad or N s/m", at_least=0)
+    coulomb: float = setting(0.0, "Coulomb friction of the link's side", unit="N m or N", at_least=0)
 
-    stiffness: float
-    damping: float = 0.0
-    viscous: float = 0.0
-    coulomb: float = 0.0
+    def __post_init__(self) -> None:
+        check_settings(self)
 
 
+@documented
 @dataclass(frozen=True, slots=True)
 class RobotJoint:
-    """What drives a link; all numbers behind the gear.
-
-    Attributes:
-        name: of the joint.
-        rotor_inertia: of the rotor behind the gear, kg m2 or kg.
-        viscous: friction of the motor's side, N m s/rad or N s/m.
-        coulomb: friction of the motor's side, N m or N.
-        offset: constant part of the motor's torque, N m or N.
-        spring: None for a rigid joint.
-        coupling: by the names of other joints: how far this joint's motor turns when they do, behind its gear.
-    """
+    """The motor of a link; all its numbers behind the gear."""
 
     name: str
-    rotor_inertia: float = 0.0
-    viscous: float = 0.0
-    coulomb: float = 0.0
-    offset: float = 0.0
-    spring: JointSpring | None = None
-    coupling: Mapping[str, float] = field(default_factory=dict)
+    rotor_inertia: float = setting(0.0, "of the rotor, behind the gear", unit="kg m2 or kg", at_least=0)
+    viscous: float = setting(0.0, "viscous friction of the motor's side", unit="N m s/rad or N s/m", at_least=0)
+    coulomb: float = setting(0.0, "Coulomb friction of the motor's side", unit="N m or N", at_least=0)
+    offset: float = setting(0.0, "constant part of the motor's torque", unit="N m or N")
+    spring: JointSpring | None = setting(None, "between motor and link; without it the joint is rigid")
+    coupling: Mapping[str, float] = field(
+        default_factory=dict,
+        metadata=declare("by the names of other joints: how far this joint's motor turns with them, behind its gear"),
+    )
+
+    def __post_init__(self) -> None:
+        check_settings(self, called=f"joint {self.name}")
+        if self.spring is not None and self.rotor_inertia == 0:
+            raise MethodError(
+                f"The joint {self.name} has a spring, but no rotor_inertia; expected a positive one: add it, or leave "
+                "the spring out for a rigid joint."
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,7 +126,7 @@ class Robot:
         for number, link in enumerate(self.links):
             _check_link(link, number)
         for joint in self.joints:
-            _check_joint(joint, self.names)
+            _check_coupling(joint, self.names)
         if np.linalg.cond(self.coupling) > 1e6:
             raise MethodError(
                 "The coupling of the motors leaves a joint that no motor moves; expected as many independent motors as "
@@ -218,21 +218,7 @@ def _require_shape(what: str, values: FloatArray, shape: tuple[int, ...]) -> Non
         raise MethodError(f"The {what} has the shape {found.shape}; expected finite numbers of the shape {shape}.")
 
 
-def _check_joint(joint: RobotJoint, names: tuple[str, ...]) -> None:
-    spring = joint.spring
-    least: dict[str, float] = {name: getattr(joint, name) for name in ("rotor_inertia", "viscous", "coulomb")}
-    if spring is not None:
-        least |= {f"spring {name}": getattr(spring, name) for name in ("stiffness", "damping", "viscous", "coulomb")}
-    for name, value in least.items():
-        if not (np.isfinite(value) and value >= 0):
-            raise MethodError(f"{name} of the joint {joint.name} is {value:g}; expected 0 or more: correct it.")
-    if spring is not None and not (spring.stiffness > 0 and joint.rotor_inertia > 0):
-        raise MethodError(
-            f"The joint {joint.name} has a spring; expected a positive stiffness and rotor inertia: leave the spring "
-            "out for a rigid joint."
-        )
-    if not np.isfinite(joint.offset):
-        raise MethodError(f"offset of the joint {joint.name} is {joint.offset:g}; expected a number: correct it.")
+def _check_coupling(joint: RobotJoint, names: tuple[str, ...]) -> None:
     for other, factor in joint.coupling.items():
         if other not in names or other == joint.name or not np.isfinite(factor):
             raise MethodError(
