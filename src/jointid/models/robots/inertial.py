@@ -25,6 +25,7 @@ UNITS = ("kg", "kg m", "kg m", "kg m", *6 * ("kg m2",))
 
 _ROUNDING = 1e-10  # of the largest second moment: below 0 by less than this is a thin body
 _UPPER = np.triu_indices(3)
+_ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))  # of U, beside its scale
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,3 +113,35 @@ def in_parent(inertial: FloatArray, rotation: FloatArray, origin: FloatArray) ->
     """
     placed = np.block([[rotation, origin[:, np.newaxis]], [np.zeros((1, 3)), np.ones((1, 1))]])
     return inertial_of(placed @ pseudo_inertia(inertial) @ placed.T)
+
+
+def log_cholesky(pseudo: FloatArray) -> FloatArray:
+    """Return the log-Cholesky parameters, (10,), of a positive definite pseudo-inertia, (4, 4).
+
+    ``alpha, d1, d2, d3, s12, s23, s13, t1, t2, t3`` [Rucker and Wensing 2022, (11)]; t is the centre of mass in m.
+
+    Raises:
+        numpy.linalg.LinAlgError: it is not positive definite.
+    """
+    U = np.linalg.cholesky(pseudo[::-1, ::-1])[::-1, ::-1]
+    scaled = U / U[3, 3]
+    logs = np.log(np.diag(scaled)[:3])
+    return np.array([np.log(U[3, 3]), *logs, scaled[0, 1], scaled[1, 2], scaled[0, 2], *scaled[:3, 3]])
+
+
+def from_log_cholesky(parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the ten inertial parameters, (10,), of log-Cholesky parameters, (10,), and their derivatives, (10, 10).
+
+    Whatever the numbers, a body can have what comes.
+    """
+    alpha, d1, d2, d3, s12, s23, s13, t1, t2, t3 = parameters
+    lengths = np.exp([d1, d2, d3])
+    U = np.exp(alpha) * np.array(
+        [[lengths[0], s12, s13, t1], [0, lengths[1], s23, t2], [0, 0, lengths[2], t3], [0, 0, 0, 1]]
+    )
+    slopes = np.zeros((10, 4, 4))
+    slopes[0] = U
+    for k, (row, column) in enumerate(_ENTRIES, 1):
+        slopes[k, row, column] = np.exp(alpha) * (lengths[row] if row == column else 1.0)
+    derivatives = [inertial_of(slope @ U.T + U @ slope.T) for slope in slopes]
+    return inertial_of(U @ U.T), np.array(derivatives).T
