@@ -29,6 +29,7 @@ from jointid.config.robot_model import in_order, load_robot
 from jointid.config.schema import CONSTANT, ControllerTable, FilteringTable, TransmissionTable
 from jointid.config.schema_record import ChannelsTable, DriveTable, RecordTable
 from jointid.config.table import Number, Positive, Table, Text, keys_from, sentences, with_unit
+from jointid.estimation.robots.idim import RobotIDIM
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -81,6 +82,11 @@ class RobotJointTable(Table):
         return replace(joint, **given)
 
 
+@keys_from(RobotIDIM)
+class RobotMethodTable(Table):
+    """[method]: how the robot is identified, by IDIM."""
+
+
 class RobotFileTable(Table):
     """A robot file."""
 
@@ -88,6 +94,7 @@ class RobotFileTable(Table):
     record: RecordTable = Field(default_factory=RecordTable, description="the file of the record, and its channels")
     drive: DriveTable = Field(default_factory=DriveTable, description="whose traces they are, and its own units")
     filtering: FilteringTable = Field(default_factory=FilteringTable, description="how signals are filtered")
+    method: RobotMethodTable = Field(default_factory=RobotMethodTable, description="how the robot is identified")
     joints: Annotated[list[RobotJointTable], Field(min_length=1), Says("one [[joints]] table for each joint")] = Field(
         description="the joints"
     )
@@ -101,6 +108,7 @@ class RobotFile:
         robot: the model, with what the file says of its joints; gravity as the base stands.
         joints: the joint file of each joint: channels, transmission, controller.
         filtering: how signals are filtered.
+        method: how the robot is identified.
         feed_forward: what the drives are given beside the controllers' torque.
         path: of the robot file.
         raw: its tables.
@@ -109,6 +117,7 @@ class RobotFile:
     robot: Robot
     joints: tuple[JointFile, ...]
     filtering: Filtering
+    method: RobotIDIM
     feed_forward: FeedForward
     path: Path
     raw: Mapping[str, Any] = field(repr=False)
@@ -132,7 +141,15 @@ class RobotFile:
         if faults:
             raise JointFileError(faults)
         robot = _robot(said, path.parent)
-        return cls(robot, _joint_files(raw, robot, path), said.filtering.build(), said.robot.feed_forward, path, raw)
+        return cls(
+            robot,
+            _joint_files(raw, robot, path),
+            said.filtering.build(),
+            said.method.build(),
+            said.robot.feed_forward,
+            path,
+            raw,
+        )
 
     def records(self, path: str | os.PathLike[str] | None = None) -> tuple[Record, ...]:
         """Read the record of every joint.

@@ -105,6 +105,14 @@ class RobotEstimate(Documented):
         """Symbols of the parameters that this record tells: those known to a tenth of themselves."""
         return tuple(name for name, share in zip(self.names, self.relative_deviations, strict=True) if share < _KNOWN)
 
+    @property
+    def rows(self) -> Mapping[str, Mapping[str, object]]:
+        """Value, deviation, unit, nominal value and sum of each parameter, by its symbol."""
+        formulas = (*self.base.formulas, *self.names[len(self.base) :])
+        columns = (self.values.tolist(), self.covariance.std.tolist(), self._units, self.nominal.tolist(), formulas)
+        keys = ("value", "std", "unit", "nominal", "formula")
+        return {name: dict(zip(keys, row, strict=True)) for name, *row in zip(self.names, *columns, strict=True)}
+
     def friction(self, symbol: str) -> FloatArray:
         """Return one number of each joint's friction, (n,): "Fv", "Fc" or "offset"."""
         return np.array([self.params[f"{symbol}{k}"] for k in range(1, len(self.robot) + 1)])
@@ -115,7 +123,7 @@ class RobotEstimate(Documented):
         Args:
             details: whether those that this record does not tell from 0 stand there too, and the sums behind all.
         """
-        units = (*self.base.units, *(unit for k in range(len(self.robot)) for unit in self._friction_units(k)))
+        units = self._units
         shares = self.relative_deviations
         shown = [i for i in range(len(self.names)) if details or shares[i] < 1.0]
         rows = tuple(
@@ -143,6 +151,10 @@ class RobotEstimate(Documented):
                 *((Heading("Sums that the parameters stand for"), Listing(sums)) if details else ()),
             ),
         )
+
+    @property
+    def _units(self) -> tuple[str, ...]:
+        return (*self.base.units, *(unit for k in range(len(self.robot)) for unit in self._friction_units(k)))
 
     def _friction_units(self, joint: int) -> tuple[str, ...]:
         torque, position = self.robot.torque_unit(joint), self.robot.position_unit(joint)
