@@ -36,6 +36,8 @@ _SETTLING = 200  # of the iterations that find where the robot rests
 _AT_REST = 1e-13  # of a position
 
 Bools: TypeAlias = NDArray[np.bool_]
+LoopTree: TypeAlias = tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray]
+"""Parents, kinds, axes, rotations, origins, gravity: what the kernels take first."""
 
 
 class RobotOutcome(StrEnum):
@@ -164,7 +166,7 @@ class RobotInput:
         after_limit: (n, periods) what is added to the torques behind the limits.
     """
 
-    tree: tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray]
+    tree: LoopTree
     experiments: tuple[LoopInput, ...]
     laws: PackedLaws
     feedforward: FloatArray
