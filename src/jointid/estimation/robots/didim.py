@@ -132,7 +132,7 @@ def fixed_point(
     for number in range(iterations):
         error, W = problem.error(run), problem.regressor(run)
         step, std, left = _step(problem, W, error)
-        problem = problem.weighted(_sizes(problem, left, x.size, floor))
+        problem = problem.weighted(joint_sizes(problem, left, x.size, floor))
         step, std, left = _step(problem, W, error)
         share = np.linalg.norm(problem.by_joint(error), axis=1) / size
         progress(f"iteration {number}: torque error {100 * float(np.max(share)):.4f} % on the worst joint")
@@ -158,7 +158,7 @@ def conclude(
     """Return the fit at an end, with its covariance: of instruments W, or of least squares where it is `by_slopes`."""
     error, J = problem.error(run), problem.slopes(run, x)
     Z = J if by_slopes else problem.regressor(run)
-    problem = problem.weighted(_sizes(problem, error, x.size, floor))
+    problem = problem.weighted(joint_sizes(problem, error, x.size, floor))
     weights = problem.weights(error.size)
     covariance = sandwich(
         Z * weights[:, np.newaxis], J * weights[:, np.newaxis], error * weights, equations=problem.sigma.size
@@ -177,7 +177,7 @@ def conclude(
     )
 
 
-def _sizes(problem: RobotProblem, left: FloatArray, count: int, floor: float) -> FloatArray:
+def joint_sizes(problem: RobotProblem, left: FloatArray, count: int, floor: float) -> FloatArray:
     """Return the sizes of the joints' errors, (n,), of a residual that so many parameters left."""
     rows = problem.by_joint(left)
     degrees = max(rows.size - count, 1) / rows.size
@@ -283,5 +283,5 @@ def _regressed(problem: RobotProblem, torques: FloatArray, positions: FloatArray
     x = np.zeros(len(parameters.places))
     for _ in range(_REWEIGHTINGS):
         x, _, left = _step(problem, W, Y)
-        problem = problem.weighted(_sizes(problem, left, x.size, floor))
+        problem = problem.weighted(joint_sizes(problem, left, x.size, floor))
     return Bounds.of(problem.free).clip(x)

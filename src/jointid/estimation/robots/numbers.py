@@ -10,7 +10,7 @@ rigid joint is then grouped with its link, that of a flexible one stands alone [
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,7 +93,6 @@ def robot_parameters(robot: Robot, *, offsets: bool = True, logarithmic: bool = 
     columns = _random_columns(robot, numbers, places)
     kept, grouping = _independent(columns)
     base = with_values(numbers, places, np.zeros(len(places)))
-    base = replace(base, springs=np.where(numbers.flexible[:, np.newaxis], 1.0, 0.0))
     logs = [logarithmic and _positive(place, numbers) for place in places]
     parameters = [_named(place, robot, numbers, log) for place, log in zip(places, logs, strict=True)]
     dropped = [i for i in range(len(places)) if i not in kept]
