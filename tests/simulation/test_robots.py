@@ -134,6 +134,17 @@ def test_a_joint_at_rest_stays_where_it_is_while_the_others_move() -> None:
     assert np.ptp(run.link_position[:, [0, 2, 3, 5]], axis=0).min() > 0.2
 
 
+def test_no_mass_slides_against_its_friction() -> None:
+    """Where several events lie in one step, the earliest is taken, however they seemed from the ends of the step."""
+    twin = six(True)
+    records = twin.records(10.0, sample_time=5e-3, multisine=0.003)
+    run = run_robot(prepare_robot(twin.loop(4.0), records), RobotNumbers.of(twin.robot), keep=True, steps=1)
+    assert run.outcome is RobotOutcome.FINISHED
+    assert run.events > 500
+    assert np.min(run.tape.speeds * run.tape.directions) >= 0.0
+    assert np.all(run.tape.lasting > 0.0)
+
+
 def brute_force(M: FloatArray, force: FloatArray, coulomb: FloatArray) -> FloatArray:
     """Return the accelerations from rest that are consistent with friction, by trying all modes."""
     best, least = np.zeros(force.size), 0.0

@@ -319,7 +319,7 @@ class RobotRun:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RobotMotion:
+class MassMotion:
     """The motion of all masses at instants of the log.
 
     Attributes:
@@ -355,7 +355,7 @@ class RobotSimulation:
     motor_velocity: FloatArray
     link_position: FloatArray
     link_velocity: FloatArray
-    motion: RobotMotion
+    motion: MassMotion
 
 
 def simulate_robot(
@@ -438,16 +438,16 @@ def simulation_of(run: RobotRun) -> RobotSimulation:
     )  # fmt: skip
 
 
-def _motion(run: RobotRun, parts: NDArray[np.intp]) -> RobotMotion:
+def _motion(run: RobotRun, parts: NDArray[np.intp]) -> MassMotion:
     """Return the motion as these parts of periods begin."""
     tape = run.tape
     if not tape.first.size:
         held = np.tile(run.start, (parts.size, 1))
-        return RobotMotion(held, 0.0 * held, 0.0 * held, 0.0 * held)
+        return MassMotion(held, 0.0 * held, 0.0 * held, 0.0 * held)
     at = tape.first[np.minimum(parts, tape.first.size - 1)]
     velocity, sliding = tape.speeds[at], run.numbers.masses[:, 2] > 0.0
     direction = np.where(sliding, tape.directions[at], np.sign(velocity))
-    found = RobotMotion(tape.places[at], velocity, tape.begun[at], direction)
+    found = MassMotion(tape.places[at], velocity, tape.begun[at], direction)
     for values in (found.position, found.velocity, found.acceleration):
         np.nan_to_num(values, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     return found

@@ -10,23 +10,31 @@ import pytest
 from jointid.common.errors import MethodError
 from jointid.estimation.robots.flexible import FlexibleRobotFit, identify_flexible_robot
 from jointid.models.robots.robot import JointSpring
-from jointid.simulation.robots import RobotLoop, RobotNumbers
+from jointid.simulation.robots import RobotLoop, RobotNumbers, simulate_robot
 from tests.estimation.robots.test_rigid_robots import deviations, recorded
 from tests.robots_plants import Twin, six, two
 
 
 def identified(
-    twin: Twin, duration: float = 6.0, multisine: float = 0.004, frequencies: dict[str, float] | None = None
+    twin: Twin,
+    duration: float = 6.0,
+    multisine: float = 0.004,
+    frequencies: dict[str, float] | None = None,
+    level: float = 0.02,
+    evaluations: int = 60,
 ) -> tuple[FlexibleRobotFit, np.ndarray]:
-    """Return what is found of a twin with 2 % noise, from a robot whose numbers say nothing; and the noise."""
+    """Return what is found of a twin with noise, from a robot whose numbers say nothing; and the noise."""
     loop = twin.loop()
-    records, noise = recorded(loop, twin.records(duration, multisine=multisine), 0.02)
+    records, noise = recorded(loop, twin.records(duration, multisine=multisine), level)
     joints = tuple(
         replace(joint, rotor_inertia=1.0, viscous=0.0, coulomb=0.0, spring=JointSpring(1.0) if joint.spring else None)
         for joint in twin.robot.joints
     )
     blank = replace(twin.robot.with_inertials(np.zeros((len(joints), 10))), joints=joints)
-    return identify_flexible_robot(RobotLoop(blank, loop.controllers), records, frequencies=frequencies), noise
+    found = identify_flexible_robot(
+        RobotLoop(blank, loop.controllers), records, frequencies=frequencies, evaluations=evaluations
+    )
+    return found, noise
 
 
 def test_springs_come_back_with_their_intervals() -> None:
@@ -42,6 +50,10 @@ def test_springs_come_back_with_their_intervals() -> None:
         assert spring.deviation is not None
         assert spring.deviation < 0.03 * stiffness
         assert abs(spring.stiffness - stiffness) < 3 * spring.deviation
+    again = simulate_robot(
+        RobotLoop(found.fit.robot(twin.robot), twin.loop().controllers), twin.records(6.0, multisine=0.004)
+    )
+    assert again.torque == pytest.approx(found.fit.run.torque, abs=1e-9)
     # What a rigid robot leaves of the same torques, up to the same frequency, is much more than the noise.
     assert np.min(found.rigid.relative_error) > 2 * np.max(found.fit.relative_error)
 
@@ -67,6 +79,17 @@ def test_a_spring_that_is_not_shown_is_refused_with_its_bound() -> None:
     assert 0.03 * truth[1] < stiff.at_least < truth[1]
     assert "do not show a spring; one is at least" in str(stiff)
     assert str(soft).startswith("joint1: stiffness 4")
+
+
+def test_a_spring_within_the_noise_is_refused_with_its_bound() -> None:
+    """Without energy at its mode, a stiff spring is a small compliance with a large deviation."""
+    twin = two((40.0, 60.0))
+    near = {"joint1": 40.0, "joint2": 60.0}
+    found, _ = identified(twin, multisine=0.0, frequencies=near, level=0.15, evaluations=8)
+    stiff = found.springs[1]
+    assert found.fit.value("joint2.stiffness")[1] > 0.25 * found.fit.value("joint2.stiffness")[0]
+    assert not stiff.shown
+    assert stiff.at_least < RobotNumbers.of(twin.robot).springs[1, 0]
 
 
 def test_faults_are_said() -> None:

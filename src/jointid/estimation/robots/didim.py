@@ -37,6 +37,7 @@ from jointid.estimation.robots.numbers import RobotParameters, columns_of, robot
 from jointid.estimation.robots.problem import RobotProblem, robot_problem
 from jointid.models.controllers import REFERENCE
 from jointid.models.joints import ClosedLoop, RigidJoint
+from jointid.models.robots.robot import JointSpring, Robot
 from jointid.records.record import Channel, Record, Timing
 from jointid.records.signals.filtering import (
     Filtering,
@@ -45,7 +46,7 @@ from jointid.records.signals.filtering import (
     lowpass,
     window_torque,
 )
-from jointid.simulation.robots import RobotLoop, RobotMotion, RobotOutcome, RobotRun
+from jointid.simulation.robots import MassMotion, RobotLoop, RobotOutcome, RobotRun
 from jointid.uncertainty.covariance import Covariance, sandwich
 
 _SETTLED = 0.02  # standard deviations: the largest change of a parameter that ends the search
@@ -80,6 +81,27 @@ class RobotFit:
     def names(self) -> tuple[str, ...]:
         """Names of the parameters."""
         return self.parameters.names
+
+    def robot(self, robot: Robot) -> Robot:
+        """Return a robot with what was found: the same torques, but grouped numbers stand in the one that is kept.
+
+        Args:
+            robot: that was identified; its places, names and gravity are taken.
+
+        Raises:
+            MethodError: a rotor's inertia, with what is grouped with it, was found negative.
+        """
+        numbers, joints = self.run.numbers, []
+        for i, joint in enumerate(robot.joints):
+            own, link = numbers.masses[numbers.rotors[i]], numbers.masses[i]
+            spring = None
+            if numbers.flexible[i]:
+                spring = JointSpring(*map(float, (*numbers.springs[i], link[1], link[2])))
+            inertia, viscous, coulomb, offset = map(float, own)
+            joints.append(
+                replace(joint, rotor_inertia=inertia, viscous=viscous, coulomb=coulomb, offset=offset, spring=spring)
+            )
+        return replace(robot.with_inertials(numbers.inertials), joints=tuple(joints))
 
     def value(self, name: str) -> tuple[float, float]:
         """Return a parameter and its standard deviation."""
@@ -272,7 +294,7 @@ def _regressed(problem: RobotProblem, torques: FloatArray, positions: FloatArray
     smooth = lowpass(positions, cutoff, sample_time)
     each = [differentiate_twice(column, sample_time) for column in smooth.T]
     velocity, acceleration = (np.column_stack([pair[i] for pair in each]) for i in range(2))
-    motion = RobotMotion(smooth, velocity, acceleration, np.sign(velocity))
+    motion = MassMotion(smooth, velocity, acceleration, np.sign(velocity))
     parameters = problem.parameters
     columns = apply_window(columns_of(problem.experiment.tree, parameters.base, parameters.places, motion))
     held = [Channel(torques[:, j], "N m", sample_time, Timing.HELD) for j in range(n)]  # its unit is not read

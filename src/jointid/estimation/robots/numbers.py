@@ -20,7 +20,7 @@ from jointid.common.parameters import Parameter, Quantity
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Robot
 from jointid.simulation.robot_sensitivities import NumberOf, Place, with_values
-from jointid.simulation.robots import LoopTree, RobotMotion, RobotNumbers
+from jointid.simulation.robots import LoopTree, MassMotion, RobotNumbers
 
 _MOTIONS = 300  # random ones, at each of which every joint has an equation
 _SPANNED = 1e-8  # of a column of norm 1: what the columns before it leave of one that they span
@@ -117,7 +117,7 @@ def _ordered(numbers: RobotNumbers, offsets: bool) -> tuple[Place, ...]:
     return (*friction, *constant, *springs, *rotors, *links)
 
 
-def columns_of(tree: LoopTree, numbers: RobotNumbers, places: tuple[Place, ...], motion: RobotMotion) -> FloatArray:
+def columns_of(tree: LoopTree, numbers: RobotNumbers, places: tuple[Place, ...], motion: MassMotion) -> FloatArray:
     """Return the derivatives of all masses' equations by the parameters, (samples, masses, parameters).
 
     At a known motion, so these are the regressor's columns; its product with the parameters is the motors' torques,
@@ -157,7 +157,7 @@ def _random_columns(robot: Robot, numbers: RobotNumbers, places: tuple[Place, ..
     """Return the columns at random motions, (rows, parameters)."""
     random, shape = np.random.default_rng(0), (_MOTIONS, len(numbers.masses))
     velocity = 2.0 * random.normal(size=shape)
-    motion = RobotMotion(
+    motion = MassMotion(
         random.uniform(-math.pi, math.pi, shape), velocity, 5.0 * random.normal(size=shape), np.sign(velocity)
     )
     columns = columns_of((*robot.tree, robot.gravity), numbers, places, motion)
