@@ -76,7 +76,7 @@ FILTERINGS: Mapping[str, Callable[[], Filtering]] = {
 """The presets of [filtering]."""
 
 
-_CONSTANT = "N/A, N m/A, N/V or N m/V"
+CONSTANT = "N/A, N m/A, N/V or N m/V"
 
 
 class JointTable(Table):
@@ -91,10 +91,10 @@ class JointTable(Table):
         "linear", description="the spring's law, of a flexible joint", json_schema_extra={"enum": list(SPRINGS)}
     )
     name: Text | None = Field(None, description="what reports call the joint")
-    torque_constant: with_unit(Positive, _CONSTANT) | None = Field(  # type: ignore[valid-type]
+    torque_constant: with_unit(Positive, CONSTANT) | None = Field(  # type: ignore[valid-type]
         None,
         description="of the motor or its amplifier, on the motor's side: takes a torque in A or V, and the output of a "
-        f"controller in A or V, to N m or N; a plain number is per A [{_CONSTANT}]",
+        f"controller in A or V, to N m or N; a plain number is per A [{CONSTANT}]",
     )
 
     def drive(self, drive: Drive) -> Drive:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
+from jointid.apps.cli import robots
 from jointid.apps.cli.console import (
     DEFAULTS,
     Changes,
@@ -89,7 +90,7 @@ def identify(
     """Identify a joint from a record, from several in one fit, or from hours of its log in bounded memory.
 
     Args:
-        joint: the joint file (TOML).
+        joint: the joint file (TOML), or a robot file, which has the table [robot].
         record: the record, instead of the one the joint file names; given several times, or with [[records]] in the
             joint file and none here, all of them are identified in one fit, and held against each other.
         window: seconds of a window; the record, of a format that is read in chunks, is a log too long for memory: it is
@@ -112,6 +113,12 @@ def identify(
 
     outputs = Outputs({"--json": json}, {"--figure": figure})
     records = record or []
+    if robots.is_robot(joint):
+        robots.refuse(
+            window=window, settling=settling, method=method, filtering=filtering, friction=friction, figure=figure
+        )
+        robots.identify_robot_file(joint, records, changes, outputs, json, details)
+        return
     outputs.spare("--record", *records)
     options = Options(record=records[0] if records else None, changes=changes, json=json, quiet=quiet)
     file = options.load(joint, outputs, method=method, filtering=filtering, friction=friction)

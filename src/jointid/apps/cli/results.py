@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from jointid.apps.cli import robots
 from jointid.apps.cli.console import (
     DEFAULTS,
     Changes,
@@ -120,7 +121,7 @@ def validate(
     joint: Path,
     /,
     *,
-    estimate: Path,
+    estimate: Path | None = None,
     options: Options = DEFAULTS,
     figure: Path | None = None,
     residuals: Path | None = None,
@@ -131,8 +132,9 @@ def validate(
     what is left.
 
     Args:
-        joint: the joint file (TOML).
-        estimate: what identify --json wrote.
+        joint: the joint file (TOML), or a robot file, which has the table [robot]: it is identified from the record
+            that it names, and held against --record.
+        estimate: what identify --json wrote; of a joint file it is needed.
         options: those that most commands have.
         figure: also save measured, simulated and error torque as PNG, SVG or PDF.
         residuals: also save the error against velocity and position, and its autocorrelation, likewise.
@@ -142,6 +144,11 @@ def validate(
     from jointid.output import json as answers
 
     outputs = Outputs({"--json": options.json}, {"--figure": figure, "--residuals": residuals})
+    if robots.is_robot(joint):
+        robots.refuse(estimate=estimate, figure=figure, residuals=residuals)
+        robots.validate_robot_file(joint, options.record, options.changes, outputs, options.json)
+        return
+    estimate = _needed(estimate)
     outputs.spare("--estimate", estimate)
     friction = answers.read_friction(estimate)
     file = options.load(joint, outputs, friction=friction)
@@ -173,7 +180,7 @@ def export(
     joint: Path,
     /,
     *,
-    estimate: Path,
+    estimate: Path | None = None,
     changes: Changes = (),
     out: Path,
     format: Language | None = None,  # noqa: A002
@@ -189,8 +196,9 @@ def export(
     SciPy and python-control, .m the same for MATLAB, .xml MuJoCo's MJCF, .urdf URDF, .mo Modelica.
 
     Args:
-        joint: the joint file (TOML).
-        estimate: what identify --json wrote.
+        joint: the joint file (TOML), or a robot file, which has the table [robot]: it is identified from the record
+            that it names, and written as MJCF or URDF with bodies that fit.
+        estimate: what identify --json wrote; of a joint file it is needed.
         changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
         out: the file to write.
         format: the language, instead of the one the ending of the file means.
@@ -205,7 +213,13 @@ def export(
     from jointid.output.export import export as run
     from jointid.output.export import find_language, read_estimated
 
-    outputs = Outputs({"--out": out})
+    if robots.is_robot(joint):
+        robots.refuse(
+            estimate=estimate, format=format, side=side, fixed=fixed, period=period, delay=delay, timestep=timestep
+        )
+        robots.export_robot_file(joint, changes, out)
+        return
+    estimate, outputs = _needed(estimate), Outputs({"--out": out})
     outputs.spare("--estimate", estimate)
     given = {"values": "fixed" if fixed else None, "period": period, "delay": delay, "timestep": timestep}
     settings: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
@@ -217,3 +231,14 @@ def export(
     exported.save(out)
     show(exported)
     show(f"Written: {out}")
+
+
+def _needed(estimate: Path | None) -> Path:
+    """Return the estimate of a joint file, without which there is nothing to hold or to write.
+
+    Raises:
+        MethodError: it was not given.
+    """
+    if estimate is None:
+        raise MethodError("A joint file needs an estimate; expected --estimate FILE, of identify --json: add it.")
+    return estimate

@@ -63,12 +63,14 @@ class Rows:
         W: (rows, parameters) the columns.
         names: of the parameters.
         equations: how many share their instants.
+        driven: how many of them, the first, have the torque of a motor; the others are homogeneous.
     """
 
     Y: FloatArray
     W: FloatArray
     names: tuple[str, ...]
     equations: int
+    driven: int = 1
 
     def by_equation(self, values: FloatArray) -> FloatArray:
         """Return the values of all rows, (equations, instants)."""
@@ -102,22 +104,23 @@ class Solution:
     test: ChiSquareTest | None = None
 
 
-def _covariance(Z: FloatArray, J: FloatArray, error: FloatArray, equations: int) -> Covariance:
+def _covariance(rows: Rows, Z: FloatArray, J: FloatArray, error: FloatArray) -> Covariance:
     """Return the covariance over rows, and of the load's equation over bands of frequency, where that is larger.
 
     That equation has no torque, and so hardly any noise: what it leaves is what the model lacks, and repeats.
     """
-    found = sandwich(Z, J, error, equations)
-    if equations == 1:
+    found = sandwich(Z, J, error, rows.equations)
+    if rows.equations == rows.driven:
         return found
-    of_load = np.concatenate([np.zeros(error.size // 2), error[error.size // 2 :]])
-    return with_bands(found, Z, J, of_load, equations)
+    of_load = error.copy()
+    of_load[: error.size // rows.equations * rows.driven] = 0.0
+    return with_bands(found, Z, J, of_load, rows.equations)
 
 
 def ordinary(rows: Rows) -> Solution:
     """Return ordinary least squares."""
     fit = least_squares(rows.W, rows.Y, rows.names)
-    covariance = _covariance(rows.W, rows.W, fit.residual, rows.equations)
+    covariance = _covariance(rows, rows.W, rows.W, fit.residual)
     return Solution(fit, covariance, np.ones(rows.Y.size), 1)
 
 
@@ -169,7 +172,7 @@ def instrumental(rows: Rows, Z: FloatArray, values: FloatArray) -> Solution:
         ) from None
     norms = np.linalg.norm(Zs, axis=0)
     found = np.linalg.solve((Zs / norms).T @ (Ws / norms), (Zs / norms).T @ Ys) / norms
-    covariance = _covariance(Zs, Ws, Ys - Ws @ found, rows.equations)
+    covariance = _covariance(rows, Zs, Ws, Ys - Ws @ found)
     return Solution(_plain_fit(rows, found, Ws), covariance, np.ones(rows.Y.size), 1)
 
 
@@ -280,7 +283,7 @@ def _reweighted(
             break
     error = (rows.Y - rows.W @ values) / scale
     Z = rows.W / scale[:, np.newaxis]
-    covariance = _covariance(Z, Z * slope(error)[:, np.newaxis], error * share(error), rows.equations)
+    covariance = _covariance(rows, Z, Z * slope(error)[:, np.newaxis], error * share(error))
     return Solution(_plain_fit(rows, values, Z), covariance, share(error), steps)
 
 
@@ -297,7 +300,8 @@ def _sizes(rows: Rows, values: FloatArray, size: Callable[[FloatArray], float]) 
     """Return the size of each equation's error, (equations,), a homogeneous one's held back (see the module)."""
     error, torque = rows.by_equation(rows.Y - rows.W @ values), rows.by_equation(rows.Y)
     least = _TINY * _rms(rows.Y)
-    sizes = np.array([max(size(equation), least) for equation in error])
+    told = rows.by_equation(np.any(rows.W != 0, axis=1))  # a joint that rests leaves rows of zeros
+    sizes = np.array([max(size(equation[seen]), least) for equation, seen in zip(error, told, strict=True)])
     for number in np.flatnonzero(~np.any(torque, axis=1)):
         of_it = np.arange(rows.equations).repeat(torque.shape[1]) == number
         inside = np.any(rows.W[of_it] != 0, axis=0)

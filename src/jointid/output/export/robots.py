@@ -103,7 +103,7 @@ def urdf(model: JointModel) -> tuple[str, tuple[str, ...]]:
         ET.SubElement(joint, "limit", far | {"effort": number(_STRONG), "velocity": number(_STRONG)})
         how = "The limits are wider than any machine: URDF asks for them and nothing here knows them; write your own."
     ET.SubElement(joint, "dynamics", damping=number(mass.viscous), friction=number(mass.coulomb))
-    return _document(root, [*remarks(model, lost), how]), tuple(lost)
+    return write_document(root, [*remarks(model, lost), how]), tuple(lost)
 
 
 def mjcf(model: JointModel, *, timestep: float | None = None) -> tuple[str, tuple[str, ...]]:
@@ -154,7 +154,7 @@ def mjcf(model: JointModel, *, timestep: float | None = None) -> tuple[str, tupl
     for name in model.masses:
         ET.SubElement(sensors, "jointpos", name=f"{name}_position", joint=name)
         ET.SubElement(sensors, "jointvel", name=f"{name}_velocity", joint=name)
-    return _document(root, [*remarks(model, lost), *_how_to_drive(model)]), tuple(lost)
+    return write_document(root, [*remarks(model, lost), *_how_to_drive(model)]), tuple(lost)
 
 
 def _spring_of(model: JointModel) -> str:
@@ -302,7 +302,7 @@ def _numbers(*values: float) -> str:
     return " ".join(number(value) for value in values)
 
 
-def _document(root: ET.Element, lines: list[str]) -> str:
+def write_document(root: ET.Element, lines: list[str]) -> str:
     """Return XML text, with lines as comments at the head of its root: no two hyphens in a row, and none at an end."""
     for place, line in enumerate(lines):
         comment = re.sub(r"-(?=-)", "- ", one_line(line)).removesuffix("-").rstrip()

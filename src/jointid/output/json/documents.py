@@ -311,6 +311,24 @@ SHAPES: Mapping[str, Shape] = {
         **same("period", "numerator", "denominator"),
     },
     "MinimumDetectableChange": same("false_alarm", "power", "changes"),
+    # Robots
+    "RobotEstimate": {
+        "schema": always("jointid.robot_estimate/1"),
+        "robot": "robot.name",
+        "joints": "robot.names",
+        "estimator": "settings.estimator",
+        "parameters": "rows",
+        "left": "joint_errors",
+        "nominal_left": "nominal_errors",
+    },
+    "RobotValidation": {
+        "schema": always("jointid.robot_validation/1"),
+        "robot": "robot.name",
+        "joints": "robot.names",
+        "better_than_nominal": "better",
+        "left": "joint_errors",
+        "nominal_left": "nominal_errors",
+    },
     # Files and reports
     "Inspection": {
         "schema": always("jointid.inspection/1"),

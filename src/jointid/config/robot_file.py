@@ -1,0 +1,287 @@
+"""The robot file (TOML): the robot's model, its joints with their drives, and the record of all of them.
+
+Every joint becomes a joint file of its own, of the tables that all share and of its own ones, so that channels, units,
+transmissions and controllers mean, and are checked, as there. In the name of a column ``{joint}`` stands for the
+joint's name, ``{axis}`` for its place in the file from 1, ``{index}`` for one less.
+"""
+
+from __future__ import annotations
+
+import copy
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeAlias
+
+import numpy as np
+import tomli_w
+from pydantic import Field, ValidationError
+
+from jointid.common import messages
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import JointFileError, JointidError, RecordError
+from jointid.common.files import write_whole
+from jointid.common.messages import Says
+from jointid.config.contents import JointFile
+from jointid.config.loading import apply_changes, parse_toml, read_text
+from jointid.config.robot_model import in_order, load_robot
+from jointid.config.schema import CONSTANT, ControllerTable, FilteringTable, TransmissionTable
+from jointid.config.schema_record import ChannelsTable, DriveTable, RecordTable
+from jointid.config.table import Number, Positive, Table, Text, keys_from, sentences, with_unit
+from jointid.estimation.robots.idim import RobotIDIM
+from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
+from jointid.records.record import Record
+from jointid.records.signals.filtering import Filtering
+
+FeedForward: TypeAlias = Literal["none", "gravity", "inverse-model", "logged"]
+Angles = Annotated[list[Number], Field(min_length=3, max_length=3), Says("a list of three numbers")]
+Couplings = Annotated[dict[str, Number], Says("a table of numbers by the joints' names")]
+
+
+class RobotTable(Table):
+    """[robot]: its model, and how it stands."""
+
+    model: Text = Field(description="path of its URDF or MJCF file, from the robot file's folder")
+    name: Text | None = Field(None, description="what reports call the robot; without it as the model does")
+    base: Angles = Field(
+        default_factory=lambda: [0.0, 0.0, 0.0],
+        description="roll, pitch and yaw of its base: about the fixed axes x, y and z of a world with z upwards [rad]",
+    )
+    feed_forward: FeedForward = Field("none", description="what the drives are given beside the controllers' torque")
+
+
+@keys_from(JointSpring)
+class JointSpringTable(Table):
+    """joints.spring: between motor and link, and the friction beyond it."""
+
+
+@keys_from(RobotJoint, types={"spring": (JointSpringTable, None), "coupling": (Couplings, dict)})
+class RobotJointTable(Table):
+    """[[joints]]: one joint, in the order in which they are reported; what is left out is as the model says it."""
+
+    decided_by: ClassVar = {"controller": "law"}
+
+    name: Text = Field(description="of the joint in the model")
+    torque_constant: with_unit(Positive, CONSTANT) | None = Field(  # type: ignore[valid-type]
+        None, description=f"of the motor, as joint.torque_constant of a joint file; per A [{CONSTANT}]"
+    )
+    transmission: TransmissionTable | None = Field(None, description="its gear, as [transmission] of a joint file")
+    controller: ControllerTable | None = Field(None, description="its law, as [controller] of a joint file")
+    channels: ChannelsTable | None = Field(None, description="its channels, where they are not as [record.channels]")
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield nothing: what a joint may not be is seen beside what the model says of it."""
+        yield from ()
+
+    def joint(self, joint: RobotJoint) -> RobotJoint:
+        """Return a joint of the model with what the table says of it."""
+        given = self.settings("name", "torque_constant", "transmission", "controller", "channels")
+        if self.spring is not None:
+            given["spring"] = self.spring.build()
+        return replace(joint, **given)
+
+
+@keys_from(RobotIDIM)
+class RobotMethodTable(Table):
+    """[method]: how the robot is identified, by IDIM."""
+
+
+class RobotFileTable(Table):
+    """A robot file."""
+
+    robot: RobotTable = Field(description="the robot's model")
+    record: RecordTable = Field(default_factory=RecordTable, description="the file of the record, and its channels")
+    drive: DriveTable = Field(default_factory=DriveTable, description="whose traces they are, and its own units")
+    filtering: FilteringTable = Field(default_factory=FilteringTable, description="how signals are filtered")
+    method: RobotMethodTable = Field(default_factory=RobotMethodTable, description="how the robot is identified")
+    joints: Annotated[list[RobotJointTable], Field(min_length=1), Says("one [[joints]] table for each joint")] = Field(
+        description="the joints"
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotFile:
+    """A robot file: the robot, and what is recorded of each of its joints.
+
+    Attributes:
+        robot: the model, with what the file says of its joints; gravity as the base stands.
+        joints: the joint file of each joint: channels, transmission, controller.
+        filtering: how signals are filtered.
+        method: how the robot is identified.
+        feed_forward: what the drives are given beside the controllers' torque.
+        path: of the robot file.
+        raw: its tables.
+    """
+
+    robot: Robot
+    joints: tuple[JointFile, ...]
+    filtering: Filtering
+    method: RobotIDIM
+    feed_forward: FeedForward
+    path: Path
+    raw: Mapping[str, Any] = field(repr=False)
+
+    @classmethod
+    def of(cls, tables: Mapping[str, Any], path: Path = Path("robot.toml")) -> Self:
+        """Return what the tables of a robot file say.
+
+        Args:
+            tables: by name, as `tomllib` reads them.
+            path: of the robot file.
+
+        Raises:
+            JointFileError: with one sentence for each fault, of the file or of the model that it names.
+        """
+        raw, faults = RobotFileTable.corrected(tables)
+        try:
+            said = RobotFileTable.model_validate(raw)
+        except ValidationError as error:
+            raise JointFileError([*faults, *sentences(error)]) from None
+        if faults:
+            raise JointFileError(faults)
+        robot = _robot(said, path.parent)
+        return cls(
+            robot,
+            _joint_files(raw, robot, path),
+            said.filtering.build(),
+            said.method.build(),
+            said.robot.feed_forward,
+            path,
+            raw,
+        )
+
+    def records(self, path: str | os.PathLike[str] | None = None) -> tuple[Record, ...]:
+        """Read the record of every joint.
+
+        Args:
+            path: of the record, instead of the one that the file names.
+
+        Raises:
+            RecordError: the file does not hold what the robot file says; each sentence names its joint.
+        """
+        found, faults = list[Record](), list[str]()
+        for file in self.joints:
+            try:
+                found.append(file.record(path))
+            except RecordError as error:
+                faults += [f"{file.name}: {fault}" for fault in error.faults]
+        if faults:
+            raise RecordError(faults)
+        return tuple(found)
+
+    def tables(self) -> dict[str, Any]:
+        """Return the tables that say the same, with the numbers of this robot's joints."""
+        tables = copy.deepcopy(dict(self.raw))
+        for table, joint in zip(tables["joints"], self.robot.joints, strict=True):
+            table |= {name: getattr(joint, name) for name in ("rotor_inertia", "viscous", "coulomb", "offset")}
+        return tables
+
+
+def load_robot_file(path: str | os.PathLike[str], changes: Iterable[str] = ()) -> RobotFile:
+    """Load a robot file, checked completely.
+
+    Args:
+        path: of the TOML file, in UTF-8.
+        changes: keys to set before it is checked, each as ``filtering.cutoff=5``.
+
+    Raises:
+        JointFileError: the file or the model that it names cannot be read, or has faults.
+        ExtraError: MuJoCo, which reads the model, is not installed.
+    """
+    path = Path(path)
+    return RobotFile.of(apply_changes(parse_toml(read_text(path)), changes), path)
+
+
+def is_robot_file(path: str | os.PathLike[str]) -> bool:
+    """True if a TOML file has the table [robot]; a file that cannot be read is none."""
+    try:
+        return "robot" in parse_toml(read_text(Path(path)))
+    except JointidError:
+        return False
+
+
+def save_robot_file(file: RobotFile, path: str | os.PathLike[str]) -> None:
+    """Write a robot file; a file that is there is replaced.
+
+    Raises:
+        RecordError: it cannot be written.
+    """
+    write_whole(path, tomli_w.dumps(file.tables()))
+
+
+def _robot(said: RobotFileTable, folder: Path) -> Robot:
+    """Return the model with what the file says of its joints."""
+    model, names = load_robot(folder / said.robot.model), [one.name for one in said.joints]
+    unknown = [
+        f"joints.{k + 1}.name{messages.no_choice(n, model.names)}" for k, n in enumerate(names) if n not in model.names
+    ]
+    missing = [name for name in model.names if name not in names]
+    if missing and not unknown:
+        unknown = [
+            f"joints lacks {', '.join(missing)}; expected every joint of {said.robot.model}: add [[joints]] tables."
+        ]
+    if unknown:
+        raise JointFileError(unknown)
+    ordered = in_order(model, names)
+    if list(ordered.names) != names:
+        raise JointFileError(
+            f"joints lists {', '.join(names)}; expected each joint after the one that carries it: write them as "
+            f"{', '.join(ordered.names)}."
+        )
+    try:
+        joints = tuple(table.joint(joint) for table, joint in zip(said.joints, ordered.joints, strict=True))
+        turned = _base(said.robot.base).T @ ordered.gravity
+        return replace(ordered, joints=joints, gravity=turned, name=said.robot.name or ordered.name)
+    except JointidError as error:
+        raise JointFileError(f"joints: {error}") from error
+
+
+def _base(angles: list[float]) -> FloatArray:
+    """Return the rotation of the base's frame to the world's."""
+    (a, b, c), (x, y, z) = np.cos(angles), np.sin(angles)
+    roll = np.array([[1, 0, 0], [0, a, -x], [0, x, a]])
+    pitch = np.array([[b, 0, y], [0, 1, 0], [-y, 0, b]])
+    return np.asarray(np.array([[c, -z, 0], [z, c, 0], [0, 0, 1]]) @ pitch @ roll)
+
+
+def _joint_files(raw: Mapping[str, Any], robot: Robot, path: Path) -> tuple[JointFile, ...]:
+    files, faults = list[JointFile](), dict[str, list[str]]()
+    for place, (table, link) in enumerate(zip(raw["joints"], robot.links, strict=True)):
+        try:
+            files.append(JointFile.of(_tables_of_joint(raw, table, link.kind, place), path))
+        except JointFileError as error:
+            for fault in error.faults:
+                faults.setdefault(fault, []).append(table["name"])
+    if faults:
+        shared = {fault: len(names) == len(robot) for fault, names in faults.items()}
+        raise JointFileError([one if shared[one] else f"{', '.join(names)}: {one}" for one, names in faults.items()])
+    return tuple(files)
+
+
+def _tables_of_joint(raw: Mapping[str, Any], table: Mapping[str, Any], kind: str, place: int) -> dict[str, Any]:
+    """Return the joint file of one joint: its channels by its name and place, and its own tables."""
+    record, drive = dict(raw.get("record", {})), dict(raw.get("drive", {}))
+    channels = {**record.get("channels", {}), **table.get("channels", {})}
+    record["channels"] = _named(channels, table["name"], place)
+    if "profile" in drive:
+        drive.setdefault("axis", place + 1)
+    # What a joint of a robot is identified by is not its own method, but says which channels must be there.
+    measured = "motor_position" in channels or "controller" not in table
+    own = {name: table[name] for name in ("transmission", "controller") if name in table}
+    joint = {"kind": kind, "name": table["name"]}
+    if "torque_constant" in table:
+        joint["torque_constant"] = table["torque_constant"]
+    method = {"name": "idim" if measured else "didim"}
+    return {"joint": joint, "record": record, "drive": drive, "method": method} | own
+
+
+def _named(value: Any, name: str, place: int) -> Any:
+    """Return names of columns with the joint's own in place of what stands for it."""
+    if isinstance(value, dict):
+        return {key: _named(one, name, place) for key, one in value.items()}
+    if not isinstance(value, str):
+        return value
+    for pattern, meant in (("{joint}", name), ("{axis}", str(place + 1)), ("{index}", str(place))):
+        value = value.replace(pattern, meant)
+    return value

@@ -1,0 +1,279 @@
+"""A robot from URDF or MJCF: what MuJoCo's own parser makes of the file's links, joints and masses.
+
+The file is not trusted. Of its elements and attributes only those that say where joints and masses are reach the
+parser (`_URDF`, `_MJCF`): no shape that is drawn, no mesh, no other file, no plugin. So a model is read without the
+meshes beside it. Links that do not move against each other are one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import JointFileError, MethodError, extra
+from jointid.common.units import Kind
+from jointid.models.robots.inertial import MassProperties, in_parent
+from jointid.models.robots.robot import Link, Robot, RobotJoint
+
+_LARGEST = 2**23  # bytes
+_DEEPEST = 300  # elements in each other: the parser calls itself for each
+_MOST = 100  # joints
+_NOTHING = 1e-13  # kg and kg m2: a link without a mass is given it, as MuJoCo moves none without, and then freed of it
+
+_TURNED = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
+_PLACED = ("pos", *_TURNED)
+_GEOM = ("name", "class", "type", "size", "fromto", "mass", "density", "shellinertia", "group", *_PLACED)
+_JOINT = ("name", "class", "type", "axis", "pos", "ref", "damping", "armature", "frictionloss", "stiffness")
+_MJCF: Mapping[str, tuple[str, ...]] = {
+    "mujoco": ("model",),
+    "compiler": ("angle", "eulerseq", "inertiafromgeom", "inertiagrouprange", "balanceinertia", "settotalmass"),
+    "option": ("gravity",),
+    "default": ("class",),
+    "worldbody": (),
+    "body": ("name", "childclass", *_PLACED),
+    "frame": ("name", "childclass", *_PLACED),
+    "inertial": ("mass", "diaginertia", "fullinertia", *_PLACED),
+    "joint": _JOINT,
+    "geom": _GEOM,
+}
+_URDF: Mapping[str, tuple[str, ...]] = {
+    "robot": ("name",),
+    "link": ("name",),
+    "inertial": (),
+    "origin": ("xyz", "rpy"),
+    "mass": ("value",),
+    "inertia": ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"),
+    "joint": ("name", "type"),
+    "parent": ("link",),
+    "child": ("link",),
+    "axis": ("xyz",),
+    "limit": ("lower", "upper", "effort", "velocity"),
+    "dynamics": ("damping", "friction"),
+}
+_REFUSED: Mapping[str, str] = {
+    "include": "reads another file; write its content into this one",
+    "attach": "reads another file; write its content into this one",
+    "replicate": "repeats bodies; write them out",
+    "composite": "is no rigid body; leave it out",
+    "flexcomp": "is no rigid body; leave it out",
+    "freejoint": "floats; expected joints that turn or slide on a fixed base: leave it out",
+    "mimic": "ties one joint to another; write the links of a loop as what they carry, or leave the joint out",
+    "connect": "closes a loop; a tree of links is expected: leave it out, with the links that close it",
+    "weld": "closes a loop; a tree of links is expected: leave it out, with the links that close it",
+}
+_SHAPES = ("mesh", "hfield", "sdf")  # read from other files
+
+
+def load_robot(path: str | Path) -> Robot:
+    """Load a robot from a URDF or MJCF file.
+
+    Args:
+        path: of the file, at most 8 MiB.
+
+    Returns:
+        Its joints in the file's order, as far as each link comes after its parent. Armature, damping and friction loss
+        of MJCF, damping and friction of URDF are rotor inertia, viscous and Coulomb friction. A link for which the
+        file says no mass has none.
+
+    Raises:
+        JointFileError: the file cannot be read, or is no tree of joints that turn or slide.
+        ExtraError: MuJoCo is not installed.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as file:
+            raw = file.read(_LARGEST + 1)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise JointFileError(f"{path} cannot be opened ({reason}); check the path.") from error
+    if len(raw) > _LARGEST:
+        raise JointFileError(f"{path} has more than {_LARGEST} bytes; expected a URDF or MJCF file: is it a mesh?")
+    try:
+        return read_robot(raw.decode("utf-8-sig"), path.name)
+    except UnicodeDecodeError as error:
+        raise JointFileError(f"{path} is not text in UTF-8 (byte {error.start}); save it as UTF-8.") from error
+
+
+def read_robot(text: str, called: str = "the robot's model") -> Robot:
+    """Return a robot from the text of a URDF or MJCF file; see `load_robot`.
+
+    Args:
+        text: XML.
+        called: what sentences call it.
+    """
+    root = _parse(text, called)
+    if root.tag not in ("robot", "mujoco"):
+        raise JointFileError(f"{called} holds <{root.tag}>; expected <robot>, URDF, or <mujoco>, MJCF: check the file.")
+    kept = _URDF if root.tag == "robot" else _MJCF
+    _refuse_elements(root, called)
+    order = [one.get("name", "") for one in root.iter("joint")]
+    stripped = _kept(root, kept)
+    _give_masses(stripped)
+    mujoco = extra("mujoco", "robots", "A robot's model")
+    try:
+        model = mujoco.MjModel.from_xml_string(ET.tostring(stripped, encoding="unicode"))
+    except ValueError as error:
+        reason = " ".join(str(error).split())[:300]
+        raise JointFileError(f"{called} is no robot that MuJoCo reads ({reason}); correct it there.") from error
+    return in_order(_robot(mujoco, model, root.get("name") or root.get("model") or "robot", called), order)
+
+
+def _parse(text: str, called: str) -> ET.Element:
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise JointFileError(f"{called} declares a DOCTYPE; expected plain URDF or MJCF: remove it.")
+    if "xacro:" in text:
+        raise JointFileError(
+            f"{called} is a template for xacro; expected what that makes of it: run xacro on it first."
+        )
+    try:
+        root = ET.fromstring(text)  # noqa: S314, without entities, and of a bounded size
+    except (ET.ParseError, ValueError) as error:
+        raise JointFileError(f"{called} is no XML ({error}); expected URDF or MJCF: check the file.") from error
+    level, depth = [root], 0
+    while level:
+        level, depth = [child for one in level for child in one], depth + 1
+        if depth > _DEEPEST:
+            raise JointFileError(f"{called} has elements more than {_DEEPEST} deep in each other; is it a robot?")
+    return root
+
+
+def _refuse_elements(root: ET.Element, called: str) -> None:
+    faults = []
+    for one in root.iter():
+        name = f"<{one.tag}>" + (f" {one.get('name')}" if one.get("name") else "")
+        if one.tag == "mass" and one.get("value", "").lstrip().startswith("-"):
+            faults.append(f"{called}: a mass is {one.get('value')} kg; expected 0 or more: correct it.")
+        if one.tag in _REFUSED:
+            faults.append(f"{called}: {name} {_REFUSED[one.tag]}.")
+        elif one.tag == "joint" and one.get("type") in ("ball", "free", "floating", "planar"):
+            kinds = "expected joints that turn or slide about one axis: write it as several joints, or leave it out"
+            faults.append(f"{called}: {name} is of the type {one.get('type')}; {kinds}.")
+        elif one.tag == "body" and one.find("inertial") is None and any(map(_is_drawn, one.findall("geom"))):
+            faults.append(f"{called}: the mass of {name} follows from a mesh, which is not read; add <inertial> to it.")
+    if len(list(root.iter("joint"))) > 10 * _MOST:
+        faults.append(f"{called} has more than {10 * _MOST} joints; expected a robot of at most {_MOST}.")
+    if any(len(one) for one in root.iter("equality")):
+        faults.append(f"{called} ties joints by <equality>; a tree of independent joints is expected: leave it out.")
+    if faults:
+        raise JointFileError(dict.fromkeys(faults))
+
+
+def _is_drawn(geom: ET.Element) -> bool:
+    return geom.get("type") in _SHAPES or any(name in geom.attrib for name in _SHAPES)
+
+
+def _kept(element: ET.Element, allowed: Mapping[str, tuple[str, ...]]) -> ET.Element:
+    """Return an element with what is allowed of it and below it."""
+    names = allowed[element.tag]
+    found = ET.Element(element.tag, {name: value for name, value in element.items() if name in names})
+    for child in element:
+        if child.tag in allowed and not (child.tag == "geom" and (_is_drawn(child) or element.tag == "worldbody")):
+            found.append(_kept(child, allowed))
+    return found
+
+
+def _give_masses(root: ET.Element) -> None:
+    """Give the least mass that MuJoCo moves to the links and bodies that say none."""
+    least = repr(_NOTHING)
+    for link in root.findall("link"):
+        if link.find("inertial") is None:
+            inertial = ET.SubElement(link, "inertial")
+            ET.SubElement(inertial, "mass", value=least)
+            ET.SubElement(inertial, "inertia", ixx=least, iyy=least, izz=least, ixy="0", ixz="0", iyz="0")
+    for body in root.iter("body"):
+        if body.find("inertial") is None and body.find("geom") is None and body.find("frame") is None:
+            ET.SubElement(body, "inertial", pos="0 0 0", mass=least, diaginertia=" ".join(3 * [least]))
+
+
+def _robot(mujoco: Any, model: Any, name: str, called: str) -> Robot:
+    links, joints = list[Link](), list[RobotJoint]()
+    placed = {0: (-1, np.eye(3), np.zeros(3))}  # of each body: the link it is part of, and where in its frame
+    for number in range(1, model.nbody):
+        carrier, rotation, origin = placed[int(model.body_parentid[number])]
+        origin = origin + rotation @ model.body_pos[number]
+        rotation = rotation @ _matrix(mujoco, model.body_quat[number])
+        body = model.body(number).name or f"link{number}"
+        first, count = int(model.body_jntadr[number]), int(model.body_jntnum[number])
+        for joint in range(first, first + count):
+            kind: Kind = "revolute" if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE else "prismatic"
+            anchor, axis = model.jnt_pos[joint].copy(), model.jnt_axis[joint] / np.linalg.norm(model.jnt_axis[joint])
+            origin, back = origin + rotation @ anchor, -float(model.qpos0[model.jnt_qposadr[joint]])
+            if kind == "revolute":
+                rotation = rotation @ _turned(mujoco, axis, back)
+            else:
+                origin = origin + rotation @ axis * back
+            joints.append(_joint(model, joint, called))
+            last = joint == first + count - 1
+            links.append(Link(body if last else f"{body} {joint - first + 1}", carrier, kind, axis, rotation, origin))
+            carrier, rotation, origin = len(links) - 1, np.eye(3), -anchor
+        placed[number] = (carrier, rotation, origin)
+        if carrier >= 0:
+            here = links[carrier]
+            inertial = here.inertial + in_parent(_body(mujoco, model, number), rotation, origin)
+            links[carrier] = replace(here, inertial=inertial)
+    if not 1 <= len(links) <= _MOST:
+        raise JointFileError(
+            f"{called} has {len(links)} joints that turn or slide; expected 1 to {_MOST}: check that it is the robot."
+        )
+    try:
+        return Robot(tuple(links), tuple(joints), np.array(model.opt.gravity), name)
+    except MethodError as error:
+        raise JointFileError(f"{called}: {error}") from error
+
+
+def _joint(model: Any, number: int, called: str) -> RobotJoint:
+    name, dof = model.joint(number).name or f"joint{number + 1}", int(model.jnt_dofadr[number])
+    if np.any(model.jnt_stiffness[number]):
+        raise JointFileError(
+            f"{called}: the joint {name} has a spring to its parent, which is not modelled; leave its stiffness out."
+        )
+    armature, damping, loss = (
+        float(np.ravel(values[dof])[0]) for values in (model.dof_armature, model.dof_damping, model.dof_frictionloss)
+    )
+    return RobotJoint(name, armature, damping, loss)
+
+
+def _body(mujoco: Any, model: Any, number: int) -> FloatArray:
+    """Return the inertial parameters of a body in its own frame, (10,); what is only MuJoCo's least is none."""
+    mass, moments = float(model.body_mass[number]), model.body_inertia[number]
+    if mass <= _NOTHING:
+        mass = 0.0
+    axes = _matrix(mujoco, model.body_iquat[number])
+    inertia = axes @ np.diag(np.where(moments <= _NOTHING, 0.0, moments)) @ axes.T
+    return MassProperties(mass, model.body_ipos[number].copy(), inertia).inertial
+
+
+def _matrix(mujoco: Any, quaternion: FloatArray) -> FloatArray:
+    found = np.empty(9)
+    mujoco.mju_quat2Mat(found, quaternion / np.linalg.norm(quaternion))
+    return found.reshape(3, 3)
+
+
+def _turned(mujoco: Any, axis: FloatArray, angle: float) -> FloatArray:
+    quaternion = np.empty(4)
+    mujoco.mju_axisAngle2Quat(quaternion, axis, angle)
+    return _matrix(mujoco, quaternion)
+
+
+def in_order(robot: Robot, names: Sequence[str]) -> Robot:
+    """Return a robot with its joints in the order of these names, but each after that which carries it."""
+    rank = {name: place for place, name in enumerate(dict.fromkeys(names))}
+    chosen = list(_sorted(robot, [rank.get(name, len(rank)) for name in robot.names]))
+    place = {-1: -1} | {old: new for new, old in enumerate(chosen)}
+    links = tuple(replace(robot.links[old], parent=place[robot.links[old].parent]) for old in chosen)
+    return replace(robot, links=links, joints=tuple(robot.joints[old] for old in chosen))
+
+
+def _sorted(robot: Robot, ranks: list[int]) -> Iterator[int]:
+    left, there = sorted(range(len(robot)), key=lambda i: ranks[i]), {-1}
+    while left:
+        following = next(i for i in left if robot.links[i].parent in there)
+        left.remove(following)
+        there.add(following)
+        yield following

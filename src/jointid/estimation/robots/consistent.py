@@ -1,0 +1,155 @@
+"""Standard parameters of a robot that bodies can have, near those of its model: what a simulation or a URDF needs.
+
+Base parameters leave open how masses are spread over the links, and noise may give sums that no bodies have: a mass
+matrix that is not positive makes a simulation fall apart. Here every link is ``exp(alpha) U U'`` [Rucker and Wensing
+2022], a body whatever the numbers, and the least of::
+
+    (x(theta) - x)' V^-1 (x(theta) - x)  +  |(theta - theta0) / spread|^2
+
+is taken: x and V are the estimate and its covariance, theta0 the model's own bodies. Where the record says much, it
+decides; where it says nothing, the model stays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.estimation.robots.idim import RobotEstimate
+from jointid.models.robots.inertial import from_log_cholesky, log_cholesky, pseudo_inertia
+from jointid.models.robots.robot import Robot
+
+SPREAD = 0.5
+"""How far the model's bodies may be off, as a share: the standard deviation of logarithms, and of lengths."""
+
+_THIN = 1e-6  # of a body's second moments: what a rod or a plate is given across itself
+_FLOOR = 1e-10  # of the largest variance of a correlation: rounding
+_POSES = 1000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ConsistentRobot:
+    """A robot with bodies that fit an estimate.
+
+    Attributes:
+        robot: the model with the masses, rotors and friction found.
+        misfit: root mean square of the base parameters and friction away from the estimate, in its deviations.
+        least_inertia: smallest eigenvalue of the mass matrix, rotors and all, over a thousand random poses.
+    """
+
+    robot: Robot
+    misfit: float
+    least_inertia: float
+
+
+def consistent_robot(estimate: RobotEstimate, prior: Robot | None = None, spread: float = SPREAD) -> ConsistentRobot:
+    """Return the robot nearest to a prior whose base parameters are those of an estimate, as far as bodies can.
+
+    Args:
+        estimate: of the base parameters and the friction.
+        prior: the same tree with masses on all links; without it the model that the estimate began with.
+        spread: how far the prior's bodies may be off, as a share.
+
+    Raises:
+        MethodError: a link of the prior has no mass, so that there is nothing to be near.
+    """
+    from scipy.optimize import least_squares
+
+    prior = estimate.robot if prior is None else prior
+    n, base = len(prior), estimate.base
+    theta0, scales = _prior_bodies(prior)
+    rotors0 = prior.of_joints("rotor_inertia")
+    sizes = np.maximum(rotors0, 0.1 * np.diag(mass_matrix_at(prior, np.zeros(n))))
+    whiten = _whitening(estimate)
+    friction = estimate.values[len(base) :]
+    of_friction = len(friction)
+
+    def unpack(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        bodies = [from_log_cholesky(theta) for theta in x[: 10 * n].reshape(n, 10)]
+        standard = np.concatenate([*(body for body, _ in bodies), x[10 * n : 11 * n]])
+        slopes = np.zeros((11 * n, 11 * n))
+        for k, (_, slope) in enumerate(bodies):
+            slopes[10 * k : 10 * k + 10, 10 * k : 10 * k + 10] = slope
+        slopes[10 * n :, 10 * n :] = np.eye(n)
+        return standard, slopes
+
+    def residual(x: FloatArray) -> FloatArray:
+        standard, _ = unpack(x)
+        off = np.concatenate([base.grouping @ standard, x[11 * n :]]) - estimate.values
+        near = np.concatenate([(x[: 10 * n] - theta0) / scales, (x[10 * n : 11 * n] - rotors0) / sizes]) / spread
+        return np.concatenate([whiten @ off, near])
+
+    def jacobian(x: FloatArray) -> FloatArray:
+        _, slopes = unpack(x)
+        found = np.zeros((len(whiten) + 11 * n, x.size))
+        of_values = np.zeros((len(estimate.values), x.size))
+        of_values[: len(base), : 11 * n] = base.grouping @ slopes
+        of_values[len(base) :, 11 * n :] = np.eye(of_friction)
+        found[: len(whiten)] = whiten @ of_values
+        found[len(whiten) :, : 11 * n] = np.diag(1 / np.concatenate([scales, sizes])) / spread
+        return found
+
+    signed = np.tile([False, False, True], n)  # an offset may be negative
+    lower = np.concatenate([np.full(10 * n, -np.inf), np.zeros(n), np.where(signed, -np.inf, 0.0)])
+    start = np.concatenate([theta0, rotors0, np.where(signed, friction, np.abs(friction))])
+    start = np.maximum(start, np.where(np.isfinite(lower), 1e-9, -np.inf))
+    found = least_squares(residual, start, jacobian, bounds=(lower, np.inf), x_scale="jac", max_nfev=300)
+    standard, _ = unpack(found.x)
+    joints = tuple(
+        replace(joint, rotor_inertia=float(rotor), viscous=float(fv), coulomb=float(fc), offset=float(offset))
+        for joint, rotor, (fv, fc, offset) in zip(
+            prior.joints, standard[10 * n :], found.x[11 * n :].reshape(n, 3), strict=True
+        )
+    )
+    robot = replace(prior.with_inertials(standard[: 10 * n]), joints=joints)
+    misfit = float(np.sqrt(np.mean(residual(found.x)[: len(whiten)] ** 2)))
+    return ConsistentRobot(robot, misfit, least_inertia(robot))
+
+
+def mass_matrix_at(robot: Robot, q: FloatArray) -> FloatArray:
+    """Return the mass matrix of links and rotors, (n, n), at a pose, (n,)."""
+    from jointid.models.robots.dynamics import mass_matrix
+
+    found, coupling = np.empty((len(robot), len(robot))), robot.coupling
+    mass_matrix(*robot.tree, robot.inertials, np.ascontiguousarray(q, dtype=np.float64), found)
+    return np.asarray(found + coupling.T @ np.diag(robot.of_joints("rotor_inertia")) @ coupling)
+
+
+def least_inertia(robot: Robot, poses: int = _POSES, seed: int = 0) -> float:
+    """Return the smallest eigenvalue of the mass matrix over random poses: what is not positive cannot be simulated."""
+    q = np.random.default_rng(seed).uniform(-np.pi, np.pi, (poses, len(robot)))
+    return min(float(np.linalg.eigvalsh(mass_matrix_at(robot, one))[0]) for one in q)
+
+
+def _prior_bodies(prior: Robot) -> tuple[FloatArray, FloatArray]:
+    """Return the log-Cholesky parameters of all links, (10 n,), and their natural sizes: 1, or a length."""
+    massless = [link.name for link in prior.links if not link.inertial[0] > 0]
+    if massless:
+        raise MethodError(
+            f"The model says no mass of {', '.join(massless)}; expected one on every link, to be near to: add it to "
+            "the model, a rough one will do."
+        )
+    found, sizes = [], []
+    for link in prior.links:
+        pseudo = pseudo_inertia(link.inertial)
+        thick = pseudo + _THIN * np.trace(pseudo[:3, :3]) * np.diag([1.0, 1.0, 1.0, 0.0])
+        try:
+            found.append(log_cholesky(thick))
+        except np.linalg.LinAlgError:
+            raise MethodError(
+                f"No body can have the inertial parameters of the link {link.name} in the model; expected positive "
+                "second moments: correct its mass, centre or inertia."
+            ) from None
+        length = np.sqrt(np.trace(thick[:3, :3]) / thick[3, 3])
+        sizes.append([1.0, 1.0, 1.0, 1.0, *6 * [length]])
+    return np.concatenate(found), np.concatenate(sizes)
+
+
+def _whitening(estimate: RobotEstimate) -> FloatArray:
+    """Return what takes errors of the estimate to independent ones of deviation 1."""
+    std = np.maximum(estimate.covariance.std, 1e-300)
+    values, vectors = np.linalg.eigh(estimate.covariance.correlation)
+    return np.asarray((vectors / np.sqrt(np.maximum(values, _FLOOR * values[-1]))).T / std)

@@ -1,0 +1,310 @@
+"""DIDIM of a robot with flexible joints: rotors, springs, friction on both sides and the links, from torques alone.
+
+A robot of rigid joints is identified first. It fixes sums: of both sides' friction, of rotor and link. These are split,
+each spring is begun at a frequency, given or the best of a row of them with the other joints stiff, and the torque
+error of all joints is made least by Levenberg and Marquardt's steps with derivatives by variation
+(`solvers.bounded_least_squares`), rotors' inertias and stiffnesses on a logarithmic scale. The joints weigh by their
+errors, which are estimated twice.
+
+Whether a record shows a spring is asked of each joint alone, by its compliance c = 1/K, in which a rigid joint is not
+at infinity but at 0: it is shown where c is more than four of its standard deviations above 0, with the spring not at
+the stiffest that is looked for. Otherwise the stiffness is refused, and ``1 / (c + 2 std)`` is its bound from below.
+
+Valid for springs that are linear and tie each rotor to its own link, and rotors that turn fast against the links: their
+gyroscopic torques are left out [Spong 1987].
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.messages import Progress
+from jointid.common.parameters import Parameter
+from jointid.estimation.robots.didim import RobotFit, conclude, identify_rigid_robot, joint_sizes
+from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
+from jointid.estimation.robots.problem import RobotProblem, robot_problem
+from jointid.records.record import Record
+from jointid.records.signals.filtering import Filtering
+from jointid.simulation.closed_loop import in_threads
+from jointid.simulation.robot_sensitivities import NumberOf, Place
+from jointid.simulation.robots import RobotLoop, RobotNumbers, RobotOutcome
+from jointid.solvers.bounded_least_squares import LevenbergMarquardt
+from jointid.solvers.solve import Solution, Step, solve
+
+_BELOW = 4.0  # Hz: below the modes, where a robot is as good as rigid
+_POSES = 40  # along the references, over which inertias are averaged
+_SHARE = 0.5  # of the inertia about a joint, at most, that its rotor begins with
+_ROOM = 0.6  # of what the rotors can take before the links' mass matrix is not positive
+_LIGHTEST = 0.05  # of the inertia about a joint: a rotor that a search begins with
+_DAMPING = 0.03  # of critical, of the springs a search begins with
+_MODES = tuple(5.0 * 1.25**i for i in range(10))  # Hz: 5 to 37, the row in which a frequency is looked for
+_STIFF = 0.07  # of the sampling frequency: where a joint is as good as rigid, and still takes one step a period
+_SOFTEST = 1e-3  # of the sampling frequency: the lowest mode that is looked for
+_STIFFEST = 0.15  # of the sampling frequency: the highest mode that is looked for
+_ROUGH, _FINE = (
+    1e-3,
+    1e-5,
+)  # tolerances of the two searches: with first sizes of the joints' errors, and with settled ones
+_SHOWN = 4.0  # standard deviations by which a compliance is told from 0
+_TWO = 2.0  # of them: the bound of one that is not
+_EXACT = 1e-6  # of the torques: an error that the simulation itself may have
+
+
+@dataclass(frozen=True, slots=True)
+class SpringVerdict:
+    """Whether the records show the spring of a joint.
+
+    Attributes:
+        joint: its name.
+        shown: whether they do.
+        stiffness: N m/rad or N/m; None where it is refused. deviation: of it, one standard deviation.
+        at_least: the stiffness that it has at least, two standard deviations of its compliance away.
+    """
+
+    joint: str
+    shown: bool
+    stiffness: float | None
+    deviation: float | None
+    at_least: float
+
+    def __str__(self) -> str:
+        if self.stiffness is None or self.deviation is None:
+            return f"{self.joint}: the records do not show a spring; one is at least {self.at_least:.3g} stiff"
+        return f"{self.joint}: stiffness {self.stiffness:.5g} +- {_TWO * self.deviation:.2g}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlexibleRobotFit:
+    """What was identified of a robot with flexible joints.
+
+    Attributes:
+        fit: all parameters; of a spring that is refused, and of its joint's two sides, no interval is to be believed.
+        springs: a verdict for each flexible joint.
+        rigid: the robot of rigid joints that the search began from.
+        evaluations: simulations with derivatives. message: how the search ended.
+    """
+
+    fit: RobotFit
+    springs: tuple[SpringVerdict, ...]
+    rigid: RobotFit
+    evaluations: int
+    message: str
+
+
+def identify_flexible_robot(
+    loop: RobotLoop,
+    records: Sequence[Record],
+    filtering: Filtering | None = None,
+    *,
+    frequencies: Mapping[str, float] | None = None,
+    offsets: bool = True,
+    evaluations: int = 60,
+    progress: Progress = lambda _: None,
+) -> FlexibleRobotFit:
+    """Identify a robot, of which some joints are flexible, from torques and references; positions are not read.
+
+    Args:
+        loop: the robot, whose joints with a spring are flexible, and its controllers. Of the robot's numbers only the
+            links' places and gravity are read.
+        records: one for each joint, with torque and reference, of one log; to show a spring the motion must excite its
+            mode, as a multisine on top of it does.
+        filtering: that torques and derivatives go through alike; its cut-off above the modes.
+        frequencies: Hz, of the mode of rotor against link of each flexible joint with the others stiff, where the
+            search is to begin; None looks for it between 5 and 37 Hz.
+        offsets: whether each motor has a constant torque that is identified, too.
+        evaluations: simulations with derivatives, at most, of each of two searches.
+        progress: is told the steps.
+
+    Raises:
+        RecordError: a record lacks torque or reference, or has the wrong clock or unit.
+        MethodError: no joint has a spring, a frequency is missing, or nothing can be simulated at the start.
+    """
+    robot = loop.robot
+    flexible = [joint.name for joint in robot.joints if joint.spring is not None]
+    if not flexible:
+        raise MethodError("No joint of this robot has a spring; give one a JointSpring, or identify it as rigid.")
+    if frequencies is not None and (missing := sorted(set(flexible) - set(frequencies))):
+        raise MethodError(
+            f"A frequency is needed for each flexible joint; {', '.join(missing)} has none: give one in Hz, or none "
+            "at all to have them looked for."
+        )
+    rigid = identify_rigid_robot(loop, records, Filtering(cutoff=_BELOW), offsets=offsets, progress=progress)
+    parameters = robot_parameters(robot, offsets=offsets, logarithmic=True)
+    problem = robot_problem(loop, records, parameters, filtering)
+    problem = problem.weighted(joint_sizes(problem, problem.error(rigid.run), rigid.values.size, _least(problem)))
+    start = _Start.of(problem, rigid, robot.names)
+    hertz = frequencies or start.search(progress)
+    problem = _bounded(problem, start)
+    x = parameters.searched(start.values(hertz))
+    if problem.run(x, keep=False).outcome is not RobotOutcome.FINISHED:
+        raise MethodError("The robot cannot be simulated where its search begins; give other frequencies.")
+    ends: list[Solution] = []
+    for tolerance in (_ROUGH, _FINE):
+        ends.append(_search(problem, x, tolerance, evaluations, progress))
+        x = ends[-1].x
+        error = ends[-1].residual / problem.weights(ends[-1].residual.size)
+        problem = problem.weighted(joint_sizes(problem, error, x.size, _least(problem)))
+    made = sum(end.evaluations for end in ends)
+    run = problem.run(x)
+    if run.outcome is not RobotOutcome.FINISHED:
+        raise MethodError(f"The search led to where the robot cannot be simulated: {run.outcome.value}.")
+    fit = conclude(problem, x, run, made, ends[-1].converged, _least(problem), by_slopes=True)
+    springs = tuple(_judge(fit, problem, name) for name in flexible)
+    return FlexibleRobotFit(fit, springs, rigid, made, ends[-1].message)
+
+
+def _least(problem: RobotProblem) -> float:
+    """Return the norm of an error that no joint's is smaller than."""
+    seen = problem.by_joint(problem.decimated(problem.measured))
+    return _EXACT * float(np.max(np.linalg.norm(seen, axis=1)))
+
+
+def _search(problem: RobotProblem, x: FloatArray, tolerance: float, evaluations: int, progress: Progress) -> Solution:
+    """Return where a search of the least torque error ends."""
+
+    def watch(step: Step) -> None:
+        progress(f"{step.evaluations} simulations: weighted torque error {step.norm:.6g}")
+
+    return solve(problem, LevenbergMarquardt(tolerance, evaluations), x, watch)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Start:
+    """The rigid robot split into rotors, springs and links.
+
+    Attributes:
+        problem: of the flexible robot. names: of its joints.
+        split: (parameters,) all but the springs.
+        rotors, links: (n,) inertias of the rotors, and of the links about the joints.
+    """
+
+    problem: RobotProblem
+    names: tuple[str, ...]
+    split: FloatArray
+    rotors: FloatArray
+    links: FloatArray
+
+    @classmethod
+    def of(cls, problem: RobotProblem, rigid: RobotFit, names: tuple[str, ...]) -> _Start:
+        """Split a rigid robot: friction in halves, rotors as large as the links' mass matrix lets them be."""
+        parameters, numbers = problem.parameters, problem.parameters.base
+        whole = rigid.parameters.numbers(rigid.values)
+        poses = problem.experiment.references
+        poses = poses[:: max(len(poses) // _POSES, 1)]
+        masses = [_mass_matrix(problem, whole, pose) for pose in poses]
+        about = np.mean([np.diag(M) for M in masses], axis=0)
+        root = 1.0 / np.sqrt(about)
+        taken = min(float(np.linalg.eigvalsh(M * np.outer(root, root))[0]) for M in masses)
+        rotors = np.where(numbers.flexible, min(_SHARE, _ROOM * taken) * about, 0.0)
+        split, rotors = _split(parameters, rigid, numbers, rotors, _LIGHTEST * about)
+        return cls(problem, names, split, rotors, np.maximum(about - rotors, _LIGHTEST * about))
+
+    def values(self, hertz: Mapping[str, float]) -> FloatArray:
+        """Return all parameters with springs of these frequencies, (parameters,)."""
+        values = self.split.copy()
+        for c, place in enumerate(self.problem.parameters.places):
+            if place.of is NumberOf.SPRING:
+                inertia = self.rotors[place.row] * self.links[place.row] / (self.rotors + self.links)[place.row]
+                w = 2.0 * math.pi * hertz[self.names[place.row]]
+                values[c] = inertia * w * w if place.column == 0 else 2.0 * _DAMPING * inertia * w
+        return values
+
+    def search(self, progress: Progress) -> dict[str, float]:
+        """Return for each flexible joint the frequency, of a row, that explains the torques best, the others stiff."""
+        flexible = [self.names[i] for i in np.flatnonzero(self.problem.parameters.base.flexible)]
+        stiff = dict.fromkeys(flexible, _STIFF / self.problem.sample_time)
+        tried = [(name, f) for name in flexible for f in _MODES if f < stiff[name]]
+
+        def cost(one: tuple[str, float]) -> float:
+            x = self.problem.parameters.searched(self.values(stiff | dict([one])))
+            return float(np.linalg.norm(self.problem.residual(x)))
+
+        costs = in_threads(cost, tried)
+        best = {}
+        for name in flexible:
+            own = [(c, f) for c, (joint, f) in zip(costs, tried, strict=True) if joint == name]
+            best[name] = min(own)[1]
+            progress(f"{name}: its mode is looked for from {best[name]:.3g} Hz")
+        return best
+
+
+def _mass_matrix(problem: RobotProblem, numbers: RobotNumbers, pose: FloatArray) -> FloatArray:
+    """Return that of a robot of rigid joints, rotors included, (n, n)."""
+    from jointid.models.robots.dynamics import mass_matrix
+
+    M = np.empty((pose.size, pose.size))
+    mass_matrix(*problem.experiment.tree[:5], numbers.inertials, pose, M)
+    return M + np.diag(numbers.masses[: pose.size, 0])
+
+
+def _split(
+    parameters: RobotParameters, rigid: RobotFit, numbers: RobotNumbers, rotors: FloatArray, lightest: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the parameters that move as the rigid robot does with stiff springs, and their rotors, (n,).
+
+    Of all that do, those nearest to the given rotors. A rotor that is a joint's own in the rigid robot is not free.
+    """
+    known = dict(zip(rigid.parameters.places, rigid.values, strict=True))
+    joint_of = {int(row): j for j, row in enumerate(numbers.rotors)}
+    values = np.zeros(len(parameters.places))
+    inertial = []
+    for c, place in enumerate(parameters.places):
+        if place.of is NumberOf.LINK or (place.of is NumberOf.MASS and place.column == 0):
+            inertial.append(c)
+        elif place.of is NumberOf.MASS:
+            joint = joint_of.get(place.row, place.row)
+            both = 0.5 if numbers.flexible[joint] and place.column < 3 else 1.0
+            values[c] = both * known.get(Place(NumberOf.MASS, joint, place.column), 0.0)
+    # What each inertial parameter is of the rigid robot's: itself if that has it, or else as it groups it.
+    kept, dropped = list(rigid.parameters.places), list(rigid.parameters.dropped)
+    weights = np.zeros((len(kept), len(inertial)))
+    began = np.zeros(len(inertial))
+    for i, c in enumerate(inertial):
+        place = parameters.places[c]
+        if place.of is NumberOf.MASS:
+            began[i] = rotors[joint_of[place.row]]
+            place = Place(NumberOf.MASS, joint_of[place.row], 0)
+        if place in kept:
+            weights[kept.index(place), i] = 1.0
+        else:
+            weights[:, i] = rigid.parameters.grouping[:, dropped.index(place)]
+    felt = np.any(weights != 0.0, axis=1)
+    found = began + np.linalg.lstsq(weights[felt], rigid.values[felt] - weights[felt] @ began, rcond=None)[0]
+    for i, c in enumerate(inertial):
+        place = parameters.places[c]
+        values[c] = found[i]
+        if place.of is NumberOf.MASS and numbers.flexible[joint_of[place.row]]:
+            j = joint_of[place.row]
+            values[c] = rotors[j] = max(float(found[i]), float(lightest[j]))
+    return values, rotors
+
+
+def _bounded(problem: RobotProblem, start: _Start) -> RobotProblem:
+    """Return the problem with each spring between the softest and the stiffest that are looked for."""
+    inertias = start.rotors * start.links / (start.rotors + start.links)
+    lowest, highest = (2.0 * math.pi * share / problem.sample_time for share in (_SOFTEST, _STIFFEST))
+
+    def within(place: Place, parameter: Parameter) -> Parameter:
+        if parameter.symbol != "stiffness":
+            return parameter
+        ends = [math.log(inertias[place.row] * w * w) for w in (lowest, highest)]
+        return replace(parameter, lower=ends[0], upper=ends[1])
+
+    free = tuple(within(place, one) for place, one in zip(problem.parameters.places, problem.free, strict=True))
+    return replace(problem, parameters=replace(problem.parameters, parameters=free))
+
+
+def _judge(fit: RobotFit, problem: RobotProblem, joint: str) -> SpringVerdict:
+    """Return whether the records show a joint's spring."""
+    stiffness, deviation = fit.value(f"{joint}.stiffness")
+    compliance, spread = 1.0 / stiffness, deviation / stiffness**2
+    bound = problem.free[fit.names.index(f"{joint}.stiffness")].upper
+    shown = compliance > _SHOWN * spread and math.log(stiffness) < bound - 1e-3
+    at_least = 1.0 / (compliance + _TWO * spread)
+    return SpringVerdict(joint, shown, stiffness if shown else None, deviation if shown else None, at_least)

@@ -1,0 +1,283 @@
+"""IDIM of a robot: base parameters and friction of all joints at once, from motor positions and torques.
+
+The rows of all joints share their instants, and their errors differ in size by powers of ten from base to wrist: each
+joint's rows are divided by the size of its own error, again until that settles [Gautier 1997, who takes it once].
+Least squares without weights ("ols") lets the large joints decide the wrist's parameters.
+
+A model is worth having if it predicts a motion that it has not seen better than what one had before: `validate_robot`
+holds an estimate beside the model's own masses, with friction fitted as the estimate's was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.document import Document, Documented, Facts, Heading, Listing, Paragraph, Table
+from jointid.common.errors import MethodError
+from jointid.common.settings import check_settings, documented, setting
+from jointid.common.text import interval, number
+from jointid.estimation.methods.linear import Rows, Solution, ordinary, robust, weighted
+from jointid.estimation.robots.regression import (
+    RobotMotion,
+    base_rows,
+    motion_of_robot,
+    relative_errors,
+)
+from jointid.models.robots.base_parameters import BaseParameters, base_parameters
+from jointid.models.robots.robot import Robot
+from jointid.records.record import Record
+from jointid.records.signals.filtering import Filtering
+from jointid.uncertainty.covariance import Covariance
+
+_KNOWN = 0.1  # relative deviation: a parameter that is known better is told by the record
+
+_WORDS = {
+    "ols": "ordinary least squares",
+    "weighted": "least squares, each joint by the size of its error",
+    "robust": "robust least squares (Tukey's bisquare), each joint by the size of its error",
+}
+
+
+@documented
+@dataclass(frozen=True, slots=True)
+class RobotIDIM:
+    """Settings of IDIM of a robot."""
+
+    estimator: Literal["ols", "weighted", "robust"] = setting(
+        "weighted", "ordinary least squares, each joint weighed by the size of its error, or robust beside that"
+    )
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+    def solve(self, rows: Rows) -> Solution:
+        """Return the solution; one joint has nothing to weigh."""
+        if self.estimator == "robust":
+            return robust(rows)
+        return ordinary(rows) if self.estimator == "ols" or rows.equations == 1 else weighted(rows)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotEstimate(Documented):
+    """Base parameters and friction of a robot, identified.
+
+    Attributes:
+        robot: the model that was begun with.
+        base: its base parameters.
+        names: (parameters,) symbols of the base parameters, then Fv, Fc and offset of each joint.
+        values: (parameters,) in SI units.
+        covariance: of the values, robust to autocorrelation.
+        joint_errors: (n,) what is left of each joint's filtered torque, as a share.
+        nominal: (parameters,) the model's own masses and rotors, and friction fitted beside them.
+        nominal_errors: (n,) what these leave.
+        settings: of the method.
+        filtering: resolved.
+    """
+
+    robot: Robot
+    base: BaseParameters
+    names: tuple[str, ...]
+    values: FloatArray
+    covariance: Covariance
+    joint_errors: FloatArray
+    nominal: FloatArray
+    nominal_errors: FloatArray
+    settings: RobotIDIM
+    filtering: Filtering
+
+    @property
+    def params(self) -> Mapping[str, float]:
+        """The values by their symbols."""
+        return dict(zip(self.names, map(float, self.values), strict=True))
+
+    @property
+    def relative_deviations(self) -> FloatArray:
+        """Standard deviations as shares of the values, (parameters,)."""
+        return np.asarray(self.covariance.std / np.maximum(np.abs(self.values), 1e-300))
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        """Symbols of the parameters that this record tells: those known to a tenth of themselves."""
+        return tuple(name for name, share in zip(self.names, self.relative_deviations, strict=True) if share < _KNOWN)
+
+    @property
+    def rows(self) -> Mapping[str, Mapping[str, object]]:
+        """Value, deviation, unit, nominal value and sum of each parameter, by its symbol."""
+        formulas = (*self.base.formulas, *self.names[len(self.base) :])
+        columns = (self.values.tolist(), self.covariance.std.tolist(), self._units, self.nominal.tolist(), formulas)
+        keys = ("value", "std", "unit", "nominal", "formula")
+        return {name: dict(zip(keys, row, strict=True)) for name, *row in zip(self.names, *columns, strict=True)}
+
+    def friction(self, symbol: str) -> FloatArray:
+        """Return one number of each joint's friction, (n,): "Fv", "Fc" or "offset"."""
+        return np.array([self.params[f"{symbol}{k}"] for k in range(1, len(self.robot) + 1)])
+
+    def document(self, *, details: bool = False) -> Document:
+        """Return what is left of each joint's torque, and the parameters.
+
+        Args:
+            details: whether those that this record does not tell from 0 stand there too, and the sums behind all.
+        """
+        units = self._units
+        shares = self.relative_deviations
+        shown = [i for i in range(len(self.names)) if details or shares[i] < 1.0]
+        rows = tuple(
+            (
+                self.names[i],
+                interval(float(self.values[i]), 2 * float(self.covariance.std[i])),
+                units[i],
+                f"{100 * shares[i]:.2g}",
+                number(float(self.nominal[i]), 4),
+            )
+            for i in shown
+        )
+        sums = tuple(f"{a} is {b}" for a, b in zip(self.base.symbols, self.base.formulas, strict=True) if a != b)
+        hidden = len(self.names) - len(shown)
+        left_out = f"; {hidden} more are not told from 0 by this record" if hidden else ""
+        caption = f"{len(self.told)} of {len(self.names)} parameters are known to a tenth, 1 sigma{left_out}"
+        return Document(
+            f"{self.robot.name}: {len(self.base)} base parameters of {len(self.robot)} joints",
+            (
+                Facts((("method", f"IDIM of a robot, {_WORDS[self.settings.estimator]}"),)),
+                _errors_table(
+                    self.robot, self.joint_errors, self.nominal_errors, "of the record it was identified from"
+                ),
+                Table(("parameter", "value, 2 sigma", "unit", "sigma, %", "nominal"), rows, caption, (0, 1, 2)),
+                *((Heading("Sums that the parameters stand for"), Listing(sums)) if details else ()),
+            ),
+        )
+
+    @property
+    def _units(self) -> tuple[str, ...]:
+        return (*self.base.units, *(unit for k in range(len(self.robot)) for unit in self._friction_units(k)))
+
+    def _friction_units(self, joint: int) -> tuple[str, ...]:
+        torque, position = self.robot.torque_unit(joint), self.robot.position_unit(joint)
+        return f"{torque} s/{position}", torque, torque
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotValidation(Documented):
+    """An estimate's torque on another record, beside that of the nominal model.
+
+    Attributes:
+        robot: whose joints they are.
+        joint_errors: (n,) what the estimate leaves of each joint's filtered torque, as a share.
+        nominal_errors: (n,) what the nominal masses leave, with friction fitted to the estimate's record.
+        overall: both errors of all joints together, each joint by the size of its torque.
+    """
+
+    robot: Robot
+    joint_errors: FloatArray
+    nominal_errors: FloatArray
+
+    @property
+    def overall(self) -> tuple[float, float]:
+        """Root mean square over the joints: of the estimate, and of the nominal model."""
+        return _rms(self.joint_errors), _rms(self.nominal_errors)
+
+    @property
+    def better(self) -> bool:
+        """True if the estimate predicts better than the nominal model over all joints."""
+        return self.overall[0] < self.overall[1]
+
+    def document(self, *, details: bool = False) -> Document:
+        """Return the verdict first, then the errors joint by joint; there are no further details."""
+        del details
+        mine, nominal = (f"{100 * one:.3g} %" for one in self.overall)
+        worse = [n for n, a, b in zip(self.robot.names, self.joint_errors, self.nominal_errors, strict=True) if a > b]
+        if self.better:
+            said = f"The estimate predicts this record better than the nominal model: {mine} against {nominal}."
+            said += f" Not so of {', '.join(worse)}." if worse else ""
+        else:
+            said = (
+                f"The estimate predicts this record worse than the nominal model, {mine} against {nominal}: do not use "
+                "it in its place."
+            )
+        return Document(
+            f"{self.robot.name}: torque on a record that the estimate has not seen",
+            (
+                Paragraph(said, lead=True, tone="good" if self.better else "bad"),
+                _errors_table(self.robot, self.joint_errors, self.nominal_errors, "of that record"),
+            ),
+        )
+
+
+def identify_robot(
+    robot: Robot,
+    records: Sequence[Record],
+    settings: RobotIDIM | None = None,
+    *,
+    filtering: Filtering | None = None,
+) -> RobotEstimate:
+    """Identify a robot's base parameters and friction from motor positions and torques of all joints.
+
+    Args:
+        robot: its geometry, gravity and coupling are taken as known; its masses are only what is compared with.
+        records: of each joint, with torque and motor position behind the gear, on one clock.
+        settings: of the method.
+        filtering: of positions and rows.
+
+    Raises:
+        MethodError: the record does not determine all base parameters; the sentence names those involved.
+        RecordError: a channel is missing, or the joints' records have not one clock.
+
+    Valid for joints that are rigid in the band of the filter: below about a fifth of the first resonance.
+    """
+    settings = settings or RobotIDIM()
+    base = base_parameters(robot)
+    motion = motion_of_robot(robot, records, filtering or Filtering())
+    rows = base_rows(robot, base, motion)
+    solution = settings.solve(rows)
+    nominal = _nominal(robot, base, rows)
+    values = solution.fit.values
+    return RobotEstimate(
+        robot, base, rows.names, values, solution.covariance, relative_errors(rows, values), nominal,
+        relative_errors(rows, nominal), settings, motion.filtering,
+    )  # fmt: skip
+
+
+def validate_robot(estimate: RobotEstimate, records: Sequence[Record]) -> RobotValidation:
+    """Hold an estimate's torque against another record, beside the nominal model's.
+
+    Args:
+        estimate: from another record.
+        records: of each joint, as `identify_robot` takes them.
+    """
+    motion: RobotMotion = motion_of_robot(estimate.robot, records, estimate.filtering)
+    rows = base_rows(estimate.robot, estimate.base, motion)
+    return RobotValidation(
+        estimate.robot, relative_errors(rows, estimate.values), relative_errors(rows, estimate.nominal)
+    )
+
+
+def _nominal(robot: Robot, base: BaseParameters, rows: Rows) -> FloatArray:
+    """Return the base parameters of the model's own masses, and the friction that fits best beside them.
+
+    An opponent without friction would be none.
+    """
+    own, found = base.of(robot), []
+    left, W = rows.by_equation(rows.Y - rows.W[:, : len(base)] @ own), rows.W[:, len(base) :]
+    columns = W.reshape(rows.equations, -1, W.shape[1])
+    for k, (error, seen) in enumerate(zip(left, columns, strict=True)):
+        found.append(np.linalg.lstsq(seen[:, 3 * k : 3 * k + 3], error, rcond=None)[0])
+    return np.concatenate([own, *found])
+
+
+def _errors_table(robot: Robot, errors: FloatArray, nominal: FloatArray, of_what: str) -> Table:
+    if not np.all(np.isfinite(errors)):
+        raise MethodError("A joint's torque is 0 throughout; expected a torque of every motor: check the channels.")
+    rows = tuple(
+        (name, f"{100 * mine:.3g}", f"{100 * other:.3g}")
+        for name, mine, other in zip(robot.names, errors, nominal, strict=True)
+    )
+    return Table(("joint", "estimate, %", "nominal, %"), rows, f"filtered torque that is left, {of_what}")
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -1,0 +1,145 @@
+"""A payload, from a record with it and one without: mass, centre and inertia of what the last link carries.
+
+Both records are one regression: base parameters and friction are the same in both, and the payload's ten parameters
+act in the second alone. So they are all told, though those of the last link are not [Khalil, Gautier and Lemoine 2007].
+The difference of two estimates gives the same payload, of a wider interval, when the empty robot was identified before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.document import Document, Documented, Facts
+from jointid.common.errors import MethodError
+from jointid.common.text import interval, listed
+from jointid.estimation.methods.linear import Rows
+from jointid.estimation.robots.idim import RobotEstimate, RobotIDIM
+from jointid.estimation.robots.regression import base_rows, motion_of_robot
+from jointid.models.robots.base_parameters import base_parameters, inverse_columns
+from jointid.models.robots.inertial import SYMBOLS, mass_properties
+from jointid.models.robots.robot import Robot
+from jointid.records.record import Record
+from jointid.records.signals.filtering import Filtering
+from jointid.uncertainty.covariance import Covariance, covariance_of
+
+_STEP = 1e-6  # of a difference, relative
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Payload(Documented):
+    """What a robot carries, in the frame of the link that carries it.
+
+    Attributes:
+        link: its name.
+        inertial: (10,) the payload's inertial parameters.
+        covariance: of these.
+    """
+
+    link: str
+    inertial: FloatArray
+    covariance: Covariance
+
+    @property
+    def properties(self) -> tuple[FloatArray, FloatArray]:
+        """Mass, centre (3) and inertia at the centre (xx, yy, zz, xy, xz, yz), (10,), and their deviations, (10,)."""
+        values = _drawn(self.inertial)
+        steps = _STEP * np.maximum(np.abs(self.inertial), self.covariance.std)
+        slopes = np.array(
+            [(_drawn(self.inertial + d) - _drawn(self.inertial - d)) / (2 * d.max()) for d in np.diag(steps)]
+        ).T
+        return values, np.sqrt(np.maximum(np.diag(slopes @ self.covariance.matrix @ slopes.T), 0.0))
+
+    def document(self, *, details: bool = False) -> Document:
+        """Return mass, centre and inertia with their intervals; there are no further details."""
+        del details
+        values, std = self.properties
+        said = [interval(float(value), 2 * float(one)) for value, one in zip(values, std, strict=True)]
+        facts = (
+            ("mass", f"{said[0]} kg"),
+            ("centre", f"{listed(said[1:4])} m"),
+            ("inertia there", f"{listed(said[4:7])} kg m2 about x, y and z"),
+            ("products", f"{listed(said[7:])} kg m2 of xy, xz and yz"),
+        )
+        return Document(f"Payload on {self.link}, in its frame, 2 sigma", (Facts(facts),))
+
+
+def _drawn(inertial: FloatArray) -> FloatArray:
+    body = mass_properties(inertial)
+    return np.array([body.mass, *body.centre, *body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]])
+
+
+def identify_payload(
+    robot: Robot,
+    empty: Sequence[Record],
+    loaded: Sequence[Record],
+    settings: RobotIDIM | None = None,
+    *,
+    filtering: Filtering | None = None,
+) -> Payload:
+    """Identify what the last link carries in the second record and not in the first, from both at once.
+
+    Args:
+        robot: its geometry, gravity and coupling.
+        empty: the record of each joint without the payload.
+        loaded: the record of each joint with it; another motion will do.
+        settings: of the regression.
+        filtering: of positions and rows.
+
+    Raises:
+        MethodError: the records do not determine it, or its mass comes out negative.
+        RecordError: as of `identify_robot`.
+    """
+    settings, filtering = settings or RobotIDIM(), filtering or Filtering()
+    base, n = base_parameters(robot), len(robot)
+    without, carrying = (motion_of_robot(robot, records, filtering) for records in (empty, loaded))
+    first, second = base_rows(robot, base, without), base_rows(robot, base, carrying)
+    columns = inverse_columns(robot, carrying.q, carrying.v, carrying.a)[:, :, 10 * (n - 1) : 10 * n]
+    extra = carrying.thinned(columns)
+    instants = min(len(first.Y), len(second.Y)) // n
+
+    def cut(rows: FloatArray) -> FloatArray:
+        return np.asarray(rows.reshape(n, -1, *rows.shape[1:])[:, :instants].reshape(n * instants, *rows.shape[1:]))
+
+    W = np.block([[cut(first.W), np.zeros((n * instants, 10))], [cut(second.W), cut(extra)]])
+    names = (*first.names, *(f"payload {symbol}" for symbol in SYMBOLS))
+    rows = Rows(np.concatenate([cut(first.Y), cut(second.Y)]), W, names, 2 * n, 2 * n)
+    solution = settings.solve(rows)
+    own = slice(len(first.names), None)
+    of_payload = covariance_of(solution.covariance.matrix[own, own], solution.covariance.bandwidth)
+    return _payload(robot, solution.fit.values[own], of_payload)
+
+
+def payload_difference(empty: RobotEstimate, loaded: RobotEstimate) -> Payload:
+    """Return the payload that makes one estimate of a robot into the other, by generalised least squares.
+
+    Args:
+        empty: without the payload.
+        loaded: with it, of the same robot.
+
+    Raises:
+        MethodError: the estimates are of two robots, or its mass comes out negative.
+    """
+    if empty.names != loaded.names or not np.allclose(empty.base.grouping, loaded.base.grouping):
+        raise MethodError("The estimates are of two robots; expected one, without its payload and with it.")
+    n, size = len(empty.robot), len(empty.base)
+    columns = empty.base.grouping[:, 10 * (n - 1) : 10 * n]
+    matrix = (empty.covariance.matrix + loaded.covariance.matrix)[:size, :size]
+    std = np.sqrt(np.diag(matrix))
+    values, vectors = np.linalg.eigh(matrix / np.outer(std, std))
+    whiten = (vectors / np.sqrt(np.maximum(values, 1e-10 * values[-1]))).T / std
+    seen = whiten @ columns
+    found = np.linalg.lstsq(seen, whiten @ (loaded.values - empty.values)[:size], rcond=None)[0]
+    return _payload(empty.robot, found, covariance_of(np.linalg.pinv(seen.T @ seen), 0))
+
+
+def _payload(robot: Robot, inertial: FloatArray, covariance: Covariance) -> Payload:
+    if not inertial[0] > 0:
+        raise MethodError(
+            f"The payload's mass comes out as {inertial[0]:.3g} kg; expected a positive one: check that the second "
+            "record is the one with the payload, and that both have the same torque's unit."
+        )
+    return Payload(robot.links[-1].name, inertial, covariance)

@@ -1,0 +1,146 @@
+"""The problem of a robot: its parameters in, the filtered errors of all joints' torques and their derivatives out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.parameters import Parameter
+from jointid.estimation.robots.numbers import RobotParameters, columns_of
+from jointid.records.record import Record
+from jointid.records.signals.filtering import Filtering, decimate_all
+from jointid.simulation.robot_sensitivities import differentiate_torque
+from jointid.simulation.robots import (
+    RobotInput,
+    RobotLoop,
+    RobotOutcome,
+    RobotRun,
+    prepare_robot,
+    run_robot,
+    simulation_of,
+)
+
+_FAILED = 1e3  # times the measured torques: the error of a candidate that cannot be simulated
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotProblem:
+    """The torques of a robot's records against its loops, simulated from their references.
+
+    Rows are those of one joint after the other, which share their instants, each divided by the joint's `sigma`.
+
+    Attributes:
+        experiment: what the loops are driven with.
+        measured: (samples, n) torques.
+        filtering: resolved.
+        parameters: what is identified.
+        sigma: (n,) of the joints' errors, by which they weigh.
+    """
+
+    experiment: RobotInput
+    measured: FloatArray
+    filtering: Filtering
+    parameters: RobotParameters
+    sigma: FloatArray
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        """The parameters, with bounds of what is searched."""
+        return self.parameters.parameters
+
+    @property
+    def sample_time(self) -> float:
+        """Of the log, s."""
+        return self.experiment.first.sample_time
+
+    def weighted(self, sigma: FloatArray) -> RobotProblem:
+        """Return the problem with other sizes of the joints' errors."""
+        return replace(self, sigma=sigma)
+
+    def run(self, x: FloatArray, *, keep: bool = True) -> RobotRun:
+        """Simulate a candidate."""
+        return run_robot(self.experiment, self.parameters.numbers(self.parameters.values(x)), keep=keep)
+
+    def decimated(self, columns: FloatArray) -> FloatArray:
+        """Return signals, (samples, n) or (samples, n, columns), filtered, one joint after the other, not weighted."""
+        n = columns.shape[1]
+        if columns.ndim == 2:
+            return np.concatenate(decimate_all([columns[:, j] for j in range(n)], self.filtering, self.sample_time))
+        felt = [np.flatnonzero(np.any(columns[:, j] != 0.0, axis=0)) for j in range(n)]
+        parts = [np.ascontiguousarray(columns[:, j, felt[j]].T).T for j in range(n)]
+        seen = decimate_all(parts, self.filtering, self.sample_time)
+        out = np.zeros((n, len(seen[0]), columns.shape[2]))
+        for j, values in enumerate(seen):
+            out[j][:, felt[j]] = values
+        return out.reshape(-1, columns.shape[2])
+
+    def by_joint(self, rows: FloatArray) -> FloatArray:
+        """Return rows as (n, instants)."""
+        return rows.reshape(self.sigma.size, -1)
+
+    def weights(self, rows: int) -> FloatArray:
+        """Return one over the size of each row's error, (rows,)."""
+        return np.repeat(1.0 / self.sigma, rows // self.sigma.size)
+
+    def error(self, run: RobotRun) -> FloatArray:
+        """Return the filtered error of a run, measured less simulated, (rows,), not weighted."""
+        return self.decimated(self.measured - run.torque)
+
+    def slopes(self, run: RobotRun, x: FloatArray) -> FloatArray:
+        """Return the derivatives of a run's filtered torques by what is searched, (rows, free), not weighted."""
+        J = self.decimated(differentiate_torque(run, self.parameters.places))
+        return np.asarray(J * np.where(self.parameters.logarithmic, self.parameters.values(x), 1.0))
+
+    def regressor(self, run: RobotRun) -> FloatArray:
+        """Return the columns of the motors' equations on the simulated motion, filtered, (rows, free), not weighted."""
+        motion, numbers = simulation_of(run).motion, run.numbers
+        columns = columns_of(self.experiment.tree, numbers, self.parameters.places, motion)
+        return self.decimated(columns[:, numbers.rotors])
+
+    def residual(self, x: FloatArray) -> FloatArray:
+        """Return the weighted residual, (rows,); large where the candidate cannot be simulated."""
+        run = self.run(x, keep=False)
+        if run.outcome is not RobotOutcome.FINISHED:
+            return self._failed()
+        error = self.error(run)
+        return np.asarray(error * self.weights(error.size))
+
+    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the weighted residual, (rows,), and its derivatives, (rows, free); 0 of what cannot be simulated."""
+        run = self.run(x)
+        if run.outcome is not RobotOutcome.FINISHED:
+            error = self._failed()
+            return error, np.zeros((error.size, x.size))
+        error = self.error(run)
+        weights = self.weights(error.size)
+        return error * weights, -self.slopes(run, x) * weights[:, np.newaxis]
+
+    def _failed(self) -> FloatArray:
+        seen = self.decimated(self.measured)
+        return _FAILED * seen * self.weights(seen.size)
+
+
+def robot_problem(
+    loop: RobotLoop, records: Sequence[Record], parameters: RobotParameters, filtering: Filtering | None = None
+) -> RobotProblem:
+    """Return the problem of reproducing the torques of a robot's records by simulating its loops.
+
+    Raises:
+        RecordError: a record lacks a channel that is needed.
+        MethodError: see `prepare_robot`; or the filtering is impossible.
+    """
+    for record in records:
+        record.require(("torque",), "DIDIM of a robot")
+    experiment = prepare_robot(loop, records)
+    samples = experiment.first.samples
+    measured = np.column_stack([r.torque.values[:samples] for r in records if r.torque is not None])
+    if not np.all(np.any(measured != 0.0, axis=0)):
+        dead = [loop.robot.joints[j].name for j in np.flatnonzero(~np.any(measured != 0.0, axis=0))]
+        raise MethodError(f"The torque of {', '.join(dead)} is 0 throughout; log it, or leave its joint out.")
+    model = "flexible" if any(loop.robot.flexible) else "rigid"
+    resolved = (filtering or Filtering()).resolved(experiment.first.sample_time, model)
+    return RobotProblem(experiment, measured, resolved, parameters, np.std(measured, axis=0) + 1e-300)

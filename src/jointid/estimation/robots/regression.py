@@ -1,0 +1,152 @@
+"""The inverse dynamics of a robot's measured motion as one linear regression: all joints' rows at all instants.
+
+Signals go the way of one joint's (`problems.inverse_model`): positions through a low-pass both ways, torques through
+the window of their timing, both sides of the equations through one decimation. Where a motor rests, its friction takes
+what it must, and its row is left out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import RecordError
+from jointid.estimation.methods.linear import Rows
+from jointid.estimation.problems.inverse_model import through_window, torque_and_positions
+from jointid.estimation.problems.rest import moving_weights
+from jointid.models.joints import RigidJoint
+from jointid.models.robots.base_parameters import FRICTION, BaseParameters, friction_columns, inverse_columns
+from jointid.models.robots.robot import Robot
+from jointid.records.record import Record
+from jointid.records.signals.filtering import (
+    Filtering,
+    differentiate,
+    differentiate_twice,
+    lowpass,
+    window_torque,
+)
+
+_LONG = 20  # samples in a row that are a rest, as for one joint
+_SMEAR = 0.4  # of the position filter's period
+_TOLD = 0.05  # of a row's weight: what holds less is of rest
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotMotion:
+    """The motion of all joints, filtered, and the torques of their motors.
+
+    Attributes:
+        q, v, a: (samples, n) positions of the joints and their derivatives.
+        torque: (samples, n) of the motors, behind their gears.
+        moving: (samples, n) 0 where a motor rests, else 1.
+        sample_time: s.
+        filtering: resolved.
+    """
+
+    q: FloatArray
+    v: FloatArray
+    a: FloatArray
+    torque: FloatArray
+    moving: FloatArray
+    sample_time: float
+    filtering: Filtering
+
+    def thinned(self, columns: FloatArray) -> FloatArray:
+        """Return columns, (samples, n, columns), decimated: (n instants, columns), joint after joint, 0 at rest."""
+        first, last = self.filtering.borders
+        inside = slice(first, len(columns) - last)
+        seen = through_window(columns.transpose(1, 0, 2), self.filtering)[:, inside]
+        return self._decimated(seen, inside)
+
+    def thinned_torque(self) -> FloatArray:
+        """Return the torques decimated, (n instants,), joint after joint, 0 at rest."""
+        first, last = self.filtering.borders
+        inside = slice(first, len(self.torque) - last)
+        return self._decimated(self.torque[inside].T[:, :, np.newaxis], inside)[:, 0]
+
+    def _decimated(self, equations: FloatArray, inside: slice) -> FloatArray:
+        found = []
+        for equation, moving in zip(equations, self.moving[inside].T, strict=True):
+            rows = self.filtering.decimate(equation * moving[:, np.newaxis], self.sample_time)
+            rows[self.filtering.decimate(moving, self.sample_time) <= _TOLD] = 0.0
+            found.append(rows)
+        return np.concatenate(found)
+
+
+def motion_of_robot(robot: Robot, records: Sequence[Record], filtering: Filtering) -> RobotMotion:
+    """Return the motion of a robot and its motors' torques.
+
+    Args:
+        robot: whose coupling takes the motors' positions to the joints'.
+        records: of each joint, with torque and motor position behind the gear, on one clock.
+        filtering: of positions and rows.
+
+    Raises:
+        RecordError: a channel is missing, or the joints' records have not one clock.
+    """
+    if len(records) != len(robot):
+        raise RecordError(f"A robot of {len(robot)} joints needs as many records; received {len(records)}.")
+    channels, positions = [], []
+    for joint, link, record in zip(robot.joints, robot.links, records, strict=True):
+        try:
+            torque, (position,) = torque_and_positions(
+                record, RigidJoint(link.kind), ("motor_position",), "IDIM of a robot"
+            )
+        except RecordError as error:
+            raise RecordError([f"{joint.name}: {fault}" for fault in error.faults]) from error
+        channels.append(torque)
+        positions.append(position)
+    clocks = {round(channel.sample_time, 12) for channel in channels}
+    if len(clocks) > 1:
+        raise RecordError(
+            f"The torques of the joints come every {', '.join(f'{one:g}' for one in sorted(clocks))} s; expected one "
+            "sample time: resample them."
+        )
+    sample_time, size = channels[0].sample_time, min(map(len, positions))
+    filtering = filtering.resolved(sample_time)
+    assert filtering.position_cutoff is not None
+    motors = np.column_stack([position[:size] for position in positions])
+    smooth = lowpass(motors, filtering.position_cutoff, sample_time)
+    if filtering.timing == "respected":
+        twice = [differentiate_twice(each, sample_time) for each in smooth.T]
+        velocity, acceleration = (np.column_stack(each) for each in zip(*twice, strict=True))
+        torques = [window_torque(channel)[:size] for channel in channels]
+    else:
+        velocity = differentiate(smooth, sample_time)
+        acceleration = differentiate(velocity, sample_time)
+        torques = [channel.values[:size] for channel in channels]
+    smear = math.ceil(_SMEAR / (filtering.position_cutoff * sample_time))
+    moving = [moving_weights(each, max(_LONG, 4 * smear), smear) for each in velocity.T]
+    joints = np.linalg.inv(robot.coupling).T
+    return RobotMotion(
+        smooth @ joints,
+        velocity @ joints,
+        acceleration @ joints,
+        np.column_stack(torques),
+        np.column_stack(moving),
+        sample_time,
+        filtering,
+    )
+
+
+def base_rows(robot: Robot, base: BaseParameters, motion: RobotMotion) -> Rows:
+    """Return the regression of the base parameters, then of Fv, Fc and offset of each joint."""
+    links = inverse_columns(robot, motion.q, motion.v, motion.a)[:, :, base.chosen]
+    W = motion.thinned(np.concatenate([links, friction_columns(robot, motion.v)], axis=2))
+    names = (*base.symbols, *friction_symbols(robot))
+    return Rows(motion.thinned_torque(), W, names, len(robot), len(robot))
+
+
+def friction_symbols(robot: Robot) -> tuple[str, ...]:
+    """Return the symbols of the motors' friction, (3 n,), joint by joint, with numbers from 1."""
+    return tuple(f"{symbol}{k}" for k in range(1, len(robot) + 1) for symbol in FRICTION)
+
+
+def relative_errors(rows: Rows, values: FloatArray) -> FloatArray:
+    """Return what each joint's torque is not explained by the values, (n,), as a share of its root mean square."""
+    error = rows.by_equation(rows.Y - rows.W @ values)
+    return np.asarray(np.linalg.norm(error, axis=1) / np.linalg.norm(rows.by_equation(rows.Y), axis=1))

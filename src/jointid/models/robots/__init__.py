@@ -1,0 +1,1 @@
+"""Robots of several joints: a tree of links, its dynamics, and its inertial parameters."""

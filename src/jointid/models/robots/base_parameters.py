@@ -1,0 +1,158 @@
+"""The columns of a robot's inverse dynamics, and the base parameters: what its motion can tell of them at all.
+
+Of the ten inertial parameters of each link and its rotor's inertia many act on the torques only in sums. These sums,
+the base parameters, are found from the columns in random motions: a column that is a sum of others before it adds its
+parameter to theirs [Gautier 1991; Khalil and Dombre 2002, ch. 9.4]. Columns are divided by their lengths first, so
+that neither units nor the size of a robot decide what is 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jointid.common.arrays import FloatArray, column_norms
+from jointid.common.text import number
+from jointid.models.robots.inertial import SYMBOLS, UNITS
+from jointid.models.robots.robot import Robot
+
+FRICTION = ("Fv", "Fc", "offset")
+_POSES = 60  # random ones, times the joints in rows
+_ZERO = 1e-8  # of a column: what is left of one that is a sum of others
+_NOTHING = 1e-11  # of the largest column in its unit: the rounding of one that is 0
+_ORDER = (4, 5, 6, 8, 9, 7, 1, 2, 3, 0)  # within a link: what is kept first; m, mz and Iyy are passed on to its parent
+
+
+def inverse_columns(robot: Robot, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+    """Return the columns of the motors' torques, (samples, n, 11 n): the inertials link by link, then the rotors.
+
+    Args:
+        robot: its tree, gravity and coupling are read.
+        q: (samples, n) positions of the joints, rad or m.
+        v: (samples, n) their velocities.
+        a: (samples, n) their accelerations.
+    """
+    from jointid.models.robots.dynamics import regressor_of
+
+    links = regressor_of(*robot.tree, robot.gravity, *(np.ascontiguousarray(one) for one in (q, v, a)))
+    coupling = robot.coupling
+    rotors = (a @ coupling.T)[:, :, np.newaxis] * np.eye(len(robot))
+    return np.concatenate([np.linalg.inv(coupling).T @ links, rotors], axis=2)
+
+
+def friction_columns(robot: Robot, v: FloatArray) -> FloatArray:
+    """Return the columns of the motors' friction, (samples, n, 3 n): Fv, Fc and offset, joint by joint."""
+    turning = v @ robot.coupling.T
+    found = np.zeros((*v.shape, len(robot), len(FRICTION)))
+    for i in range(len(robot)):
+        found[:, i, i] = np.stack([turning[:, i], np.sign(turning[:, i]), np.ones(len(v))], axis=1)
+    return found.reshape(*v.shape, -1)
+
+
+def standard_symbols(robot: Robot) -> tuple[str, ...]:
+    """Return the symbols of the standard parameters, (11 n,), with the joints' numbers from 1."""
+    numbers = range(1, len(robot) + 1)
+    return (*(f"{symbol}{k}" for k in numbers for symbol in SYMBOLS), *(f"Ia{k}" for k in numbers))
+
+
+def standard_values(robot: Robot) -> FloatArray:
+    """Return the standard parameters of a robot, (11 n,)."""
+    return np.concatenate([robot.inertials.ravel(), robot.of_joints("rotor_inertia")])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BaseParameters:
+    """The base parameters of a robot: sums of its standard parameters.
+
+    Attributes:
+        symbols: (base,) of the first parameter of each sum, which names it.
+        formulas: (base,) the sums, as text.
+        units: (base,).
+        chosen: (base,) which standard parameters come first; their columns are those of the base parameters.
+        grouping: (base, 11 n) takes the standard parameters to the base parameters.
+    """
+
+    symbols: tuple[str, ...]
+    formulas: tuple[str, ...]
+    units: tuple[str, ...]
+    chosen: NDArray[np.intp]
+    grouping: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.symbols)
+
+    def of(self, robot: Robot) -> FloatArray:
+        """Return the base parameters, (base,), of a robot of this tree."""
+        return np.asarray(self.grouping @ standard_values(robot))
+
+
+def base_parameters(robot: Robot, seed: int = 0) -> BaseParameters:
+    """Return the base parameters of a robot's rigid dynamics: of its links and rotors, friction apart.
+
+    Args:
+        robot: its tree, gravity and coupling are read, not its masses.
+        seed: of the random motions.
+    """
+    n = len(robot)
+    random = np.random.default_rng(seed)
+    q, v, a = random.uniform(-np.pi, np.pi, (_POSES, n)), *random.normal(0.0, 3.0, (2, _POSES, n))
+    columns = inverse_columns(robot, q, v, a).reshape(_POSES * n, -1)
+    # Links from the base outwards, each rotor behind its link: a rotor joins its link's sum where it can.
+    order = np.array([part for k in range(n) for part in (*(10 * k + i for i in _ORDER), 10 * n + k)])
+    columns[:, _is_rounding(columns, n)] = 0.0
+    scales = column_norms(columns)
+    chosen, dependent = _independent((columns / scales)[:, order])
+    first, others = order[chosen], order[dependent]
+    grouping = np.zeros((first.size, 11 * n))
+    grouping[np.arange(first.size), first] = 1.0
+    if others.size:
+        # Scaled alike on both sides, so that what is rounding of a coefficient shows.
+        factors = np.linalg.lstsq(columns[:, first] / scales[first], columns[:, others] / scales[others], rcond=None)[0]
+        factors[np.abs(factors) < _ZERO] = 0.0
+        grouping[:, others] = factors * scales[others] / scales[first][:, np.newaxis]
+    symbols, units = standard_symbols(robot), (*n * UNITS, *n * ("kg m2",))
+    return BaseParameters(
+        tuple(symbols[i] for i in first),
+        tuple(_formula(row, int(i), symbols) for row, i in zip(grouping, first, strict=True)),
+        tuple(units[i] for i in first),
+        first,
+        grouping,
+    )
+
+
+def _is_rounding(columns: FloatArray, n: int) -> NDArray[np.bool_]:
+    """Return which columns, (11 n,), are nothing beside the largest of those in the same unit."""
+    norms = np.linalg.norm(columns, axis=0)
+    dimensions = np.array([*n * ([0] + 3 * [1] + 6 * [2]), *n * [3]])
+    largest = np.array([norms[dimensions == kind].max() for kind in range(4)])
+    return np.asarray(norms <= _NOTHING * largest[dimensions])
+
+
+def _independent(columns: FloatArray) -> tuple[list[int], list[int]]:
+    """Return the columns of norm 1 that are no sum of those before them, and the others that are not 0."""
+    basis = np.zeros((columns.shape[0], 0))
+    chosen, dependent = list[int](), list[int]()
+    for i, column in enumerate(columns.T):
+        if not np.any(column):
+            continue
+        left = column - basis @ (basis.T @ column)
+        left -= basis @ (basis.T @ left)  # once more, for rounding
+        size = float(np.linalg.norm(left))
+        if size > _ZERO:
+            basis = np.column_stack([basis, left / size])
+            chosen.append(i)
+        else:
+            dependent.append(i)
+    return chosen, dependent
+
+
+def _formula(weights: FloatArray, first: int, symbols: tuple[str, ...]) -> str:
+    terms = [symbols[first]]
+    for i in np.flatnonzero(weights):
+        if i != first:
+            factor = abs(weights[i])
+            times = "" if abs(factor - 1.0) < _ZERO else f" * {number(factor, 4)}"
+            terms.append(f"{'-' if weights[i] < 0 else '+'} {symbols[i]}{times}")
+    return " ".join(terms)

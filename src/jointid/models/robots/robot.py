@@ -1,0 +1,227 @@
+"""A robot: links in a tree, one joint before each, with its rotor, its friction and perhaps its spring.
+
+::
+
+    C' (tau - Ia C a - Fv C v - Fc sign(C v) - offset) = M(q) a + c(q, v) + g(q)
+
+for rigid joints: `tau` are the motors' torques behind their gears, C takes the joints' motion to the motors' (the unit
+matrix unless motors are coupled), Ia the rotors' inertias behind their gears, and friction is the motors'. A joint with
+a spring has a motor of its own motion [Spong 1987].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TypeAlias, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
+from jointid.common.settings import check_settings, declare, documented, setting
+from jointid.common.units import Kind
+from jointid.models.robots.inertial import SYMBOLS
+
+_UNIT = 1e-9  # how far a unit vector may be from one, and a rotation from one
+
+Tree: TypeAlias = tuple[NDArray[np.int64], NDArray[np.int64], FloatArray, FloatArray, FloatArray]
+"""Parents, kinds, axes, rotations, origins: the first arguments of every function of `dynamics`."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Link:
+    """A body and the joint that carries it.
+
+    Attributes:
+        name: of the body.
+        parent: which link carries it, -1 for the base.
+        kind: of its joint, "revolute" or "prismatic".
+        axis: (3,) of the joint, of unit length, in the link's frame.
+        rotation: (3, 3) of the link's frame to its parent's at q = 0.
+        origin: (3,) of the link's frame, which lies on the joint, in its parent's at q = 0, m.
+        inertial: (10,) see `inertial`.
+    """
+
+    name: str
+    parent: int
+    kind: Kind = "revolute"
+    axis: FloatArray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+    rotation: FloatArray = field(default_factory=lambda: np.eye(3))
+    origin: FloatArray = field(default_factory=lambda: np.zeros(3))
+    inertial: FloatArray = field(default_factory=lambda: np.zeros(10))
+
+
+@documented
+@dataclass(frozen=True, slots=True)
+class JointSpring:
+    """The spring between a motor and its link, and the friction beyond it."""
+
+    stiffness: float = field(metadata=declare("of the spring, where a search begins", unit="N m/rad or N/m", above=0))
+    damping: float = setting(0.0, "parallel to the spring", unit="N m s/rad or N s/m", at_least=0)
+    viscous: float = setting(0.0, "viscous friction of the link's side", unit="N m s/rad or N s/m", at_least=0)
+    coulomb: float = setting(0.0, "Coulomb friction of the link's side", unit="N m or N", at_least=0)
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+@documented
+@dataclass(frozen=True, slots=True)
+class RobotJoint:
+    """The motor of a link; all its numbers behind the gear."""
+
+    name: str
+    rotor_inertia: float = setting(0.0, "of the rotor, behind the gear", unit="kg m2 or kg", at_least=0)
+    viscous: float = setting(0.0, "viscous friction of the motor's side", unit="N m s/rad or N s/m", at_least=0)
+    coulomb: float = setting(0.0, "Coulomb friction of the motor's side", unit="N m or N", at_least=0)
+    offset: float = setting(0.0, "constant part of the motor's torque", unit="N m or N")
+    spring: JointSpring | None = setting(None, "between motor and link; without it the joint is rigid")
+    coupling: Mapping[str, float] = field(
+        default_factory=dict,
+        metadata=declare("by the names of other joints: how far this joint's motor turns with them, behind its gear"),
+    )
+
+    def __post_init__(self) -> None:
+        check_settings(self, called=f"joint {self.name}")
+        if self.spring is not None and self.rotor_inertia == 0:
+            raise MethodError(
+                f"The joint {self.name} has a spring, but no rotor_inertia; expected a positive one: add it, or leave "
+                "the spring out for a rigid joint."
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Robot:
+    """Links in a tree, a joint before each, and gravity.
+
+    Attributes:
+        links: each after its parent.
+        joints: as many, in the same order.
+        gravity: (3,) in the base's frame, m/s2.
+        name: of the robot.
+
+    Raises:
+        MethodError: a link comes before its parent, an axis or a rotation is none, a name comes twice, ...
+    """
+
+    links: tuple[Link, ...]
+    joints: tuple[RobotJoint, ...]
+    gravity: FloatArray = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
+    name: str = "robot"
+
+    def __post_init__(self) -> None:
+        if not self.links or len(self.links) != len(self.joints):
+            raise MethodError(
+                f"A robot has as many joints as links, at least one; received {len(self.joints)} joints and "
+                f"{len(self.links)} links."
+            )
+        _require_shape("gravity", self.gravity, (3,))
+        for what, names in (("links", [one.name for one in self.links]), ("joints", self.names)):
+            twice = sorted({name for name in names if list(names).count(name) > 1})
+            if twice:
+                raise MethodError(f"Two {what} are called {twice[0]}; expected a name for each: rename one.")
+        for number, link in enumerate(self.links):
+            _check_link(link, number)
+        for joint in self.joints:
+            _check_coupling(joint, self.names)
+        if np.linalg.cond(self.coupling) > 1e6:
+            raise MethodError(
+                "The coupling of the motors leaves a joint that no motor moves; expected as many independent motors as "
+                "joints: correct the factors."
+            )
+
+    def __len__(self) -> int:
+        return len(self.links)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the joints."""
+        return tuple(joint.name for joint in self.joints)
+
+    @property
+    def tree(self) -> Tree:
+        """Parents, kinds (0 revolute, 1 prismatic), axes, rotations and origins, as `dynamics` takes them."""
+        parents = np.array([link.parent for link in self.links], dtype=np.int64)
+        kinds = np.array([int(link.kind == "prismatic") for link in self.links], dtype=np.int64)
+        axes, rotations, origins = (
+            np.array([getattr(link, name) for link in self.links], dtype=np.float64)
+            for name in ("axis", "rotation", "origin")
+        )
+        return parents, kinds, axes, rotations, origins
+
+    @property
+    def inertials(self) -> FloatArray:
+        """Inertial parameters of the links, (n, 10)."""
+        return np.array([link.inertial for link in self.links], dtype=np.float64)
+
+    def with_inertials(self, inertials: FloatArray) -> Robot:
+        """Return the robot with other inertial parameters, (n, 10) or (10 n,)."""
+        rows = np.asarray(inertials, dtype=np.float64).reshape(len(self), len(SYMBOLS))
+        return replace(
+            self, links=tuple(replace(link, inertial=row) for link, row in zip(self.links, rows, strict=True))
+        )
+
+    def of_joints(self, name: str) -> FloatArray:
+        """Return an attribute of all joints, (n,): rotor_inertia, viscous, coulomb or offset."""
+        return np.array([getattr(joint, name) for joint in self.joints], dtype=np.float64)
+
+    @property
+    def coupling(self) -> FloatArray:
+        """The matrix C, (n, n): the motors' positions behind their gears from the joints', see the module."""
+        found = np.eye(len(self))
+        for i, joint in enumerate(self.joints):
+            for other, factor in joint.coupling.items():
+                found[i, self.names.index(other)] = factor
+        return found
+
+    @property
+    def flexible(self) -> tuple[bool, ...]:
+        """Which joints have a spring."""
+        return tuple(joint.spring is not None for joint in self.joints)
+
+    def torque_unit(self, number: int) -> str:
+        """Return the unit of a joint's torque: N m or N."""
+        return TORQUE_UNIT[self.links[number].kind]
+
+    def position_unit(self, number: int) -> str:
+        """Return the unit of a joint's position: rad or m."""
+        return POSITION_UNIT[self.links[number].kind]
+
+
+def _check_link(link: Link, number: int) -> None:
+    if not -1 <= link.parent < number:
+        raise MethodError(
+            f"The link {link.name} is number {number} and stands on number {link.parent}; expected -1, the base, or a "
+            "link before it: sort them."
+        )
+    if link.kind not in get_args(Kind):
+        raise MethodError(f'The joint of the link {link.name} is "revolute" or "prismatic"; received "{link.kind}".')
+    for name, shape in (("axis", (3,)), ("rotation", (3, 3)), ("origin", (3,)), ("inertial", (10,))):
+        _require_shape(f"{name} of the link {link.name}", getattr(link, name), shape)
+    if abs(np.linalg.norm(link.axis) - 1.0) > _UNIT:
+        raise MethodError(
+            f"The axis of the link {link.name} has the length {np.linalg.norm(link.axis):g}; expected 1: normalise it."
+        )
+    turned = link.rotation @ link.rotation.T
+    if np.abs(turned - np.eye(3)).max() > _UNIT or np.linalg.det(link.rotation) < 0:
+        raise MethodError(
+            f"The rotation of the link {link.name} is none; expected an orthogonal matrix of determinant 1."
+        )
+
+
+def _require_shape(what: str, values: FloatArray, shape: tuple[int, ...]) -> None:
+    found = np.asarray(values)
+    if found.shape != shape or not np.all(np.isfinite(found)):
+        raise MethodError(f"The {what} has the shape {found.shape}; expected finite numbers of the shape {shape}.")
+
+
+def _check_coupling(joint: RobotJoint, names: tuple[str, ...]) -> None:
+    for other, factor in joint.coupling.items():
+        if other not in names or other == joint.name or not np.isfinite(factor):
+            raise MethodError(
+                f"The joint {joint.name} is coupled to {other} by {factor:g}; expected another joint's name and a "
+                f"number: the joints are {', '.join(names)}."
+            )

@@ -1,0 +1,131 @@
+"""A robot as URDF and MJCF: its tree, masses, and what each language holds of its drives."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.models.robots.inertial import is_consistent, mass_properties
+from jointid.models.robots.robot import Link, Robot
+from jointid.output.export.joint_model import number
+from jointid.output.export.robots import write_document
+
+_DOWN = np.array([0.0, 0.0, -9.81])  # gravity of URDF, which has no word for it
+_FAR, _STRONG = "1000.0", "1000000000.0"  # limits that URDF asks for and nothing here knows
+_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+_UPPER = np.triu_indices(3)
+
+
+def write_robot(robot: Robot, path: Path) -> tuple[str, tuple[str, ...]]:
+    """Return a robot as the file's ending says, .urdf or .xml for MJCF, and a sentence for each part that is lost.
+
+    Raises:
+        MethodError: the ending is another, or no body can have a link's inertial parameters.
+    """
+    writers = {".urdf": robot_urdf, ".xml": robot_mjcf, ".mjcf": robot_mjcf}
+    if path.suffix.lower() not in writers:
+        raise MethodError(f"{path.name} ends on neither .urdf nor .xml; expected one of them for a robot: rename it.")
+    impossible = [link.name for link in robot.links if not is_consistent(link.inertial)]
+    if impossible:
+        raise MethodError(
+            f"No body can have the inertial parameters of {', '.join(impossible)}; write the consistent robot of an "
+            "estimate."
+        )
+    return writers[path.suffix.lower()](robot)
+
+
+def robot_urdf(robot: Robot) -> tuple[str, tuple[str, ...]]:
+    """Return a robot as URDF, and a sentence for each part of it that URDF does not have."""
+    lost = _lost(robot)
+    if np.any(robot.of_joints("rotor_inertia")):
+        lost.append("the rotors' inertias")
+    if not np.allclose(robot.gravity, _DOWN, atol=1e-3):
+        lost.append("how the base stands, and gravity other than 9.81 m/s2: turn it where the model is used")
+    root = ET.Element("robot", name=robot.name)
+    ET.SubElement(root, "link", name=_base_name(robot))
+    for link, joint in zip(robot.links, robot.joints, strict=True):
+        body = ET.SubElement(root, "link", name=link.name)
+        if link.inertial[0] > 0:
+            solid, inertial = mass_properties(link.inertial), ET.SubElement(body, "inertial")
+            ET.SubElement(inertial, "origin", xyz=_numbers(solid.centre), rpy="0 0 0")
+            ET.SubElement(inertial, "mass", value=number(solid.mass))
+            moments = dict(zip(_MOMENTS, map(number, solid.inertia[_UPPER]), strict=True))
+            ET.SubElement(inertial, "inertia", moments)
+        kind = "continuous" if link.kind == "revolute" else "prismatic"
+        found = ET.SubElement(root, "joint", name=joint.name, type=kind)
+        ET.SubElement(found, "parent", link=_base_name(robot) if link.parent < 0 else robot.links[link.parent].name)
+        ET.SubElement(found, "child", link=link.name)
+        ET.SubElement(found, "origin", xyz=_numbers(link.origin), rpy=_numbers(_angles(link.rotation)))
+        ET.SubElement(found, "axis", xyz=_numbers(link.axis))
+        if link.kind == "prismatic":
+            ET.SubElement(found, "limit", lower=f"-{_FAR}", upper=_FAR, effort=_STRONG, velocity=_STRONG)
+        ET.SubElement(found, "dynamics", damping=number(joint.viscous), friction=number(joint.coulomb))
+    return write_document(root, [f"{robot.name}: written by jointid", *_said(lost)]), tuple(lost)
+
+
+def robot_mjcf(robot: Robot) -> tuple[str, tuple[str, ...]]:
+    """Return a robot as MJCF, and a sentence for each part of it that MJCF does not have."""
+    lost = _lost(robot)
+    root = ET.Element("mujoco", model=robot.name)
+    ET.SubElement(root, "compiler", angle="radian")
+    ET.SubElement(root, "option", gravity=_numbers(robot.gravity))
+    bodies = {-1: ET.SubElement(root, "worldbody")}
+    for i, (link, joint) in enumerate(zip(robot.links, robot.joints, strict=True)):
+        place = {"pos": _numbers(link.origin), "xyaxes": _numbers(link.rotation[:, :2].T)}
+        body = bodies[i] = ET.SubElement(bodies[link.parent], "body", {"name": link.name, **place})
+        if link.inertial[0] > 0:
+            _mjcf_inertial(body, link)
+        drive = {
+            "armature": number(joint.rotor_inertia),
+            "damping": number(joint.viscous),
+            "frictionloss": number(joint.coulomb),
+        }
+        kind = "hinge" if link.kind == "revolute" else "slide"
+        ET.SubElement(body, "joint", {"name": joint.name, "type": kind, "axis": _numbers(link.axis), **drive})
+    return write_document(root, [f"{robot.name}: written by jointid", *_said(lost)]), tuple(lost)
+
+
+def _mjcf_inertial(body: ET.Element, link: Link) -> None:
+    solid = mass_properties(link.inertial)
+    inertia = solid.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    ET.SubElement(body, "inertial", pos=_numbers(solid.centre), mass=number(solid.mass), fullinertia=_numbers(inertia))
+
+
+def _lost(robot: Robot) -> list[str]:
+    """Return what neither language holds."""
+    lost = []
+    if any(joint.offset for joint in robot.joints):
+        lost.append("the constant parts of the motors' torques")
+    if not np.array_equal(robot.coupling, np.eye(len(robot))):
+        lost.append("the coupling of the motors; rotors and friction are those of the motors, at the joints")
+    if any(robot.flexible):
+        lost.append("the springs of the joints")
+    return lost
+
+
+def _said(lost: list[str]) -> list[str]:
+    return [f"left out: {one}" for one in lost]
+
+
+def _base_name(robot: Robot) -> str:
+    names = {link.name for link in robot.links}
+    return next(name for name in ("base", *(f"base_{k}" for k in range(len(names) + 1))) if name not in names)
+
+
+def _numbers(values: FloatArray) -> str:
+    return " ".join(map(number, np.ravel(values)))
+
+
+def _angles(rotation: FloatArray) -> FloatArray:
+    """Return roll, pitch and yaw about the fixed axes x, y and z; where pitch is 90 deg, the yaw is 0."""
+    level = math.hypot(rotation[0, 0], rotation[1, 0])
+    pitch = math.atan2(-rotation[2, 0], level)
+    if level < 1e-12:
+        return np.array([math.atan2(-rotation[1, 2], rotation[1, 1]), pitch, 0.0])
+    roll, yaw = math.atan2(rotation[2, 1], rotation[2, 2]), math.atan2(rotation[1, 0], rotation[0, 0])
+    return np.array([roll, pitch, yaw])

@@ -1,0 +1,306 @@
+"""How the torques of a robot's run change with its parameters, by variation along the run's tape, compiled.
+
+Along each piece of the tape the deviations of all masses obey the linearised equations of `kernels.robot_loop`::
+
+    M da + C dv + K dq = G + B dtau
+
+with M, C and K the derivatives of the links' inverse dynamics by acceleration, velocity and position, of springs and
+viscous friction, and G the derivative of the equations by the parameters, negative: the regressor's columns for the
+numbers of a link. They are taken at the middle of a piece, and integrated by the implicit midpoint rule, of order 2. A
+mass at rest stays there. An event moves in time with the velocity that it takes to zero, so there velocities jump
+(M. A. Aizerman and F. R. Gantmacher: On the stability of periodic motions, Journal of Applied Mathematics and Mechanics
+22, 1958)::
+
+    dv+ = dv- + (a+ - a-) dv_i- / a_i-
+
+The controllers are linear between limits, and where one acts its element does not change.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jointid.common.arrays import FloatArray
+from jointid.common.compiled import compiled
+from jointid.models.robots.dynamics import inverse_dynamics, mass_matrix, regressor
+from jointid.simulation.kernels.drive import IntArray
+
+OF_LINK, OF_MASS, OF_SPRING = range(3)
+"""What a parameter is a number of: row of the inertials, the masses or the springs."""
+
+_SMALL = 1e-7  # rad, rad/s: differences of the inverse dynamics
+_TURNING = 1e-9  # of the largest acceleration: a velocity that comes to 0 with less of its own hardly turns
+
+
+@compiled
+def _solve(A: FloatArray, rows: FloatArray) -> None:
+    """Solve A x = rows in place by elimination with pivots; both are overwritten."""
+    n = len(A)
+    for k in range(n):
+        at = k
+        for i in range(k + 1, n):
+            if abs(A[i, k]) > abs(A[at, k]):
+                at = i
+        if at != k:
+            for j in range(n):
+                A[k, j], A[at, j] = A[at, j], A[k, j]
+            for c in range(rows.shape[1]):
+                rows[k, c], rows[at, c] = rows[at, c], rows[k, c]
+        for i in range(k + 1, n):
+            factor = A[i, k] / A[k, k]
+            if factor != 0.0:
+                for j in range(k + 1, n):
+                    A[i, j] -= factor * A[k, j]
+                for c in range(rows.shape[1]):
+                    rows[i, c] -= factor * rows[k, c]
+    for k in range(n - 1, -1, -1):
+        share = 1.0 / A[k, k]
+        for c in range(rows.shape[1]):
+            rows[k, c] *= share
+        for i in range(k):
+            factor = A[i, k]
+            for c in range(rows.shape[1]):
+                rows[i, c] -= factor * rows[k, c]
+
+
+@compiled
+def _control(
+    phase: int, A: FloatArray, Bq: FloatArray, F: FloatArray, C: FloatArray, D: FloatArray, E: FloatArray,
+    cut: NDArray[np.bool_], output: int, tap: int, moved: FloatArray, dz: FloatArray, fresh: FloatArray,
+    raw: FloatArray, command: FloatArray, tapped: FloatArray,
+) -> None:  # fmt: skip
+    """Fill the change of a controller's output and of the one behind its limit, and move the changes of its states."""
+    elements, states, count = cut.size, len(dz), moved.size
+    for e in range(elements):
+        for c in range(count):
+            raw[e, c] = D[phase, e] * moved[c]
+        for s in range(states):
+            weight = C[phase, e, s]
+            if weight != 0.0:
+                for c in range(count):
+                    raw[e, c] += weight * dz[s, c]
+        for other in range(e):
+            if cut[other] and E[phase, e, other] != 0.0:
+                for c in range(count):
+                    raw[e, c] -= E[phase, e, other] * raw[other, c]
+    for s in range(states):
+        for c in range(count):
+            fresh[s, c] = Bq[phase, s] * moved[c]
+        for other in range(states):
+            weight = A[phase, s, other]
+            if weight != 0.0:
+                for c in range(count):
+                    fresh[s, c] += weight * dz[other, c]
+        for e in range(elements):
+            if cut[e] and F[phase, s, e] != 0.0:
+                for c in range(count):
+                    fresh[s, c] -= F[phase, s, e] * raw[e, c]
+    for s in range(states):
+        for c in range(count):
+            dz[s, c] = fresh[s, c]
+    for c in range(count):
+        command[c] = 0.0 if cut[output] else raw[output, c]
+        tapped[c] = 0.0 if cut[tap] else raw[tap, c]
+
+
+@compiled
+def differentiate_run(
+    parents: IntArray, kinds: IntArray, axes: FloatArray, rotations: FloatArray, origins: FloatArray,
+    gravity: FloatArray, inertials: FloatArray, rotors: IntArray, masses: FloatArray, springs: FloatArray,
+    lags: IntArray, A: FloatArray, Bq: FloatArray, F: FloatArray, C: FloatArray, D: FloatArray, E: FloatArray,
+    outputs: IntArray, taps: IntArray, cuts: NDArray[np.bool_],
+    first: IntArray, lasting: FloatArray, places: FloatArray, speeds: FloatArray, begun: FloatArray,
+    ended: FloatArray, directions: FloatArray, stopped: IntArray,
+    parameters: IntArray, dq: FloatArray, dz: FloatArray, before: FloatArray, command: FloatArray, tapped: FloatArray,
+) -> None:  # fmt: skip
+    """Fill the derivatives of the torques, period by period.
+
+    The arguments, those that belong together in a line::
+
+        parents, ..., taps: of `kernels.robot_loop.run`, as the run had them.
+        cuts, first, lasting, places, speeds, begun, ended, directions, stopped: what it wrote.
+        parameters: (parameters, 3) what each is a number of, in which row and column.
+        dq: (masses, parameters) derivatives of the positions at the beginning, overwritten.
+        dz: (n, states, parameters) of the controllers' states there, overwritten.
+        before: (n, parameters) of the torques before the first period.
+        command: (n, periods, parameters) out. tapped: the same, or (n, 0, 0) where it is the same.
+    """
+    n, nd, count = parents.size, len(dq), len(parameters)
+    parts, periods, pieces = lags.size, command.shape[1], lasting.size
+    dv, dtau, rows, other = np.zeros((nd, count)), np.zeros((n, count)), np.zeros((n, count)), np.zeros((nd, count))
+    moved, fresh, raw = np.zeros(count), np.zeros((dz.shape[1], count)), np.zeros((cuts.shape[2], count))
+    nothing = np.zeros(count)
+    q, v, a = np.zeros(nd), np.zeros(nd), np.zeros(nd)
+    place, speed, turn, shifted = q[:n], v[:n], a[:n], np.zeros(n)  # of the links
+    M, K, Cv, left, Y = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, 10 * n))
+    here, there = np.zeros(n), np.zeros(n)
+    pull, own, tie = np.zeros(n), np.zeros(n), np.zeros(n)
+    linked = False
+    for c in range(count):
+        linked = linked or parameters[c, 0] == OF_LINK
+    for k in range(periods):
+        for j in range(n):
+            for c in range(count):
+                moved[c] = dq[rotors[j], c]
+            _control(
+                k % A.shape[1], A[j], Bq[j], F[j], C[j], D[j], E[j], cuts[j, k], outputs[j], taps[j], moved,
+                dz[j], fresh, raw, command[j, k], tapped[j, k] if tapped.shape[1] > 0 else nothing,
+            )  # fmt: skip
+        for part in range(parts):
+            at = k * parts + part
+            if at >= first.size:
+                return
+            end = first[at + 1] if at + 1 < first.size else pieces
+            source = k - lags[part]
+            for j in range(n):
+                for c in range(count):
+                    dtau[j, c] = command[j, source, c] if source >= 0 else before[j, c]
+            for piece in range(first[at], end):
+                if piece + 1 >= pieces:
+                    return
+                h = lasting[piece]
+                if h > 0.0:
+                    for i in range(nd):
+                        q0, q1, v0, v1 = places[piece, i], places[piece + 1, i], speeds[piece, i], speeds[piece + 1, i]
+                        q[i] = 0.5 * (q0 + q1) + 0.125 * h * (v0 - v1)
+                        v[i] = 0.5 * (v0 + v1) + 0.125 * h * (begun[piece, i] - ended[piece, i])
+                        a[i] = 0.5 * (begun[piece, i] + ended[piece, i])
+                    mass_matrix(parents, kinds, axes, rotations, origins, inertials, place, M)
+                    inverse_dynamics(
+                        parents, kinds, axes, rotations, origins, gravity, inertials, place, speed, turn, here
+                    )
+                    for j in range(n):
+                        for side in range(2):
+                            for i in range(n):
+                                shifted[i] = v[i] if side else q[i]
+                            shifted[j] += _SMALL
+                            if side:
+                                inverse_dynamics(
+                                    parents,
+                                    kinds,
+                                    axes,
+                                    rotations,
+                                    origins,
+                                    gravity,
+                                    inertials,
+                                    place,
+                                    shifted,
+                                    turn,
+                                    there,
+                                )
+                            else:
+                                inverse_dynamics(
+                                    parents,
+                                    kinds,
+                                    axes,
+                                    rotations,
+                                    origins,
+                                    gravity,
+                                    inertials,
+                                    shifted,
+                                    speed,
+                                    turn,
+                                    there,
+                                )
+                            for i in range(n):
+                                if side:
+                                    Cv[i, j] = (there[i] - here[i]) / _SMALL
+                                else:
+                                    K[i, j] = (there[i] - here[i]) / _SMALL
+                    # G, and what the motors do.
+                    if linked:
+                        regressor(parents, kinds, axes, rotations, origins, gravity, place, speed, turn, Y)
+                    for i in range(nd):
+                        for c in range(count):
+                            other[i, c] = 0.0
+                    for j in range(n):
+                        for c in range(count):
+                            other[rotors[j], c] = dtau[j, c]
+                    for c in range(count):
+                        kind, row, which = parameters[c, 0], parameters[c, 1], parameters[c, 2]
+                        if kind == OF_LINK:
+                            for i in range(n):
+                                other[i, c] -= Y[i, 10 * row + which]
+                        elif kind == OF_MASS:
+                            if which == 0:
+                                other[row, c] -= a[row]
+                            elif which == 1:
+                                other[row, c] -= v[row]
+                            elif which == 2:
+                                sliding = directions[piece, row] if masses[row, 2] > 0.0 else np.sign(v[row])
+                                other[row, c] -= sliding
+                            else:
+                                other[row, c] -= 1.0
+                        else:
+                            r = rotors[row]
+                            stretch = v[r] - v[row] if which == 1 else q[r] - q[row]
+                            other[r, c] -= stretch
+                            other[row, c] += stretch
+                    # The rotors of flexible joints are eliminated: each is tied to its link alone.
+                    half = 0.5 * h
+                    for i in range(n):
+                        M[i, i] += masses[i, 0] if rotors[i] == i else 0.0
+                        Cv[i, i] += masses[i, 1]
+                        pull[i], own[i], tie[i] = 0.0, 1.0, 0.0
+                        if rotors[i] != i:
+                            K[i, i] += springs[i, 0]
+                            Cv[i, i] += springs[i, 1]
+                    for i in range(n):
+                        for c in range(count):
+                            rows[i, c] = other[i, c]
+                        for j in range(n):
+                            left[i, j] = 2.0 / h * M[i, j] + Cv[i, j] + half * K[i, j]
+                            inert, stiff = 2.0 / h * M[i, j], K[i, j]
+                            for c in range(count):
+                                rows[i, c] += inert * dv[j, c] - stiff * dq[j, c]
+                        r = rotors[i]
+                        if r == i:
+                            continue
+                        stiffness, damping = springs[i, 0], springs[i, 1]
+                        tie[i] = damping + half * stiffness
+                        own[i] = 2.0 / h * masses[r, 0] + masses[r, 1] + tie[i]
+                        inert = 2.0 / h * masses[r, 0]
+                        resting = masses[r, 2] > 0.0 and directions[piece, r] == 0.0
+                        pull[i] = 0.0 if resting else tie[i] / own[i]
+                        for c in range(count):
+                            rows[i, c] += stiffness * dq[r, c]
+                            other[r, c] += inert * dv[r, c] - stiffness * (dq[r, c] - dq[i, c])
+                            rows[i, c] += pull[i] * other[r, c]
+                        left[i, i] -= pull[i] * tie[i]
+                    for i in range(n):
+                        if masses[i, 2] > 0.0 and directions[piece, i] == 0.0:
+                            for j in range(n):
+                                left[i, j] = 1.0 if i == j else 0.0
+                            for c in range(count):
+                                rows[i, c] = 0.0
+                    _solve(left, rows)
+                    for i in range(n):
+                        r = rotors[i]
+                        if r != i:
+                            for c in range(count):
+                                x = 0.0
+                                if pull[i] != 0.0:
+                                    x = (other[r, c] + tie[i] * rows[i, c]) / own[i]
+                                dq[r, c] += h * x
+                                dv[r, c] = 2.0 * x - dv[r, c]
+                        for c in range(count):
+                            dq[i, c] += h * rows[i, c]
+                            dv[i, c] = 2.0 * rows[i, c] - dv[i, c]
+                    for i in range(nd):
+                        if masses[i, 2] > 0.0 and directions[piece, i] == 0.0:
+                            for c in range(count):
+                                dv[i, c] = 0.0
+                event = stopped[piece]
+                if event >= 0 and directions[piece, event] != 0.0:
+                    largest = 0.0
+                    for i in range(nd):
+                        largest = max(largest, abs(ended[piece, i]))
+                    slowing = ended[piece, event]
+                    if abs(slowing) > _TURNING * largest:
+                        for c in range(count):
+                            moved[c] = dv[event, c] / slowing
+                        for i in range(nd):
+                            jump = begun[piece + 1, i] - ended[piece, i]
+                            for c in range(count):
+                                dv[i, c] += jump * moved[c]

@@ -1,0 +1,141 @@
+"""Derivatives of a robot's logged torques by its parameters, by variation (`kernels.robot_sensitivities`)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.records.record import Tap
+from jointid.simulation.closed_loop import first_state
+from jointid.simulation.robots import RobotInput, RobotNumbers, RobotRun, weigh
+
+_SMALL = 1e-7  # rad: differences of the weight
+
+
+class NumberOf(IntEnum):
+    """What a parameter is a number of: a row of `RobotNumbers`."""
+
+    LINK = 0
+    MASS = 1
+    SPRING = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """The place of a parameter among a candidate's numbers.
+
+    Attributes:
+        of: whose rows. row: which. column: of it.
+    """
+
+    of: NumberOf
+    row: int
+    column: int
+
+    def read(self, numbers: RobotNumbers) -> float:
+        """Return the number."""
+        return float((numbers.inertials, numbers.masses, numbers.springs)[self.of][self.row, self.column])
+
+
+def with_values(numbers: RobotNumbers, places: tuple[Place, ...], values: FloatArray) -> RobotNumbers:
+    """Return a candidate with other numbers in these places."""
+    arrays = [numbers.inertials.copy(), numbers.masses.copy(), numbers.springs.copy()]
+    for place, value in zip(places, values, strict=True):
+        arrays[place.of][place.row, place.column] = value
+    return replace(numbers, inertials=arrays[0], masses=arrays[1], springs=arrays[2])
+
+
+def differentiate_torque(run: RobotRun, places: tuple[Place, ...]) -> FloatArray:
+    """Return the derivatives of the torques as the log shows them, (samples, n, parameters).
+
+    Args:
+        run: that finished, and whose tape was kept.
+        places: of the parameters.
+
+    Of order 2 in the pieces of the tape: against differences of whole runs some 1e-3 of the largest.
+    """
+    from jointid.simulation.kernels import robot_sensitivities as kernels
+
+    experiment, numbers, tape = run.experiment, run.numbers, run.tape
+    first, n = experiment.first, numbers.rotors.size
+    rows = np.array([(place.of, place.row, place.column) for place in places], dtype=np.int64).reshape(-1, 3)
+    dq, dz, before = _at_rest(run, places)
+    laws = experiment.laws
+    through = any(each.tap is Tap.COMMAND for each in experiment.experiments) and bool(
+        np.any(laws.outputs != laws.taps)
+    )
+    command = np.zeros((n, first.periods, len(places)))
+    tapped = np.zeros(command.shape if through else (n, 0, 0))
+    kernels.differentiate_run(
+        *experiment.tree, numbers.inertials, numbers.rotors, numbers.masses, numbers.springs, first.lags,
+        *laws.matrices, laws.outputs, laws.taps, run.cuts,
+        tape.first, tape.lasting, tape.places, tape.speeds, tape.begun, tape.ended, tape.directions, tape.stopped,
+        rows, dq, dz, before, command, tapped,
+    )  # fmt: skip
+    shown = [
+        tapped[j] if through and each.tap is Tap.COMMAND else command[j]
+        for j, each in enumerate(experiment.experiments)
+    ]
+    return experiment.logged(np.stack(shown, axis=1))
+
+
+def _at_rest(run: RobotRun, places: tuple[Place, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the derivatives of positions, controllers' states and torques where the robot rests at first.
+
+    Of `rest`: ``g(q) + offset = torque(qm)`` where the law has no integral, ``qm`` the reference where it has;
+    ``K (qm - q) = g(q)``.
+    """
+    experiment, numbers = run.experiment, run.numbers
+    n, rotors, count = numbers.rotors.size, numbers.rotors, len(places)
+    motors, links = run.start[rotors], run.start[:n]
+    integrates = np.array([each.integral is not None for each in experiment.experiments])
+    states = np.zeros((n, experiment.laws.A.shape[-1], 3))  # at the start, further, with more torque
+    torques = np.zeros((n, 2))
+    for j, each in enumerate(experiment.experiments):
+        for i, (at, torque) in enumerate(((0.0, 0.0), (1e-3, 0.0), (0.0, 1.0))):
+            state, _ = first_state(each, motors[j] + at, 0.0, torque if integrates[j] else None)
+            states[j, : state.size, i] = state
+        torques[j] = [first_state(each, motors[j] + at, 0.0, None)[1] for at in (0.0, 1e-3)]
+    slope = (torques[:, 1] - torques[:, 0]) / 1e-3
+    soft = np.where(integrates | (slope >= 0.0), 0.0, 1.0 / np.where(slope == 0.0, -1.0, slope))
+    compliance = np.where(numbers.flexible, 1.0 / np.where(numbers.flexible, numbers.springs[:, 0], 1.0), 0.0)
+    here = weigh(experiment, numbers, links)
+    shifted = [weigh(experiment, numbers, links + _SMALL * unit) for unit in np.eye(n)]
+    turning = np.column_stack([(there - here) / _SMALL for there in shifted])
+    direct, offset, stretched = (np.zeros((n, count)) for _ in range(3))
+    for c, place in enumerate(places):
+        if place.of is NumberOf.LINK:
+            unit = replace(numbers, inertials=np.zeros_like(numbers.inertials))
+            unit.inertials[place.row, place.column] = 1.0
+            direct[:, c] = weigh(experiment, unit, links)
+        elif place.of is NumberOf.MASS and place.column == 3:
+            offset[rotors == place.row, c] = 1.0
+        elif place.of is NumberOf.SPRING and place.column == 0:
+            stretched[place.row, c] = (motors - links)[place.row]
+    moved = turning @ (soft[:, np.newaxis] * offset + compliance[:, np.newaxis] * stretched) + direct
+    weight = np.linalg.solve(np.eye(n) - turning * (soft - compliance), moved)
+    dq = np.zeros((run.start.size, count))
+    of_motor = soft[:, np.newaxis] * (weight + offset)
+    dq[:n] = of_motor - compliance[:, np.newaxis] * (weight - stretched)
+    dq[rotors] = of_motor
+    by_place, by_torque = (states[:, :, 1] - states[:, :, 0]) / 1e-3, states[:, :, 2] - states[:, :, 0]
+    dz = by_place[:, :, np.newaxis] * of_motor[:, np.newaxis]
+    dz += by_torque[:, :, np.newaxis] * np.where(integrates[:, np.newaxis], weight + offset, 0.0)[:, np.newaxis]
+    return dq, dz, weight + offset
+
+
+def all_places(experiment: RobotInput, numbers: RobotNumbers) -> tuple[Place, ...]:
+    """Return the places of every number that a robot has: masses, then springs, then links."""
+    n = len(experiment.experiments)
+    masses = [
+        Place(NumberOf.MASS, row, column)
+        for row in range(len(numbers.masses))
+        for column in range(4)
+        if row in numbers.rotors or column in (1, 2)
+    ]
+    springs = [Place(NumberOf.SPRING, int(i), column) for i in np.flatnonzero(numbers.flexible) for column in (0, 1)]
+    links = [Place(NumberOf.LINK, row, column) for row in range(n) for column in range(10)]
+    return (*masses, *springs, *links)

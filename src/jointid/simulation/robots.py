@@ -1,0 +1,575 @@
+"""A robot under its controllers, run: `simulate_robot` takes one candidate through the records' references.
+
+Each joint has a controller of its own (`models.controllers`) and a record of its own, whose torque is a mean to know
+the log and need not be there. A feed-forward torque is the record's injected signal: logged, or computed by
+`add_feed_forward`. The robot begins at rest, where its controllers' torques hold its weight; friction holds none of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.parameters import TORQUE_UNIT
+from jointid.common.text import counted, listed
+from jointid.models.controllers import REFERENCE, Controller
+from jointid.models.joints import ClosedLoop, RigidJoint
+from jointid.models.robots.robot import Robot
+from jointid.records.record import Channel, Injection, InjectionPoint, Record, Timing
+from jointid.simulation.closed_loop import first_state
+from jointid.simulation.kernels.drive import IntArray
+from jointid.simulation.loop_input import LoopInput, as_logged, prepare, seen_torque
+
+_FASTEST = 0.5  # rad of the fastest motion of the robot in one step: an error of some 1e-5 of the torque
+_STEPS = 64  # per part of a period, at most
+_POSES = 5  # along the reference, at which the fastest motion is looked for
+_MORE = 2  # pieces per step and part, at most, beside a thousand
+_SETTLING = 200  # of the iterations that find where the robot rests
+_AT_REST = 1e-13  # of a position
+
+Bools: TypeAlias = NDArray[np.bool_]
+LoopTree: TypeAlias = tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray]
+"""Parents, kinds, axes, rotations, origins, gravity: what the kernels take first."""
+
+
+class RobotOutcome(StrEnum):
+    """Outcome of a robot's simulation; its value is the sentence to print."""
+
+    FINISHED = "the simulation finished"
+    DIVERGED = "a joint ran away: this robot is unstable under its controllers"
+    TOO_STIFF = "the robot's own motion is too fast for the controllers' period to be worth simulating"
+    CHATTERING = "joints started and stopped more often within one period than real ones can"
+    NOT_POSITIVE = "its mass matrix is not positive definite in a pose that it reached: no robot has such inertias"
+    INVALID = "an inertia of a rotor is not positive, a friction or a spring is negative, or a value is not a number"
+
+
+_OUTCOMES = (
+    RobotOutcome.FINISHED, RobotOutcome.DIVERGED, RobotOutcome.TOO_STIFF, RobotOutcome.CHATTERING,
+    RobotOutcome.NOT_POSITIVE,
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class RobotLoop:
+    """A robot under its controllers.
+
+    Attributes:
+        robot: links, joints and gravity.
+        controllers: one for each joint; each sees its motor's position alone, behind the gear.
+
+    Raises:
+        MethodError: there is not one controller for each joint, or motors are coupled.
+    """
+
+    robot: Robot
+    controllers: tuple[Controller, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "controllers", tuple(self.controllers))
+        if coupled := [joint.name for joint in self.robot.joints if joint.coupling]:
+            raise MethodError(
+                f"A robot whose motors are coupled is not simulated; received one with a coupling of "
+                f"{listed(coupled)}: leave it out, or use IDIM, which needs no simulation."
+            )
+        if len(self.controllers) != len(self.robot.links):
+            raise MethodError(
+                f"A robot has a controller for each joint; received {len(self.controllers)} for "
+                f"{counted(len(self.robot.links), 'joint')}: give one for each, in the order of the joints."
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotNumbers:
+    """The numbers of a candidate, as the kernel reads them.
+
+    Attributes:
+        inertials: (n, 10) of the links. rotors: (n,) the mass that each motor drives.
+        masses: (masses, 4) of the links, then of the rotors of flexible joints: inertia of the rotor (0 for the link of
+            a flexible joint), viscous, Coulomb and constant friction.
+        springs: (n, 2) stiffness and damping; 0 for rigid joints.
+    """
+
+    inertials: FloatArray
+    rotors: IntArray
+    masses: FloatArray
+    springs: FloatArray
+
+    @classmethod
+    def of(cls, robot: Robot) -> RobotNumbers:
+        """Return those of a robot."""
+        joints, n = robot.joints, len(robot.links)
+        flexible = [i for i, joint in enumerate(joints) if joint.spring is not None]
+        rotors, springs = np.arange(n), np.zeros((n, 2))
+        rotors[flexible] = n + np.arange(len(flexible))
+        masses = np.zeros((n + len(flexible), 4))
+        for i, joint in enumerate(joints):
+            masses[rotors[i]] = joint.rotor_inertia, joint.viscous, joint.coulomb, joint.offset
+            if joint.spring is not None:
+                springs[i] = joint.spring.stiffness, joint.spring.damping
+                masses[i, 1:3] = joint.spring.viscous, joint.spring.coulomb
+        return cls(robot.inertials, rotors, masses, springs)
+
+    @property
+    def flexible(self) -> Bools:
+        """Which joints are flexible, (n,)."""
+        return np.asarray(self.rotors >= self.rotors.size)
+
+    @property
+    def possible(self) -> bool:
+        """True if rotors have an inertia, friction and springs are not negative, and all are numbers."""
+        numbers = (self.inertials, self.masses, self.springs)
+        finite = all(bool(np.all(np.isfinite(values))) for values in numbers)
+        turning, held = self.masses[self.rotors.size :, 0], self.springs[self.flexible, 0]
+        least = min(float(np.min(self.masses[:, 1:3])), float(np.min(self.springs)))
+        return finite and least >= 0.0 and bool(np.all(turning > 0.0) and np.all(held > 0.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PackedLaws:
+    """The controllers as the kernel reads them: each of `Feedback`, with the joint as first axis."""
+
+    A: FloatArray
+    Bq: FloatArray
+    F: FloatArray
+    C: FloatArray
+    D: FloatArray
+    E: FloatArray
+    limits: FloatArray
+    gates: IntArray
+    driven: FloatArray
+    outputs: IntArray
+    taps: IntArray
+
+    @property
+    def matrices(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        """The first six."""
+        return self.A, self.Bq, self.F, self.C, self.D, self.E
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotInput:
+    """Parameter-independent inputs of a robot's simulation; made by `prepare_robot`.
+
+    Attributes:
+        tree: parents, kinds, axes, rotations, origins and gravity (`models.robots.dynamics`).
+        experiments: of each joint alone.
+        laws: the controllers.
+        feedforward: (n, elements, periods) their answers to everything but the positions.
+        after_limit: (n, periods) what is added to the torques behind the limits.
+    """
+
+    tree: LoopTree
+    experiments: tuple[LoopInput, ...]
+    laws: PackedLaws
+    feedforward: FloatArray
+    after_limit: FloatArray
+
+    @property
+    def first(self) -> LoopInput:
+        """Of the first joint, whose clocks are those of all."""
+        return self.experiments[0]
+
+    @property
+    def references(self) -> FloatArray:
+        """Commanded positions at the controllers' instants, (periods, n)."""
+        return np.column_stack([each.inputs[:, REFERENCE] for each in self.experiments])
+
+    def logged(self, values: FloatArray) -> FloatArray:
+        """Return signals of the controllers' instants, (periods, n, ...), as the torque channels show them."""
+        shown = [as_logged(each, values[:, j]) for j, each in enumerate(self.experiments)]
+        return np.stack(shown, axis=1)
+
+
+def prepare_robot(loop: RobotLoop, records: Sequence[Record]) -> RobotInput:
+    """Prepare the inputs of a robot's simulation from a record of each joint.
+
+    Args:
+        loop: robot and controllers.
+        records: one for each joint, of one log: its reference, and what is injected; see `jointid.Record`.
+
+    Raises:
+        RecordError: a channel that a controller reads is missing, or a clock does not divide the controllers'.
+        MethodError: there is not one record for each joint, or controllers or logs have different clocks.
+    """
+    robot = loop.robot
+    if len(records) != len(robot.links):
+        raise MethodError(
+            f"A robot is simulated from a record of each joint; received {len(records)} for "
+            f"{counted(len(robot.links), 'joint')}: give one for each, in the order of the joints."
+        )
+    alone = [
+        prepare(ClosedLoop(RigidJoint("prismatic" if kind else "revolute"), controller), record)
+        for kind, controller, record in zip(robot.tree[1], loop.controllers, records, strict=True)
+    ]
+    clocks = [(each.lengths.tolist(), each.lags.tolist(), each.looked.size, each.periods) for each in alone]
+    if other := [j for j, clock in enumerate(clocks) if clock != clocks[0]]:
+        names = listed([robot.joints[j].name for j in other])
+        raise MethodError(
+            f"A robot is simulated with one period and one delay of all controllers, and one log; those of {names} "
+            f"differ from those of {robot.joints[0].name}: give them the same period, delay and length."
+        )
+    after_limit = np.stack([each.after_limit for each in alone])
+    laws, feedforward = _packed(alone)
+    return RobotInput((*robot.tree, robot.gravity), tuple(alone), laws, feedforward, after_limit)
+
+
+def _packed(alone: Sequence[LoopInput]) -> tuple[PackedLaws, FloatArray]:
+    """Return the controllers one after the other, filled up with states that stay 0 and elements that are."""
+    kernels = [each.kernel for each in alone]
+    phases = math.lcm(*(len(kernel.A) for kernel in kernels))
+    states, elements = max(k.A.shape[1] for k in kernels), max(k.limits.size for k in kernels)
+    sizes = {"z": states, "e": elements}
+
+    def packed(name: str, axes: str) -> FloatArray:
+        out = np.zeros((len(kernels), phases, *(sizes[axis] for axis in axes)))
+        for j, kernel in enumerate(kernels):
+            values = getattr(kernel, name)
+            values = np.tile(values, (phases // len(values), *(1,) * len(axes)))
+            inside: tuple[int | slice, ...] = (j, slice(None), *(slice(size) for size in values.shape[1:]))
+            out[inside] = values
+        return out
+
+    periods, driven = alone[0].periods, any(kernel.driven.size for kernel in kernels)
+    into = np.zeros((len(kernels), periods if driven else 0, states))
+    limits, gates = np.full((len(kernels), elements), np.inf), np.full((len(kernels), elements), -1)
+    feedforward = np.zeros((len(kernels), elements, periods))
+    for j, (kernel, each) in enumerate(zip(kernels, alone, strict=True)):
+        limits[j, : kernel.limits.size], gates[j, : kernel.limits.size] = kernel.limits, kernel.gates
+        feedforward[j, : kernel.limits.size] = each.feedforward
+        if kernel.driven.size:
+            into[j, :, : kernel.driven.shape[1]] = kernel.driven
+    shapes = {"A": "zz", "Bq": "z", "F": "ze", "C": "ez", "D": "e", "E": "ee"}
+    A, Bq, F, C, D, E = (packed(name, axes) for name, axes in shapes.items())
+    outputs, taps = np.array([kernel.output for kernel in kernels]), np.array([kernel.tap for kernel in kernels])
+    return PackedLaws(A, Bq, F, C, D, E, limits, gates, into, outputs, taps), feedforward
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotTape:
+    """The pieces of a run, in each of which nothing happens; made by the kernel (`kernels.robot_loop`).
+
+    Attributes:
+        first: (periods * parts,) the piece that each part of a period begins with.
+        lasting: (pieces,) s.
+        places, speeds, begun: (pieces, masses) positions, velocities, accelerations at its beginning.
+        ended: (pieces, masses) accelerations at its end. directions: (pieces, masses) 1 or -1, 0 of a mass at rest.
+        stopped: (pieces,) the mass whose event ended it, or -1.
+    """
+
+    first: IntArray
+    lasting: FloatArray
+    places: FloatArray
+    speeds: FloatArray
+    begun: FloatArray
+    ended: FloatArray
+    directions: FloatArray
+    stopped: IntArray
+
+    @classmethod
+    def empty(cls, parts: int, pieces: int, masses: int) -> RobotTape:
+        """Return one to be filled."""
+        places, speeds, begun, ended, directions = (np.empty((pieces, masses)) for _ in range(5))
+        whole = np.zeros(parts, dtype=np.int64), np.empty(pieces)
+        return cls(*whole, places, speeds, begun, ended, directions, np.empty(pieces, dtype=np.int64))
+
+    def until(self, parts: int, pieces: int) -> RobotTape:
+        """Return what was filled of it."""
+        return RobotTape(
+            self.first[:parts], self.lasting[:pieces], self.places[:pieces], self.speeds[:pieces], self.begun[:pieces],
+            self.ended[:pieces], self.directions[:pieces], self.stopped[:pieces],
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotRun:
+    """One candidate's run.
+
+    Attributes:
+        experiment: it was driven with. numbers: of the candidate.
+        outcome: how it ended. finished: share of the experiment that was simulated. events: that were located.
+        command, tapped: (n, periods) the torque that acts, and the controllers' output behind their limits.
+        start: (masses,) positions at the beginning.
+        cuts: (n, periods, elements) where limits and gates act; tape: its pieces. Both are empty unless they were kept.
+    """
+
+    experiment: RobotInput
+    numbers: RobotNumbers
+    outcome: RobotOutcome
+    finished: float
+    events: int
+    command: FloatArray
+    tapped: FloatArray
+    start: FloatArray
+    cuts: Bools
+    tape: RobotTape
+
+    @property
+    def torque(self) -> FloatArray:
+        """The torques as the log shows them, (samples, n)."""
+        each = zip(self.experiment.experiments, self.command, self.tapped, strict=True)
+        return np.column_stack([as_logged(one, seen_torque(one, *signals)) for one, *signals in each])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MassMotion:
+    """The motion of all masses at instants of the log.
+
+    Attributes:
+        position, velocity, acceleration: (samples, masses) of the links, then of the rotors of flexible joints.
+        direction: (samples, masses) in which each slides: 1 or -1, 0 of one at rest. Without Coulomb friction, that of
+            its velocity.
+    """
+
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    direction: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotSimulation:
+    """One run of a robot, at the log's instants; after a failure everything is held.
+
+    Attributes:
+        torque: (samples, n) as the records' torque channels would show them.
+        outcome, finished, events: see `RobotRun`.
+        sample_time: of the log, s.
+        motor_position, motor_velocity: (samples, n). link_position, link_velocity: (samples, n).
+        motion: at the instants at which each torque begins to act, where the equations hold exactly.
+    """
+
+    torque: FloatArray
+    outcome: RobotOutcome
+    finished: float
+    events: int
+    sample_time: float
+    motor_position: FloatArray
+    motor_velocity: FloatArray
+    link_position: FloatArray
+    link_velocity: FloatArray
+    motion: MassMotion
+
+
+def simulate_robot(
+    loop: RobotLoop, records: Sequence[Record], numbers: RobotNumbers | None = None, *, steps: int | None = None
+) -> RobotSimulation:
+    """Simulate a robot under its controllers; never raises for a candidate's sake: see `RobotSimulation.outcome`.
+
+    Runge-Kutta's method of order 4 between located events, in steps of a part of the controllers' period.
+
+    Args:
+        loop: robot and controllers.
+        records: one for each joint, see `prepare_robot`; torques and positions in them are not read.
+        numbers: of the candidate; those of the robot itself where they are not given.
+        steps: of the integrator per part of a period; None takes as many as keep the fastest motion below 0.5 rad a
+            step.
+
+    Raises:
+        RecordError: a channel that a controller reads is missing, or a clock does not divide the controllers'.
+        MethodError: see `prepare_robot`.
+    """
+    experiment = prepare_robot(loop, records)
+    numbers = numbers or RobotNumbers.of(loop.robot)
+    return simulation_of(run_robot(experiment, numbers, keep=True, steps=steps))
+
+
+def run_robot(
+    experiment: RobotInput, numbers: RobotNumbers, *, keep: bool = False, steps: int | None = None
+) -> RobotRun:
+    """Run one candidate, and `keep` its tape and where limits act; arguments of `simulate_robot`."""
+    from jointid.simulation.kernels import robot_loop
+
+    first, n, masses = experiment.first, len(experiment.experiments), len(numbers.masses)
+    parts, periods, elements = first.lengths.size, first.periods, experiment.feedforward.shape[1]
+    laws, states = experiment.laws, experiment.laws.A.shape[-1]
+    command, tapped = np.zeros((n, periods)), np.zeros((n, periods))
+    counts = np.zeros(3, dtype=np.int64)
+    cuts = np.zeros((n, periods if keep else 0, elements if keep else 0), dtype=np.bool_)
+    start, outcome = np.zeros(masses), RobotOutcome.INVALID
+    taken = 1 if steps is None else steps
+    if numbers.possible:
+        taken = choose_steps(experiment, numbers) if steps is None else steps
+        outcome = RobotOutcome.FINISHED if taken <= _STEPS else RobotOutcome.TOO_STIFF
+    rows = (_MORE * periods * parts * min(taken, _STEPS) + 1000) if keep and outcome is RobotOutcome.FINISHED else 0
+    tape = RobotTape.empty(periods * parts, rows, masses)
+    if outcome is RobotOutcome.FINISHED:
+        start, torques = rest(experiment, numbers)
+        state, before = np.zeros((n, states)), np.empty(n)
+        for j, each in enumerate(experiment.experiments):
+            began, torque = first_state(each, start[numbers.rotors[j]], 0.0, torques[j])
+            state[j, : began.size], before[j] = began, torque + each.after_limit[0]
+        far = np.array([each.far for each in experiment.experiments]) + np.abs(start[numbers.rotors])
+        status = robot_loop.run(
+            *experiment.tree, numbers.inertials, numbers.rotors, numbers.masses, numbers.springs,
+            first.lengths, first.lags, taken, state, *laws.matrices,
+            laws.limits, laws.gates, laws.driven, laws.outputs, laws.taps,
+            experiment.feedforward, experiment.after_limit, before, start.copy(), np.zeros(masses), far,
+            command, tapped, cuts,
+            tape.first, tape.lasting, tape.places, tape.speeds, tape.begun, tape.ended, tape.directions, tape.stopped,
+            counts,
+        )  # fmt: skip
+        outcome = _OUTCOMES[status]
+    done = int(counts[2])
+    for signal in (command, tapped):
+        signal[:, done:] = signal[:, done - 1 : done] if done else 0.0
+        np.nan_to_num(signal, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+    kept = tape.until(done * parts, int(counts[1]))
+    return RobotRun(
+        experiment, numbers, outcome, done / periods, int(counts[0]), command, tapped, start, cuts, kept
+    )  # fmt: skip
+
+
+def simulation_of(run: RobotRun) -> RobotSimulation:
+    """Return a run whose tape was kept, at the log's instants."""
+    first, rotors = run.experiment.first, run.numbers.rotors
+    n = rotors.size
+    seen, begun = _motion(run, first.looked), _motion(run, first.begun)
+    return RobotSimulation(
+        run.torque, run.outcome, run.finished, run.events, first.sample_time,
+        seen.position[:, rotors], seen.velocity[:, rotors], seen.position[:, :n], seen.velocity[:, :n], begun,
+    )  # fmt: skip
+
+
+def _motion(run: RobotRun, parts: NDArray[np.intp]) -> MassMotion:
+    """Return the motion as these parts of periods begin."""
+    tape = run.tape
+    if not tape.first.size:
+        held = np.tile(run.start, (parts.size, 1))
+        return MassMotion(held, 0.0 * held, 0.0 * held, 0.0 * held)
+    at = tape.first[np.minimum(parts, tape.first.size - 1)]
+    velocity, sliding = tape.speeds[at], run.numbers.masses[:, 2] > 0.0
+    direction = np.where(sliding, tape.directions[at], np.sign(velocity))
+    found = MassMotion(tape.places[at], velocity, tape.begun[at], direction)
+    for values in (found.position, found.velocity, found.acceleration):
+        np.nan_to_num(values, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
+    return found
+
+
+def rest(experiment: RobotInput, numbers: RobotNumbers) -> tuple[FloatArray, tuple[float | None, ...]]:
+    """Return where all masses rest at the first sample, (masses,), and the torques that integrators then hold.
+
+    A law with an integral holds the weight on the reference; one without is off by the torque over its gain. Springs
+    are stretched by the weight.
+    """
+    n, rotors, references = numbers.rotors.size, numbers.rotors, experiment.references[0]
+    alone = experiment.experiments
+    at_zero = [
+        np.array([first_state(each, q, 0.0, None)[1] for q in (r, r + 1e-3)])
+        for each, r in zip(alone, references, strict=True)
+    ]
+    integrates = np.array([each.integral is not None for each in alone])
+    asked = np.array([pair[0] for pair in at_zero]) + experiment.after_limit[:, 0]
+    slope = np.array([(pair[1] - pair[0]) / 1e-3 for pair in at_zero])
+    soft = np.where(integrates | (slope >= 0.0), -np.inf, slope)
+    stiffness = np.where(numbers.flexible, numbers.springs[:, 0], np.inf)
+    motors = references.copy()
+    weight = np.zeros(n)
+    for _ in range(_SETTLING):
+        links = motors - weight / stiffness
+        weight = weigh(experiment, numbers, links)
+        after = references + (weight + numbers.masses[rotors, 3] - asked) / soft
+        moved = float(np.max(np.abs(after - motors)))
+        motors = after
+        if moved <= _AT_REST * (1.0 + float(np.max(np.abs(motors)))):
+            break
+    start = np.zeros(len(numbers.masses))
+    start[:n], start[rotors] = motors - weight / stiffness, motors
+    holding = weight + numbers.masses[rotors, 3] - experiment.after_limit[:, 0]
+    return start, tuple(float(t) if i else None for t, i in zip(holding, integrates, strict=True))
+
+
+def weigh(experiment: RobotInput, numbers: RobotNumbers, positions: FloatArray) -> FloatArray:
+    """Return the torques that hold the links at rest, (n,)."""
+    from jointid.models.robots.dynamics import inverse_dynamics
+
+    still, found = np.zeros(positions.size), np.empty(positions.size)
+    inverse_dynamics(*experiment.tree, numbers.inertials, positions, still, still, found)
+    return found
+
+
+def choose_steps(experiment: RobotInput, numbers: RobotNumbers) -> int:
+    """Return the steps in the longest part of a period that keep the robot's fastest motion within 0.5 rad each."""
+    from jointid.models.robots.dynamics import mass_matrix
+
+    n, rotors = numbers.rotors.size, numbers.rotors
+    size, fastest = len(numbers.masses), 0.0
+    springs, dampers = np.zeros((size, size)), np.diag(numbers.masses[:, 1])
+    for i in np.flatnonzero(numbers.flexible):
+        both = np.zeros(size)
+        both[i], both[rotors[i]] = 1.0, -1.0
+        springs += numbers.springs[i, 0] * np.outer(both, both)
+        dampers += numbers.springs[i, 1] * np.outer(both, both)
+    references = experiment.references
+    for pose in references[:: max(len(references) // _POSES, 1)]:
+        M = np.zeros((size, size))
+        links = np.empty((n, n))
+        mass_matrix(*experiment.tree[:5], numbers.inertials, pose, links)
+        M[:n, :n] = links
+        M[np.diag_indices(size)] += numbers.masses[:, 0]
+        lowest = float(np.linalg.eigvalsh(0.5 * (M + M.T))[0])
+        if not lowest > 0.0:  # the kernel says of it what is to be said
+            continue
+        each = [np.abs(np.linalg.eigvals(np.linalg.solve(M, matrix))) for matrix in (springs, dampers)]
+        fastest = max(fastest, math.sqrt(float(np.max(each[0]))), float(np.max(each[1])))
+    return max(math.ceil(float(np.max(experiment.first.lengths)) * fastest / _FASTEST), 1)
+
+
+def add_feed_forward(
+    loop: RobotLoop, records: Sequence[Record], kind: Literal["gravity", "inverse-model"] = "inverse-model"
+) -> tuple[Record, ...]:
+    """Return the records with the torque of the robot's model along the references injected before the limits.
+
+    Args:
+        loop: robot and controllers; the model is the robot with its own numbers, links and rotors without springs.
+        records: one for each joint, with references at one rate.
+        kind: the weight alone, or the whole inverse model without Coulomb friction.
+
+    Raises:
+        MethodError: a record has no reference, or references differ in rate or length.
+    """
+    from jointid.models.robots.dynamics import inverse_dynamics_of
+
+    channels = [record.reference for record in records]
+    if any(channel is None for channel in channels) or len({(c.sample_time, len(c)) for c in channels if c}) != 1:
+        raise MethodError("A feed-forward is computed from references of one rate and one length; give one per joint.")
+    numbers, given = RobotNumbers.of(loop.robot), [channel for channel in channels if channel]
+    sample_time = given[0].sample_time
+    q = np.column_stack([channel.values for channel in given])
+    v = np.gradient(q, sample_time, axis=0)
+    a = np.gradient(v, sample_time, axis=0)
+    if kind == "gravity":
+        v, a = np.zeros_like(q), np.zeros_like(q)
+    torque = inverse_dynamics_of(*loop.robot.tree, loop.robot.gravity, numbers.inertials, q, v, a)
+    of_motor, n = numbers.masses[numbers.rotors], len(loop.robot.links)
+    viscous = of_motor[:, 1] + np.where(numbers.flexible, numbers.masses[:n, 1], 0.0)
+    torque += of_motor[:, 0] * a + viscous * v + of_motor[:, 3]
+    units = [TORQUE_UNIT["prismatic" if prismatic else "revolute"] for prismatic in loop.robot.tree[1]]
+    return tuple(
+        replace(
+            record,
+            injected=Injection(
+                Channel(torque[:, j], units[j], sample_time, Timing.HELD, "computed"), InjectionPoint.BEFORE_LIMIT
+            ),
+        )
+        for j, record in enumerate(records)
+    )
+
+
+def robot_records(loop: RobotLoop, records: Sequence[Record], run: RobotSimulation) -> tuple[Record, ...]:
+    """Return the records with torques and motor positions of a run, as drives would have logged them."""
+    kinds: list[Literal["prismatic", "revolute"]] = ["prismatic" if p else "revolute" for p in loop.robot.tree[1]]
+    made = []
+    for j, (record, kind) in enumerate(zip(records, kinds, strict=True)):
+        unit = "m" if kind == "prismatic" else "rad"
+        torque = Channel(run.torque[:, j], TORQUE_UNIT[kind], run.sample_time, Timing.HELD, "simulated")
+        position = Channel(run.motor_position[:, j], unit, run.sample_time, source="simulated")
+        made.append(replace(record, torque=torque, motor_position=position))
+    return tuple(made)

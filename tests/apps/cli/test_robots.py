@@ -1,0 +1,86 @@
+"""The commands with a robot file: identify, validate, export."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jointid.apps.cli.app import app
+from jointid.common.errors import MethodError
+from jointid.config.robot_model import load_robot
+from jointid.output.export.robot_model import robot_mjcf
+from tests.estimation.robots.twin import arm, records_of
+
+pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
+
+HEAD = """
+[robot]
+model = "arm.xml"
+[record]
+file = "one.csv"
+sample_time = 0.002
+[record.channels]
+torque = { column = "tau{axis}" }
+motor_position = { column = "q{axis}" }
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place, truth = tmp_path_factory.mktemp("robot"), arm()
+    links = tuple(replace(link, inertial=1.2 * link.inertial) for link in truth.links)
+    joints = tuple(replace(joint, offset=0.0) for joint in truth.joints)
+    (place / "arm.xml").write_text(robot_mjcf(replace(truth, links=links, joints=joints))[0], encoding="utf-8")
+    text = HEAD + "".join(f'[[joints]]\nname = "joint{k}"\n' for k in range(1, 7))
+    (place / "robot.toml").write_text(text, encoding="utf-8")
+    for name, seed in (("one.csv", 2), ("two.csv", 9)):
+        records = records_of(truth, seed, noise=0.2)
+        columns = [channel.values for r in records for channel in (r.torque, r.motor_position) if channel is not None]
+        header = ",".join(f"tau{k},q{k}" for k in range(1, 7))
+        np.savetxt(place / name, np.column_stack(columns), fmt="%.9g", delimiter=",", header=header, comments="")
+    return place
+
+
+def run(*words: str | Path) -> None:
+    app([str(word) for word in words], result_action="return_value")
+
+
+def test_identify(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run("identify", folder / "robot.toml", "--json", tmp_path / "found.json", "--details")
+    printed = capsys.readouterr().out
+    assert printed.startswith("arm: 40 base parameters of 6 joints") and "Izz1 is Izz1 + " in printed
+    answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
+    assert answer["schema"] == "jointid.robot_estimate/1" and len(answer["parameters"]) == 58
+    assert answer["parameters"]["Fv2"]["value"] == pytest.approx(8.0, rel=0.01)
+    run("identify", folder / "robot.toml", "--record", folder / "two.csv", "--set", "method.estimator=ols")
+    assert "ordinary least squares" in capsys.readouterr().out
+
+
+def test_validate(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run("validate", folder / "robot.toml", "--record", folder / "two.csv")
+    assert "The estimate predicts this record better than the nominal model" in capsys.readouterr().out
+    with pytest.raises(MethodError, match="expected --record OTHER"):
+        run("validate", folder / "robot.toml")
+
+
+def test_export(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run("export", folder / "robot.toml", "--out", tmp_path / "found.xml")
+    printed = capsys.readouterr().out
+    assert "mass matrix is positive" in printed.replace("\n", " ") and "Left out: the constant parts" in printed
+    found, truth = load_robot(tmp_path / "found.xml"), arm()
+    assert found.of_joints("coulomb") == pytest.approx(truth.of_joints("coulomb"), rel=0.02)
+    assert found.inertials[1][1] != pytest.approx(1.2 * truth.inertials[1][1], rel=0.02)
+
+
+def test_options_of_a_joint_file_are_refused(folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(MethodError, match="--method is for a joint file"):
+        run("identify", folder / "robot.toml", "--method", "didim")
+    with pytest.raises(MethodError, match="--fixed is for a joint file"):
+        run("export", folder / "robot.toml", "--out", tmp_path / "a.xml", "--fixed")
+    (tmp_path / "joint.toml").write_text('[joint]\nkind = "revolute"\n', encoding="utf-8")
+    with pytest.raises(MethodError, match="expected --estimate FILE"):
+        run("export", tmp_path / "joint.toml", "--out", tmp_path / "a.xml")

@@ -1,0 +1,128 @@
+"""The robot file: its joints, their channels in one record, what is written back, and the sentences on faults."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jointid.common.errors import JointFileError, RecordError
+from jointid.config.loading import parse_toml
+from jointid.config.robot_file import RobotFile, is_robot_file, load_robot_file, save_robot_file
+from jointid.models.controllers import PD
+from jointid.models.robots.robot import JointSpring
+from tests.models.robots.trees import as_mjcf, chain
+
+pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
+
+TEXT = """
+[robot]
+model = "arm.xml"
+base = [0.0, 1.5707963267948966, 0.0]
+feed_forward = "gravity"
+
+[record]
+file = "log.csv"
+sample_time = 0.002
+
+[record.channels]
+torque = { column = "i_{index}", unit = "A" }
+motor_position = { column = "{joint}.q" }
+reference = { column = "r{axis}" }
+
+[[joints]]
+name = "joint0"
+torque_constant = 2.0
+viscous = 3.0
+
+[[joints]]
+name = "joint1"
+torque_constant = 2.0
+rotor_inertia = 0.5
+spring = { stiffness = 1e4, viscous = 0.5 }
+transmission = { ratio = 100, side = "load" }
+controller = { law = "pd", position_gain = 10.0, derivative_gain = 1.0, side = "motor" }
+
+[[joints]]
+name = "joint2"
+torque_constant = 2.0
+coupling = { joint1 = 0.1 }
+channels = { reference = { column = "last" } }
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "arm.xml").write_text(as_mjcf(chain(3)), encoding="utf-8")
+    (tmp_path / "robot.toml").write_text(TEXT, encoding="utf-8")
+    names = ["i_0", "i_1", "i_2", "joint0.q", "joint1.q", "joint2.q", "r1", "r2", "last"]
+    rows = np.random.default_rng(0).normal(size=(200, 9)).round(6)
+    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header=",".join(names), comments="")
+    return tmp_path
+
+
+def test_a_robot_and_its_record(folder: Path) -> None:
+    file = load_robot_file(folder / "robot.toml")
+    assert is_robot_file(folder / "robot.toml") and not is_robot_file(folder / "arm.xml")
+    first, second, _ = file.robot.joints
+    assert (first.viscous, first.rotor_inertia) == (3.0, chain(3).joints[0].rotor_inertia)
+    assert (second.rotor_inertia, second.spring) == (0.5, JointSpring(1e4, viscous=0.5))
+    assert file.robot.coupling[2].tolist() == [0.0, 0.1, 1.0] and file.feed_forward == "gravity"
+    assert file.robot.gravity == pytest.approx([9.81, 0.0, 0.0], abs=1e-12)
+    assert isinstance(file.joints[1].controller, PD)
+    rows = np.loadtxt(folder / "log.csv", delimiter=",", skiprows=1)
+    records = file.records()
+    for i, (record, gear) in enumerate(zip(records, (1, 100, 1), strict=True)):
+        assert record.torque is not None and record.motor_position is not None and record.reference is not None
+        assert record.torque.values == pytest.approx(2.0 * gear * rows[:, i])
+        assert record.motor_position.values == pytest.approx(rows[:, 3 + i] / gear)
+        assert record.reference.values == pytest.approx(rows[:, 6 + i] / gear)
+
+
+def test_what_is_written_is_read_back(folder: Path) -> None:
+    file = load_robot_file(folder / "robot.toml", ["joints.3.offset=1.5"])
+    save_robot_file(file, folder / "again.toml")
+    again = load_robot_file(folder / "again.toml")
+    assert again.robot.joints == file.robot.joints and again.joints == file.joints
+    assert again.robot.joints[2].offset == 1.5 and again.feed_forward == "gravity"
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "says"),
+    [
+        ('model = "arm.xml"', "", "robot.model is missing; expected text in quotes"),
+        ("viscous = 3.0", "viscous = -3.0", "joints.1.viscous is -3.0; expected a number, 0 or more"),
+        ("viscous = 3.0", "viscus = 3.0", "joints.1.*viscous"),
+        ('"joint0"', '"joint9"', 'joints.1.name is "joint9"; expected "joint0"'),
+        ("base = [0.0, ", "base = [", "robot.base is .*; expected a list of three numbers"),
+        ('"gravity"', '"perfect"', 'robot.feed_forward is "perfect"'),
+        ('"pd"', '"pdd"', "joints.2.controller.law"),
+        ("joint1 = 0.1", "joint9 = 0.1", "coupled to joint9 by 0.1"),
+        ('unit = "A"', 'unit = "parsec"', "record.channels.torque.unit"),
+        ('"arm.xml"', '"leg.xml"', "leg.xml cannot be opened"),
+    ],
+)
+def test_faults_are_sentences(folder: Path, before: str, after: str, says: str) -> None:
+    with pytest.raises(JointFileError, match=says):
+        RobotFile.of(parse_toml(TEXT.replace(before, after, 1)), folder / "robot.toml")
+
+
+def test_a_fault_of_one_joint_names_it(folder: Path) -> None:
+    text = TEXT.replace("torque_constant = 2.0", "", 1).replace("derivative_gain = 1.0, ", "")
+    with pytest.raises(JointFileError, match=r"joints\.2\.controller\.derivative_gain is missing"):
+        RobotFile.of(parse_toml(text), folder / "robot.toml")
+    file = load_robot_file(folder / "robot.toml", ['record.channels.torque.column="none{axis}"'])
+    with pytest.raises(RecordError, match=r"joint1: .*none2"):
+        file.records()
+
+
+def test_joints_that_are_not_those_of_the_model(folder: Path) -> None:
+    tables = parse_toml(TEXT)
+    tables["joints"] = tables["joints"][:2]
+    with pytest.raises(JointFileError, match=r"joints lacks joint2; expected every joint of arm\.xml"):
+        RobotFile.of(tables, folder / "robot.toml")
+    tables = parse_toml(TEXT)
+    tables["joints"].reverse()
+    with pytest.raises(JointFileError, match="write them as joint0, joint1, joint2"):
+        RobotFile.of(tables, folder / "robot.toml")

@@ -1,0 +1,137 @@
+"""Robots read from URDF and MJCF: where links are, what they weigh, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jointid.common.errors import JointFileError
+from jointid.config.robot_model import load_robot, read_robot
+from jointid.models.robots.dynamics import inverse_dynamics_of
+from tests.models.robots.trees import as_mjcf, random_robot
+
+pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
+
+URDF = """
+<robot name="two">
+  <link name="base"><visual><geometry><mesh filename="package://nowhere/base.stl"/></geometry></visual></link>
+  <joint name="lift" type="prismatic">
+    <parent link="arm"/><child link="rod"/><origin xyz="1 0 0" rpy="0 1.5707963267948966 0"/><axis xyz="0 0 1"/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/>
+  </joint>
+  <joint name="turn" type="continuous">
+    <parent link="base"/><child link="arm"/><origin xyz="0 0 0.5" rpy="0 0 0"/><axis xyz="0 1 0"/>
+    <dynamics damping="3" friction="4"/>
+  </joint>
+  <link name="arm"><inertial><origin xyz="0.5 0 0" rpy="0 0 0"/><mass value="2"/>
+    <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.2" iyz="0" izz="0.25"/></inertial>
+    <collision><geometry><mesh filename="../../etc/passwd"/></geometry></collision></link>
+  <link name="rod"/>
+  <joint name="weld" type="fixed"><parent link="rod"/><child link="tool"/><origin xyz="0 0 0.3" rpy="0 0 0"/></joint>
+  <link name="tool"><inertial><origin xyz="0 0 0" rpy="0 0 0"/><mass value="5"/>
+    <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+  <transmission name="t"><joint name="turn"/></transmission>
+</robot>
+"""
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_tree_written_as_mjcf_comes_back(seed: int) -> None:
+    robot = random_robot(seed)
+    found = read_robot(as_mjcf(robot))
+    assert sorted(found.names) == sorted(robot.names)
+    order = [robot.names.index(name) for name in found.names]
+    random = np.random.default_rng(seed)
+    q, v, a = random.normal(size=(3, 4, 6))
+    expected = inverse_dynamics_of(*robot.tree, robot.gravity, robot.inertials, q, v, a)
+    moved = [np.ascontiguousarray(one[:, order]) for one in (q, v, a)]
+    torque = inverse_dynamics_of(*found.tree, found.gravity, found.inertials, *moved)
+    assert np.abs(torque - expected[:, order]).max() < 1e-11 * np.abs(expected).max()
+    assert found.of_joints("rotor_inertia") == pytest.approx(robot.of_joints("rotor_inertia")[order])
+
+
+def test_a_urdf_without_its_meshes_in_order_of_its_tree() -> None:
+    robot = read_robot(URDF)
+    assert (robot.name, robot.names, [link.parent for link in robot.links]) == ("two", ("turn", "lift"), [-1, 0])
+    assert [link.kind for link in robot.links] == ["revolute", "prismatic"]
+    assert (robot.joints[0].viscous, robot.joints[0].coulomb) == (3.0, 4.0)
+    assert robot.links[0].origin.tolist() == [0, 0, 0.5]
+    # A fixed tool is a part of the rod, which says no mass of its own.
+    assert robot.links[1].inertial == pytest.approx([5, 0, 0, 1.5, 1.45, 0, 0, 1.45, 0, 1], abs=1e-11)
+    rest = np.zeros((1, 2))
+    torque = inverse_dynamics_of(*robot.tree, robot.gravity, robot.inertials, rest, rest, rest)
+    assert torque[0] == pytest.approx([-9.81 * (2 * 0.5 + 5 * 1.3), 0.0], abs=1e-9)
+
+
+def test_joints_of_one_body_and_a_position_that_does_not_begin_at_zero() -> None:
+    text = """<mujoco><compiler angle="radian"/><worldbody><body name="b" pos="1 0 0">
+      <joint name="x" type="slide" axis="1 0 0" ref="0.25"/><joint name="r" pos="0 0.2 0" axis="0 0 2" ref="0.5"/>
+      <geom type="sphere" size="0.1" mass="2" pos="0.3 0 0"/></body></worldbody></mujoco>"""
+    robot = read_robot(text)
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_string(text)
+    data, q, v, a = mujoco.MjData(model), np.array([0.4, -0.3]), np.array([1.0, 2.0]), np.array([3.0, -1.0])
+    data.qpos[:], data.qvel[:], data.qacc[:] = q, v, a
+    mujoco.mj_inverse(model, data)
+    found = inverse_dynamics_of(*robot.tree, robot.gravity, robot.inertials, q[None], v[None], a[None])
+    assert found[0] == pytest.approx(data.qfrc_inverse, rel=1e-12)
+
+
+def mjcf(inside: str, beside: str = "") -> str:
+    body = '<body name="b"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+    return f'<mujoco><worldbody>{body}<joint name="j"/>{inside}</body></worldbody>{beside}</mujoco>'
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (
+            mjcf('<body><joint name="k" type="ball"/></body>'),
+            "<joint> k is of the type ball; expected joints that turn",
+        ),
+        (mjcf("<body><freejoint/></body>"), "<freejoint> floats"),
+        (mjcf("", '<equality><connect body1="b" anchor="0 0 0"/></equality>'), "closes a loop"),
+        (mjcf("", '<equality><joint joint1="j"/></equality>'), "ties joints by <equality>"),
+        (mjcf("", '<include file="/etc/passwd"/>'), "reads another file"),
+        (mjcf('<body name="m"><joint/><geom type="mesh" mesh="m"/></body>'), "<body> m follows from a mesh"),
+        (mjcf('<body><joint name="s" stiffness="3"/></body>'), "the joint s has a spring to its parent"),
+        (mjcf('<body name="b"/>'), "is no robot that MuJoCo reads"),
+        ("<mujoco><worldbody><body/></worldbody></mujoco>", "has 0 joints"),
+        (URDF.replace('type="continuous"', 'type="floating"'), "turn is of the type floating"),
+        (URDF.replace('<axis xyz="0 1 0"/>', '<mimic joint="lift"/>'), "<mimic> ties one joint to another"),
+        (URDF.replace('value="5"', 'value="-5"'), "a mass is -5 kg"),
+        (URDF.replace('ixx="1"', 'ixx="-1"'), "is no robot that MuJoCo reads"),
+        (URDF.replace('<child link="rod"/>', '<child link="base"/>'), "is no robot that MuJoCo reads"),
+        ("<!DOCTYPE x><robot/>", "declares a DOCTYPE"),
+        ('<robot xmlns:xacro="http://x"><xacro:include filename="a"/></robot>', "is a template for xacro"),
+        ("<sdf/>", "holds <sdf>; expected <robot>"),
+        ("<robot", "is no XML"),
+        ("<robot>" + "<link>" * 400 + "</link>" * 400 + "</robot>", "deep in each other"),
+    ],
+)
+def test_models_that_are_refused(text: str, says: str) -> None:
+    with pytest.raises(JointFileError, match=says):
+        read_robot(text, "arm.xml")
+
+
+def test_files_that_are_no_model(tmp_path: Path) -> None:
+    (tmp_path / "long.urdf").write_bytes(b" " * (2**23 + 1))
+    (tmp_path / "image.urdf").write_bytes(b"\xff\xd8\xff")
+    for name, says in (("none.urdf", "cannot be opened"), ("long.urdf", "more than"), ("image.urdf", "not text")):
+        with pytest.raises(JointFileError, match=says):
+            load_robot(tmp_path / name)
+    (tmp_path / "two.urdf").write_text(URDF, encoding="utf-8")
+    assert load_robot(tmp_path / "two.urdf").names == ("turn", "lift")
+
+
+def test_nothing_is_drawn_from_elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file that the model names is not opened, even where it is there."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "part.obj").write_text("no mesh at all", encoding="utf-8")
+    asset = '<asset><mesh name="m" file="part.obj"/></asset>'
+    robot = read_robot(mjcf('<geom type="mesh" mesh="m"/>', asset))
+    assert robot.inertials[0][0] == 1.0
+    assert replace(robot).names == ("j",)

@@ -1,0 +1,94 @@
+"""Bodies near a prior that fit an estimate, and a payload from two records."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jointid.common.errors import MethodError
+from jointid.estimation.robots.consistent import consistent_robot, least_inertia
+from jointid.estimation.robots.idim import identify_robot
+from jointid.estimation.robots.payload import identify_payload, payload_difference
+from jointid.models.robots.inertial import (
+    MassProperties,
+    from_log_cholesky,
+    is_consistent,
+    log_cholesky,
+    pseudo_inertia,
+)
+from jointid.models.robots.robot import Robot
+from tests.estimation.robots.twin import COULOMB, ROTORS, arm, records_of, with_payload
+from tests.models.robots.trees import random_body
+
+ARM = arm()
+
+
+def wrong_model() -> Robot:
+    """Return the arm with masses that are up to a third off, and rotors of half the inertia."""
+    factors = np.random.default_rng(5).uniform(0.7, 1.3, 6)
+    links = tuple(replace(link, inertial=f * link.inertial) for link, f in zip(ARM.links, factors, strict=True))
+    joints = tuple(replace(joint, rotor_inertia=0.5 * joint.rotor_inertia) for joint in ARM.joints)
+    return replace(ARM, links=links, joints=joints)
+
+
+def test_log_cholesky_parameters_say_the_same_and_have_these_derivatives() -> None:
+    body = random_body(np.random.default_rng(8))
+    theta = log_cholesky(pseudo_inertia(body))
+    found, slopes = from_log_cholesky(theta)
+    assert found == pytest.approx(body, rel=1e-12)
+    assert theta[7:] == pytest.approx(body[1:4] / body[0], rel=1e-12)
+    for k, step in enumerate(1e-6 * np.eye(10)):
+        difference = (from_log_cholesky(theta + step)[0] - from_log_cholesky(theta - step)[0]) / 2e-6
+        assert slopes[:, k] == pytest.approx(difference, abs=1e-8)
+
+
+def test_bodies_fit_the_estimate_and_can_be() -> None:
+    estimate = identify_robot(wrong_model(), records_of(ARM, 2, noise=0.5))
+    found = consistent_robot(estimate)
+    assert all(is_consistent(link.inertial) for link in found.robot.links)
+    assert found.misfit < 1.0 and found.least_inertia > 0
+    values = np.concatenate([estimate.base.of(found.robot), np.zeros(18)])[: len(estimate.base)]
+    off = (values - estimate.base.of(ARM)) / estimate.covariance.std[: len(estimate.base)]
+    assert np.abs(off).max() < 5
+    # The rotors of joints 1 and 2 are told only with their links.
+    assert found.robot.of_joints("rotor_inertia")[2:] == pytest.approx(ROTORS[2:], rel=0.05)
+    assert found.robot.of_joints("coulomb") == pytest.approx(COULOMB, rel=0.03)
+
+
+def test_noise_that_gives_no_bodies_still_gives_a_robot_that_can_be_simulated() -> None:
+    estimate = identify_robot(ARM, records_of(ARM, 4, noise=15.0))
+    spoilt = replace(estimate, values=estimate.values - 3 * estimate.covariance.std)
+    found = consistent_robot(spoilt)
+    assert found.least_inertia > 0 and np.all(found.robot.of_joints("viscous") >= 0)
+
+
+def test_the_least_inertia_sees_a_matrix_that_is_not_positive() -> None:
+    hollow = replace(ARM.links[5], inertial=ARM.links[5].inertial - np.array([*9 * [0.0], 0.5]))
+    assert least_inertia(ARM) > 0 > least_inertia(replace(ARM, links=(*ARM.links[:5], hollow)))
+
+
+def test_a_prior_without_masses_is_refused() -> None:
+    estimate = identify_robot(ARM, records_of(ARM, 2))
+    bare = replace(ARM, links=(replace(ARM.links[0], inertial=np.zeros(10)), *ARM.links[1:]))
+    with pytest.raises(MethodError, match="no mass of link1; expected one on every link"):
+        consistent_robot(estimate, bare)
+
+
+def test_a_payload_within_a_percent() -> None:
+    body = MassProperties(3.0, np.array([0.02, -0.03, 0.08]), np.diag([0.02, 0.015, 0.01]))
+    carrying = with_payload(ARM, body.inertial)
+    empty, loaded = records_of(ARM, 11, noise=0.2), records_of(carrying, 12, noise=0.2)
+    together = identify_payload(ARM, empty, loaded)
+    apart = payload_difference(identify_robot(ARM, empty), identify_robot(ARM, loaded))
+    truth = np.array([3.0, 0.02, -0.03, 0.08, 0.02, 0.015, 0.01, 0.0, 0.0, 0.0])
+    for payload in (together, apart):
+        values, std = payload.properties
+        assert values[0] == pytest.approx(3.0, rel=0.01)
+        assert values[1:4] == pytest.approx(truth[1:4], abs=2e-3)
+        assert np.all(np.abs(values - truth) < 4 * std)
+    assert together.properties[1][0] < 0.02
+    assert together.summary().startswith("Payload on link6") and "products" in together.summary()
+    with pytest.raises(MethodError, match=r"mass comes out as -3\.?\d* kg; expected a positive one"):
+        identify_payload(ARM, loaded, empty)

@@ -1,0 +1,111 @@
+"""DIDIM of robots with flexible joints, on twins: springs that are shown, and one that is refused with its bound."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jointid.common.errors import MethodError
+from jointid.estimation.robots.flexible import FlexibleRobotFit, identify_flexible_robot
+from jointid.models.robots.robot import JointSpring
+from jointid.simulation.robots import RobotLoop, RobotNumbers, simulate_robot
+from tests.estimation.robots.test_rigid_robots import deviations, recorded
+from tests.robots_plants import Twin, six, two
+
+
+def identified(
+    twin: Twin,
+    duration: float = 6.0,
+    multisine: float = 0.004,
+    frequencies: dict[str, float] | None = None,
+    level: float = 0.02,
+    evaluations: int = 60,
+) -> tuple[FlexibleRobotFit, np.ndarray]:
+    """Return what is found of a twin with noise, from a robot whose numbers say nothing; and the noise."""
+    loop = twin.loop()
+    records, noise = recorded(loop, twin.records(duration, multisine=multisine), level)
+    joints = tuple(
+        replace(joint, rotor_inertia=1.0, viscous=0.0, coulomb=0.0, spring=JointSpring(1.0) if joint.spring else None)
+        for joint in twin.robot.joints
+    )
+    blank = replace(twin.robot.with_inertials(np.zeros((len(joints), 10))), joints=joints)
+    found = identify_flexible_robot(
+        RobotLoop(blank, loop.controllers), records, frequencies=frequencies, evaluations=evaluations
+    )
+    return found, noise
+
+
+def test_springs_come_back_with_their_intervals() -> None:
+    twin = two((12.0, 18.0))
+    found, noise = identified(twin)
+    truth = RobotNumbers.of(twin.robot).springs[:, 0]
+    assert found.fit.converged
+    assert found.fit.sigma == pytest.approx(np.std(noise, axis=0) * np.sqrt(2 * 60.0 * 1e-3), rel=0.15)
+    assert np.mean(np.abs(deviations(found.fit, twin)) < 2) > 0.85
+    for spring, stiffness in zip(found.springs, truth, strict=True):
+        assert spring.shown
+        assert spring.stiffness is not None
+        assert spring.deviation is not None
+        assert spring.deviation < 0.03 * stiffness
+        assert abs(spring.stiffness - stiffness) < 3 * spring.deviation
+    again = simulate_robot(
+        RobotLoop(found.fit.robot(twin.robot), twin.loop().controllers), twin.records(6.0, multisine=0.004)
+    )
+    assert again.torque == pytest.approx(found.fit.run.torque, abs=1e-9)
+    # What a rigid robot leaves of the same torques, up to the same frequency, is much more than the noise.
+    assert np.min(found.rigid.relative_error) > 2 * np.max(found.fit.relative_error)
+
+
+def test_a_robot_of_one_flexible_and_one_rigid_joint() -> None:
+    twin = two((12.0, None))
+    found, _ = identified(twin, frequencies={"joint1": 15.0})
+    (spring,) = found.springs
+    assert spring.shown
+    assert spring.stiffness == pytest.approx(RobotNumbers.of(twin.robot).springs[0, 0], rel=0.01)
+    assert "joint2.stiffness" not in found.fit.names
+
+
+def test_a_spring_that_is_not_shown_is_refused_with_its_bound() -> None:
+    """A joint that is as good as rigid: no stiffness, but how stiff it is at least."""
+    twin = two((12.0, 110.0))
+    found, _ = identified(twin, frequencies={"joint1": 14.0, "joint2": 40.0})
+    truth = RobotNumbers.of(twin.robot).springs[:, 0]
+    soft, stiff = found.springs
+    assert soft.shown
+    assert not stiff.shown
+    assert stiff.stiffness is None
+    assert 0.03 * truth[1] < stiff.at_least < truth[1]
+    assert "do not show a spring; one is at least" in str(stiff)
+    assert str(soft).startswith("joint1: stiffness 4")
+
+
+def test_a_spring_within_the_noise_is_refused_with_its_bound() -> None:
+    """Without energy at its mode, a stiff spring is a small compliance with a large deviation."""
+    twin = two((40.0, 60.0))
+    near = {"joint1": 40.0, "joint2": 60.0}
+    found, _ = identified(twin, multisine=0.0, frequencies=near, level=0.15, evaluations=8)
+    stiff = found.springs[1]
+    assert found.fit.value("joint2.stiffness")[1] > 0.25 * found.fit.value("joint2.stiffness")[0]
+    assert not stiff.shown
+    assert stiff.at_least < RobotNumbers.of(twin.robot).springs[1, 0]
+
+
+def test_faults_are_said() -> None:
+    rigid, flexible = two(), two((12.0, 18.0))
+    with pytest.raises(MethodError, match="No joint of this robot has a spring"):
+        identify_flexible_robot(rigid.loop(), rigid.records(2.0))
+    with pytest.raises(MethodError, match="for each flexible joint; joint2 has none"):
+        identify_flexible_robot(flexible.loop(), flexible.records(2.0), frequencies={"joint1": 12.0})
+
+
+@pytest.mark.slow
+def test_six_flexible_joints() -> None:
+    twin = six(True)
+    found, _ = identified(twin, duration=10.0)
+    truth = RobotNumbers.of(twin.robot).springs[:, 0]
+    assert found.fit.converged
+    assert np.mean(np.abs(deviations(found.fit, twin)) < 2) > 0.9
+    for spring, stiffness in zip(found.springs, truth, strict=True):
+        assert spring.stiffness == pytest.approx(stiffness, rel=0.06)

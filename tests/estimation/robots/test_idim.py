@@ -1,0 +1,94 @@
+"""IDIM of a robot: recovery, weights, intervals, and an estimate held beside the nominal model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jointid.common.errors import MethodError, RecordError
+from jointid.estimation.robots.idim import RobotIDIM, RobotValidation, identify_robot, validate_robot
+from tests.estimation.robots.twin import COULOMB, OFFSETS, VISCOUS, arm, records_of
+
+ARM = arm()
+FRICTION = np.column_stack([VISCOUS, COULOMB, OFFSETS]).ravel()
+
+
+def truth(estimate_base) -> np.ndarray:  # type: ignore[no-untyped-def]
+    return np.concatenate([estimate_base.of(ARM), FRICTION])
+
+
+def test_without_noise_all_parameters_come_back() -> None:
+    found = identify_robot(ARM, records_of(ARM, 1))
+    assert np.abs(found.values - truth(found.base)).max() < 2e-2  # of numbers up to 10: reversals are filtered
+    assert np.all(found.joint_errors < 2e-3)
+    assert found.friction("Fv") == pytest.approx(VISCOUS, rel=5e-3)
+
+
+def test_intervals_hold_the_truth_and_weights_help_the_wrist() -> None:
+    records = records_of(ARM, 2, noise=1.0)
+    found = identify_robot(ARM, records)
+    off = (found.values - truth(found.base)) / found.covariance.std
+    assert np.mean(np.abs(off) < 2) > 0.85 and np.abs(off).max() < 5
+    plain = identify_robot(ARM, records, RobotIDIM("ols"))
+    last = [i for i, name in enumerate(found.names) if name.endswith("6")]
+    assert np.mean(found.covariance.std[last] / plain.covariance.std[last]) < 0.6
+
+
+def test_outliers_do_not_reach_the_robust_estimate() -> None:
+    records = list(records_of(ARM, 3, noise=0.2))
+    torque = records[4].torque
+    assert torque is not None
+    spoilt = torque.values.copy()
+    spoilt[1000:1050] += 300.0
+    records[4] = replace(records[4], torque=replace(torque, values=spoilt))
+    wrong, right = (identify_robot(ARM, records, RobotIDIM(one)) for one in ("weighted", "robust"))
+    at = right.names.index("Fc5")
+    assert abs(right.values[at] - COULOMB[4]) < 0.1 < abs(wrong.values[at] - COULOMB[4])
+
+
+def test_an_estimate_is_held_beside_the_nominal_model() -> None:
+    nominal = replace(ARM, links=tuple(replace(one, inertial=1.2 * one.inertial) for one in ARM.links))
+    estimate = identify_robot(nominal, records_of(ARM, 2, noise=0.5))
+    held_out = validate_robot(estimate, records_of(ARM, 9, noise=0.5))
+    assert held_out.better and np.all(held_out.joint_errors[:3] < held_out.nominal_errors[:3])
+    assert "better than the nominal model" in held_out.summary().splitlines()[2]
+
+
+def test_a_worse_estimate_says_so_first() -> None:
+    bad = RobotValidation(ARM, np.full(6, 0.2), np.full(6, 0.1))
+    assert not bad.better
+    assert (
+        bad.summary().splitlines()[2].startswith("The estimate predicts this record worse than the nominal model, 20 %")
+    )
+
+
+def test_coupled_motors() -> None:
+    joints = (*ARM.joints[:5], replace(ARM.joints[5], coupling={"joint5": -0.3}))
+    robot = replace(ARM, joints=joints)
+    records = records_of(robot, 4)
+    coupled, separate = (identify_robot(one, records).joint_errors.max() for one in (robot, ARM))
+    assert coupled < 2e-4 and separate > 10 * coupled
+
+
+def test_the_printed_estimate() -> None:
+    estimate = identify_robot(ARM, records_of(ARM, 2, noise=0.2))
+    text = estimate.summary()
+    assert text.startswith("arm: 40 base parameters of 6 joints") and "N m s/rad" in text and "kg m2" in text
+    assert max(map(len, text.splitlines())) <= 100
+    assert "Izz1 is Izz1 + " in estimate.summary(details=True).replace("\n", " ")
+    assert 30 < len(estimate.told) < len(estimate.names)
+
+
+def test_what_is_refused() -> None:
+    records = records_of(ARM, 1)
+    with pytest.raises(RecordError, match="6 joints needs as many records; received 5"):
+        identify_robot(ARM, records[:5])
+    with pytest.raises(RecordError, match=r"joint1: .*motor_position"):
+        identify_robot(ARM, (replace(records[0], motor_position=None), *records[1:]))
+    with pytest.raises(MethodError, match='estimator is "iv"'):
+        RobotIDIM("iv")  # type: ignore[arg-type]
+    still = replace(records[5], motor_position=replace(records[5].motor_position, values=np.zeros(5001)))
+    with pytest.raises(MethodError, match=r"Nothing in this record excites|cannot be told apart"):
+        identify_robot(ARM, (*records[:5], still))

@@ -1,0 +1,118 @@
+"""DIDIM of robots of rigid joints, on twins: what comes back, how fast it settles, its intervals, its refusals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jointid.common.errors import MethodError, RecordError
+from jointid.estimation.robots.didim import RobotFit, identify_rigid_robot
+from jointid.estimation.robots.numbers import robot_parameters
+from jointid.records.record import Channel, Record
+from jointid.simulation.robots import RobotLoop, RobotNumbers, prepare_robot, robot_records, run_robot, simulate_robot
+from tests.robots_plants import Twin, seven, six, two
+
+
+def recorded(
+    loop: RobotLoop, records: Sequence[Record], noise: float = 0.0, seed: int = 0
+) -> tuple[tuple[Record, ...], np.ndarray]:
+    """Return what the drives would have logged, the noise a share of each torque's deviation; and the noise alone."""
+    run = simulate_robot(loop, records)
+    added = noise * np.std(run.torque, axis=0) * np.random.default_rng(seed).normal(size=run.torque.shape)
+    return robot_records(loop, records, replace(run, torque=run.torque + added)), added
+
+
+def deviations(fit: RobotFit, twin: Twin) -> np.ndarray:
+    """Return the errors of all parameters in their standard deviations."""
+    return np.asarray((fit.values - fit.parameters.group(RobotNumbers.of(twin.robot))) / fit.covariance.std)
+
+
+@pytest.mark.parametrize(("twin", "count"), [(two(), 13), (six(), 58), (seven(), 69)], ids=["two", "six", "seven"])
+def test_base_parameters_move_the_robot_as_all_do(twin: Twin, count: int) -> None:
+    parameters, numbers = robot_parameters(twin.robot), RobotNumbers.of(twin.robot)
+    assert len(parameters.names) == count
+    assert len(set(parameters.names)) == count
+    experiment = prepare_robot(twin.loop(), twin.records(1.0))
+    whole = run_robot(experiment, numbers)
+    based = run_robot(experiment, parameters.numbers(parameters.group(numbers)))
+    assert np.max(np.abs(whole.command - based.command)) < 1e-9 * np.max(np.abs(whole.command))
+
+
+@pytest.mark.parametrize(
+    ("twin", "slower"), [(two(), 1.0), (two(), 4.0), (six(), 4.0)], ids=["two", "slow", "slow six"]
+)
+def test_parameters_come_back_exactly_without_noise(twin: Twin, slower: float) -> None:
+    """Under a loop four times slower, too, whose motion is far from the commanded one."""
+    loop = twin.loop(slower)
+    records, _ = recorded(loop, twin.records(6.0))
+    fit = identify_rigid_robot(loop, records)
+    truth = fit.parameters.group(RobotNumbers.of(twin.robot))
+    assert fit.converged
+    assert fit.iterations <= (8 if slower == 1 else 20)
+    assert np.max(fit.relative_error) < 1e-6
+    assert fit.values == pytest.approx(truth, abs=2e-5 * np.max(np.abs(truth)))
+
+
+def test_noise_floor_and_intervals() -> None:
+    """The error left is the noise, joint by joint, and two deviations hold the truth."""
+    twin = two()
+    loop, inside = twin.loop(), []
+    for seed in range(4):
+        records, noise = recorded(loop, twin.records(6.0, seed=seed + 1), 0.03, seed)
+        fit = identify_rigid_robot(loop, records)
+        assert fit.converged
+        assert fit.iterations <= 6
+        expected = np.std(noise, axis=0) * np.sqrt(2 * 40.0 * 1e-3)  # of white noise below the cut-off of 40 Hz
+        assert fit.sigma == pytest.approx(expected, rel=0.15)
+        inside.append(np.abs(deviations(fit, twin)) < 2)
+    assert np.mean(inside) > 0.85
+
+
+@pytest.mark.statistical
+def test_two_deviations_cover_the_truth() -> None:
+    twin = six()
+    loop, inside = twin.loop(), []
+    for seed in range(12):
+        records, _ = recorded(loop, twin.records(10.0, seed=seed + 1), 0.03, seed)
+        inside.append(np.abs(deviations(identify_rigid_robot(loop, records), twin)) < 2)
+    assert 0.91 < np.mean(inside) < 0.99
+
+
+def test_positions_in_the_records_are_not_read() -> None:
+    twin = two()
+    loop = twin.loop()
+    records, _ = recorded(loop, twin.records(4.0), 0.02)
+    bare = tuple(record.without("motor_position") for record in records)
+    assert np.array_equal(identify_rigid_robot(loop, records).values, identify_rigid_robot(loop, bare).values)
+
+
+def test_friction_is_never_let_below_nothing() -> None:
+    """Of a robot without Coulomb friction none is found, and the column stays that of the velocity's direction."""
+    twin = two()
+    joints = tuple(replace(joint, coulomb=0.0) for joint in twin.robot.joints)
+    loop = RobotLoop(replace(twin.robot, joints=joints), twin.loop().controllers)
+    records, _ = recorded(loop, twin.records(6.0), 0.03)
+    fit = identify_rigid_robot(loop, records)
+    for name in ("joint1.coulomb", "joint2.coulomb"):
+        value, deviation = fit.value(name)
+        assert 0.0 <= value < 3 * deviation
+    run = simulate_robot(loop, records)
+    assert np.array_equal(run.motion.direction, np.sign(run.motion.velocity))
+
+
+def test_what_a_record_does_not_tell_is_refused() -> None:
+    twin = two()
+    loop = twin.loop()
+    still = list(twin.records(4.0))
+    assert still[1].reference is not None
+    still[1] = Record(reference=Channel(np.full(len(still[1].reference), -0.3), "rad", 1e-3))
+    joints = (twin.robot.joints[0], replace(twin.robot.joints[1], coulomb=50.0))
+    held = RobotLoop(replace(twin.robot, joints=joints), loop.controllers)
+    records, _ = recorded(held, still, 0.01)
+    with pytest.raises(MethodError, match=r"do not tell .*joint2"):
+        identify_rigid_robot(held, records)
+    with pytest.raises(RecordError, match="DIDIM of a robot needs torque"):
+        identify_rigid_robot(loop, twin.records(4.0))

@@ -1,0 +1,66 @@
+"""Robots that MuJoCo moved: the same torques as ours, and what is identified from them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("mujoco", reason="MuJoCo, of the extra robots, makes the independent data")
+
+from jointid.common.arrays import FloatArray
+from jointid.estimation.robots.didim import identify_rigid_robot
+from jointid.estimation.robots.flexible import identify_flexible_robot
+from jointid.records.record import Channel, Record, Timing
+from jointid.simulation.robots import RobotNumbers, prepare_robot, rest, run_robot
+from tests.estimation.robots.test_rigid_robots import deviations
+from tests.robots_mujoco import simulate_by_mujoco
+from tests.robots_plants import Twin, six, two
+
+
+def moved(twin: Twin, records: tuple[Record, ...], step: float = 1e-4) -> tuple[FloatArray, FloatArray]:
+    """Return the torques by MuJoCo and by jointid, (samples, n) each."""
+    loop = twin.loop()
+    experiment, numbers = prepare_robot(loop, records), RobotNumbers.of(twin.robot)
+    gains = np.array([[c.position_gain, c.derivative_gain] for c in loop.controllers])  # type: ignore[attr-defined]
+    theirs = simulate_by_mujoco(twin.robot, gains, experiment.references, 1e-3, rest(experiment, numbers)[0], step)
+    return theirs, run_robot(experiment, numbers).torque
+
+
+def logged(records: tuple[Record, ...], torques: FloatArray, noise: float, seed: int = 0) -> tuple[Record, ...]:
+    """Return the records with torques, and noise that is a share of their deviations."""
+    torques = torques + noise * np.std(torques, axis=0) * np.random.default_rng(seed).normal(size=torques.shape)
+    channels = [Channel(column, "N m", 1e-3, Timing.HELD) for column in torques.T]
+    return tuple(record.with_channels({"torque": one}) for record, one in zip(records, channels, strict=True))
+
+
+@pytest.mark.parametrize("twin", [six(), two((None, 16.0)), six(True)], ids=["six", "one flexible", "six flexible"])
+def test_the_same_torques(twin: Twin) -> None:
+    """To what MuJoCo's step of the first order and its soft friction leave."""
+    theirs, ours = moved(twin, twin.records(2.0), step=1e-4)
+    assert np.max(np.std(theirs - ours, axis=0) / np.std(ours, axis=0)) < 2e-3
+
+
+def test_a_rigid_robot_is_identified_from_torques_by_mujoco() -> None:
+    twin = six()
+    records = twin.records(6.0)
+    theirs, _ = moved(twin, records, step=2.5e-4)
+    fit = identify_rigid_robot(twin.loop(), logged(records, theirs, 0.02))
+    assert fit.converged
+    assert np.mean(np.abs(deviations(fit, twin)) < 2) > 0.85
+
+
+def test_springs_are_identified_from_torques_by_mujoco() -> None:
+    twin = two((12.0, 18.0))
+    records = twin.records(6.0, multisine=0.004)
+    # A step of the first order puts damping of its size into springs: at 0.1 ms four deviations of the friction.
+    theirs, _ = moved(twin, records, step=2e-5)
+    found = identify_flexible_robot(
+        twin.loop(), logged(records, theirs, 0.02), frequencies={"joint1": 15, "joint2": 15}
+    )
+    off = np.abs(deviations(found.fit, twin))
+    assert np.max(off) < 3.5  # of one draw of the noise, whose errors go together
+    assert np.mean(off < 2) > 0.75
+    for spring, stiffness in zip(found.springs, RobotNumbers.of(twin.robot).springs[:, 0], strict=True):
+        assert spring.stiffness is not None
+        assert spring.deviation is not None
+        assert abs(spring.stiffness - stiffness) < 3 * spring.deviation

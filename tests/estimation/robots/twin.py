@@ -1,0 +1,96 @@
+"""An arm of six joints, its motion and its records, exact but for noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jointid.models.robots.dynamics import inverse_dynamics_of
+from jointid.models.robots.inertial import MassProperties
+from jointid.models.robots.robot import Link, Robot, RobotJoint
+from jointid.records.record import Channel, Record
+
+Array = NDArray[np.float64]
+SAMPLE_TIME = 2e-3
+ROTORS = (2.0, 2.0, 1.0, 0.3, 0.3, 0.3)
+VISCOUS = (8.0, 8.0, 5.0, 1.5, 1.5, 1.2)
+COULOMB = (7.0, 8.0, 5.0, 2.0, 2.0, 1.5)
+OFFSETS = (0.5, -1.0, 0.3, 0.1, -0.2, 0.05)
+
+
+def arm() -> Robot:
+    """Return six joints with the lengths and masses of a light arm of 20 kg."""
+    half = np.pi / 2
+    rows = [(0, 0, 0.09), (half, 0, 0.13), (0, 0.425, -0.12), (0, 0.39, 0.1), (half, 0, 0.095), (-half, 0, 0.08)]
+    masses = (3.7, 8.4, 2.3, 1.2, 1.2, 0.6)
+    centres = (
+        (0, -0.03, -0.01),
+        (0.2, 0.01, 0.03),
+        (0.18, 0, -0.02),
+        (0, 0.01, 0.02),
+        (0, -0.01, 0.02),
+        (0.01, 0, -0.02),
+    )
+    sizes = (
+        (0.12, 0.12, 0.2),
+        (0.5, 0.12, 0.12),
+        (0.45, 0.1, 0.1),
+        (0.1, 0.1, 0.15),
+        (0.1, 0.1, 0.15),
+        (0.08, 0.1, 0.06),
+    )
+    links = []
+    for k, (alpha, d, r) in enumerate(rows):
+        turn = np.array([[1, 0, 0], [0, np.cos(alpha), -np.sin(alpha)], [0, np.sin(alpha), np.cos(alpha)]])
+        square = np.array(sizes[k]) ** 2
+        inertia = np.diag(masses[k] / 12 * (square.sum() - square))
+        inertial = MassProperties(masses[k], np.array(centres[k], dtype=float), inertia).inertial
+        origin = np.array([d, 0.0, 0.0]) + turn @ np.array([0.0, 0.0, r])
+        links.append(Link(f"link{k + 1}", k - 1, rotation=turn, origin=origin, inertial=inertial))
+    joints = tuple(
+        RobotJoint(f"joint{k + 1}", *numbers)
+        for k, numbers in enumerate(zip(ROTORS, VISCOUS, COULOMB, OFFSETS, strict=True))
+    )
+    return Robot(tuple(links), joints, name="arm")
+
+
+def motion(seed: int, joints: int = 6, seconds: float = 10.0) -> tuple[Array, Array, Array]:
+    """Return a sum of eight harmonics of 0.1 Hz for each joint: positions, velocities, accelerations."""
+    random = np.random.default_rng(seed)
+    t = np.arange(round(seconds / SAMPLE_TIME) + 1)[:, np.newaxis] * SAMPLE_TIME
+    q, v, a = (np.zeros((t.size, joints)) for _ in range(3))
+    for k in range(1, 9):
+        w = 2 * np.pi * 0.1 * k
+        size, phase = random.uniform(0.2, 1.0, joints) / k, random.uniform(0, 2 * np.pi, joints)
+        q += size * np.sin(w * t + phase)
+        v += w * size * np.cos(w * t + phase)
+        a -= w * w * size * np.sin(w * t + phase)
+    return q, v, a
+
+
+def records_of(robot: Robot, seed: int, noise: float = 0.0) -> tuple[Record, ...]:
+    """Return the record of each joint; the noise is white, of so many N m at the base and a tenth at the last joint."""
+    q, v, a = motion(seed, len(robot))
+    coupling = robot.coupling
+    motors = [one @ coupling.T for one in (q, v, a)]
+    links = inverse_dynamics_of(*robot.tree, robot.gravity, robot.inertials, q, v, a) @ np.linalg.inv(coupling)
+    numbers = (robot.of_joints(name) for name in ("rotor_inertia", "viscous", "coulomb", "offset"))
+    rotor, viscous, coulomb, offset = numbers
+    torque = links + rotor * motors[2] + viscous * motors[1] + coulomb * np.sign(motors[1]) + offset
+    sizes = noise * np.geomspace(1.0, 0.1, len(robot))
+    torque += sizes * np.random.default_rng(seed + 500).normal(size=torque.shape)
+    return tuple(
+        Record(
+            torque=Channel(torque[:, k], "N m", SAMPLE_TIME),
+            motor_position=Channel(motors[0][:, k], "rad", SAMPLE_TIME),
+        )
+        for k in range(len(robot))
+    )
+
+
+def with_payload(robot: Robot, payload: Array) -> Robot:
+    """Return a robot with a body, (10,) in the last link's frame, on its last link."""
+    last = robot.links[-1]
+    return replace(robot, links=(*robot.links[:-1], replace(last, inertial=last.inertial + payload)))

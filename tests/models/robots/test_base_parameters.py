@@ -1,0 +1,77 @@
+"""Base parameters: known groupings, whatever the scale, and as many as a published count."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jointid.models.robots.base_parameters import base_parameters, friction_columns, inverse_columns, standard_values
+from jointid.models.robots.dynamics import inverse_dynamics_of
+from jointid.models.robots.robot import Link, Robot, RobotJoint
+from tests.models.robots.trees import chain, random_robot
+
+DOWN = np.array([0.0, 0.0, -9.81])
+
+
+def planar(length: float) -> Robot:
+    """Two joints about horizontal parallel axes, a length apart."""
+    flat = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    links = (Link("a", -1, rotation=flat), Link("b", 0, origin=np.array([length, 0.0, 0.0])))
+    return Robot(links, (RobotJoint("p"), RobotJoint("q")), DOWN)
+
+
+@pytest.mark.parametrize("length", [0.7, 7e-4, 700.0])
+def test_two_links_group_as_in_the_textbook(length: float) -> None:
+    """Khalil and Dombre 2002, example 9.2: the second mass goes into the first link by its distance."""
+    base = base_parameters(planar(length))
+    said = dict(zip(base.symbols, base.formulas, strict=True))
+    square, once = f"{length**2:.4g}", f"{length:.4g}"
+    assert set(said) == {"Izz1", "mx1", "my1", "Izz2", "mx2", "my2", "Ia2"}
+    assert said["Izz2"] == "Izz2" and said["mx2"] == "mx2"
+    assert [float(text) for text in said["mx1"].replace("mx1 + m2 * ", "").split()] == [float(once)]
+    assert said["Izz1"].startswith("Izz1 + m2 * ") and said["Izz1"].endswith("+ Ia1")
+    assert float(said["Izz1"].split()[4]) == pytest.approx(float(square), rel=1e-3)
+
+
+def test_a_six_joint_arm_with_a_spherical_wrist_has_36_of_links() -> None:
+    """Khalil and Dombre 2002, table 9.4: the Staubli RX-90 has 40 with its rotors, four of which are rotors'."""
+    half, d3, r4 = np.pi / 2, 0.45, 0.45
+    rows = [(0.0, 0.0, 0.0), (half, 0.0, 0.0), (0.0, d3, 0.0), (-half, 0.0, r4), (half, 0.0, 0.0), (-half, 0.0, 0.0)]
+    links = []
+    for k, (alpha, d, r) in enumerate(rows):  # modified Denavit and Hartenberg
+        turn = np.array([[1, 0, 0], [0, np.cos(alpha), -np.sin(alpha)], [0, np.sin(alpha), np.cos(alpha)]])
+        links.append(Link(f"l{k}", k - 1, rotation=turn, origin=np.array([d, 0.0, 0.0]) + turn @ [0.0, 0.0, r]))
+    robot = Robot(tuple(links), tuple(RobotJoint(f"j{k}") for k in range(6)), DOWN)
+    base = base_parameters(robot)
+    rotors = [symbol for symbol in base.symbols if symbol.startswith("Ia")]
+    assert rotors == ["Ia3", "Ia4", "Ia5", "Ia6"] and len(base) == 40
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_base_columns_and_parameters_give_the_torque(seed: int) -> None:
+    robot = random_robot(seed)
+    base = base_parameters(robot)
+    q, v, a = np.random.default_rng(seed).normal(size=(3, 50, 6))
+    torque = inverse_dynamics_of(*robot.tree, robot.gravity, robot.inertials, q, v, a)
+    torque += robot.of_joints("rotor_inertia") * a
+    columns = inverse_columns(robot, q, v, a)
+    assert columns @ standard_values(robot) == pytest.approx(torque, rel=1e-9, abs=1e-9)
+    assert columns[:, :, base.chosen] @ base.of(robot) == pytest.approx(torque, rel=1e-7, abs=1e-7)
+    rank = np.linalg.matrix_rank(columns.reshape(300, -1) / np.linalg.norm(columns.reshape(300, -1), axis=0).clip(1e-9))
+    assert len(base) == rank
+
+
+def test_a_coupled_motor_turns_with_both_joints() -> None:
+    arm = chain(3)
+    joints = (*arm.joints[:2], replace(arm.joints[2], coupling={"joint1": 0.5}, rotor_inertia=2.0))
+    robot = replace(arm, joints=joints)
+    q, v, a = np.random.default_rng(3).normal(size=(3, 4, 3))
+    torque = inverse_columns(robot, q, v, a) @ standard_values(robot)
+    motors = a @ robot.coupling.T
+    rotors = motors * robot.of_joints("rotor_inertia")
+    links = inverse_dynamics_of(*robot.tree, robot.gravity, robot.inertials, q, v, a)
+    work = np.sum((torque - rotors) * (v @ robot.coupling.T), axis=1)  # a gear loses no power
+    assert work == pytest.approx(np.sum(links * v, axis=1), rel=1e-10)
+    assert friction_columns(robot, v)[:, 2, 6] == pytest.approx(v[:, 2] + 0.5 * v[:, 1])

@@ -1,0 +1,61 @@
+"""A robot written as URDF and MJCF comes back with the same torque."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jointid.common.errors import MethodError
+from jointid.config.robot_model import read_robot
+from jointid.models.robots.dynamics import inverse_dynamics_of
+from jointid.models.robots.robot import Robot
+from jointid.output.export.robot_model import write_robot
+from tests.estimation.robots.twin import arm
+from tests.models.robots.trees import random_robot
+
+pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
+DOWN = np.array([0.0, 0.0, -9.81])
+
+
+def torque(robot: Robot, names: tuple[str, ...]) -> np.ndarray:
+    order = [names.index(name) for name in robot.names]
+    q, v, a = (np.ascontiguousarray(one[:, order]) for one in np.random.default_rng(1).normal(size=(3, 6, len(names))))
+    found = inverse_dynamics_of(*robot.tree, robot.gravity, robot.inertials, q, v, a)
+    return found[:, [robot.names.index(name) for name in names]]
+
+
+@pytest.mark.parametrize("robot", [arm(), *map(random_robot, range(4))], ids=lambda robot: robot.name)
+@pytest.mark.parametrize("name", ["found.urdf", "found.xml"])
+def test_what_is_written_has_the_same_torque(robot: Robot, name: str) -> None:
+    robot = replace(robot, gravity=DOWN)
+    text, lost = write_robot(robot, Path(name))
+    found = read_robot(text)
+    expected = torque(robot, robot.names)
+    assert np.abs(torque(found, robot.names) - expected).max() < 1e-9 * np.abs(expected).max()
+    assert found.of_joints("viscous").sum() == robot.of_joints("viscous").sum()
+    if name == "found.xml":
+        assert found.of_joints("rotor_inertia").sum() == pytest.approx(robot.of_joints("rotor_inertia").sum())
+    assert any("rotors" in one for one in lost) == (name == "found.urdf")
+
+
+def test_what_is_lost_is_said() -> None:
+    robot = arm()
+    coupled = replace(robot.joints[5], coupling={"joint5": 0.2})
+    text, lost = write_robot(replace(robot, joints=(*robot.joints[:5], coupled), gravity=-DOWN), Path("a.urdf"))
+    assert [one.split(";")[0].split(",")[0] for one in lost] == [
+        "the constant parts of the motors' torques", "the coupling of the motors", "the rotors' inertias",
+        "how the base stands",
+    ]  # fmt: skip
+    assert "left out: the rotors' inertias" in text
+
+
+def test_what_is_refused() -> None:
+    robot = arm()
+    with pytest.raises(MethodError, match=r"a\.stl ends on neither \.urdf nor \.xml"):
+        write_robot(robot, Path("a.stl"))
+    hollow = replace(robot.links[0], inertial=-robot.links[0].inertial)
+    with pytest.raises(MethodError, match="No body can have the inertial parameters of link1"):
+        write_robot(replace(robot, links=(hollow, *robot.links[1:])), Path("a.xml"))

@@ -1,0 +1,75 @@
+"""Derivatives of a robot's torques by variation, against central differences of whole runs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from jointid.common.arrays import FloatArray
+from jointid.models.controllers import PID, Cascade
+from jointid.simulation.robot_sensitivities import Place, all_places, differentiate_torque, with_values
+from jointid.simulation.robots import RobotInput, RobotLoop, RobotNumbers, prepare_robot, run_robot
+from tests.robots_plants import six, two
+from tests.simulation.test_robots import faster
+
+LATE = tuple(
+    Cascade(position_gain=20.0, velocity_gain=kv, integral_gain=8.0, position_period=2e-3, delay=1.3e-3)
+    for kv in (60.0, 16.0)
+)
+LIMITED = tuple(
+    PID(position_gain=kp, derivative_gain=kd, integral_gain=4 * kp, limit=limit)
+    for kp, kd, limit in ((2000.0, 110.0, 18.0), (800.0, 34.0, 5.0))
+)
+
+
+def differences(experiment: RobotInput, numbers: RobotNumbers, places: tuple[Place, ...], steps: int) -> FloatArray:
+    """Return the derivatives by central differences of whole runs, (samples, n, parameters)."""
+    x, columns = np.array([place.read(numbers) for place in places]), []
+    for c in range(x.size):
+        step = 1e-5 * max(abs(x[c]), 0.05) * (np.arange(x.size) == c)
+        both = [run_robot(experiment, with_values(numbers, places, x + s), steps=steps).torque for s in (step, -step)]
+        columns.append((both[0] - both[1]) / (2 * step[c]))
+    return np.stack(columns, axis=2)
+
+
+@pytest.mark.parametrize(
+    ("loop", "steps", "worst"),
+    [
+        (two().loop(), 1, 2e-3),
+        (two((None, 12.0)).loop(), 4, 5e-3),
+        (two((10.0, 14.0)).loop(), 4, 5e-3),
+        (RobotLoop(two((10.0, 14.0)).robot, LATE), 4, 5e-3),
+        (RobotLoop(two().robot, LIMITED), 4, 5e-3),
+        (six().loop(), 1, 2e-3),
+    ],
+    ids=["two rigid", "one flexible", "two flexible", "late cascades of two rates", "at their limits", "six rigid"],
+)
+def test_variation_is_the_derivative_of_the_run(loop: RobotLoop, steps: int, worst: float) -> None:
+    """The instants of events move with the parameters, and those in which limits act: all is in the derivative."""
+    twin = six() if len(loop.controllers) == 6 else two()
+    records = faster(twin.records(5.0), 3.0)
+    experiment, numbers = prepare_robot(loop, records), RobotNumbers.of(loop.robot)
+    places = all_places(experiment, numbers)
+    if len(loop.controllers) == 6:
+        places = places[::7]
+    run = run_robot(experiment, numbers, keep=True, steps=steps)
+    assert run.events > 2
+    if any(isinstance(law, PID) for law in loop.controllers):
+        assert 0.01 < np.mean(run.cuts) < 0.99
+    expected = differences(experiment, numbers, places, 2 * steps)
+    found = differentiate_torque(run, places)
+    sizes = np.linalg.norm(expected, axis=(0, 1))
+    error = np.linalg.norm(found - expected, axis=(0, 1))
+    felt = sizes > 1e-6 * np.max(sizes)
+    assert np.max(error[felt] / sizes[felt]) < worst
+    assert np.all(error[~felt] < 1e-5 * np.max(sizes))
+
+
+def test_derivative_by_parameters_that_are_not_the_run_s_own_kind() -> None:
+    """Of a parameter that nothing feels, such as the mass of a first link on an upright axis, there is none."""
+    loop = six().loop()
+    experiment, numbers = prepare_robot(loop, six().records(0.5)), RobotNumbers.of(loop.robot)
+    places = tuple(place for place in all_places(experiment, numbers) if (place.of, place.row) == (0, 0))
+    found = differentiate_torque(run_robot(experiment, numbers, keep=True), places)
+    felt = np.max(np.abs(found), axis=(0, 1)) > 1e-9
+    assert [place.column for place, one in zip(places, felt, strict=True) if one] == [9]
