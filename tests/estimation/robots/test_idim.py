@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError, RecordError
-from jointid.estimation.robots.idim import RobotIDIM, RobotValidation, identify_robot, validate_robot
+from jointid.estimation.robots.idim import RobotIDIM, identify_robot
+from jointid.estimation.robots.validation import RobotValidation, validate_robot
 from tests.estimation.robots.twin import COULOMB, OFFSETS, VISCOUS, arm, records_of
 
 ARM = arm()
@@ -54,14 +55,18 @@ def test_an_estimate_is_held_beside_the_nominal_model() -> None:
     held_out = validate_robot(estimate, records_of(ARM, 9, noise=0.5))
     assert held_out.better and np.all(held_out.joint_errors[:3] < held_out.nominal_errors[:3])
     assert "better than the nominal model" in held_out.summary().splitlines()[2]
+    assert held_out.bodies_better and held_out.body_errors is not None
+    assert np.all(held_out.body_errors[:3] < held_out.nominal_errors[:3])
+    bare = replace(estimate, robot=nominal.with_inertials(0.0 * nominal.inertials))
+    assert validate_robot(bare, records_of(ARM, 9)).body_errors is None
 
 
 def test_a_worse_estimate_says_so_first() -> None:
-    bad = RobotValidation(ARM, np.full(6, 0.2), np.full(6, 0.1))
-    assert not bad.better
-    assert (
-        bad.summary().splitlines()[2].startswith("The estimate predicts this record worse than the nominal model, 20 %")
-    )
+    bad = RobotValidation(ARM, np.full(6, 0.2), np.full(6, 0.1), np.full(6, 0.05))
+    assert not bad.better and bad.bodies_better
+    said = " ".join(bad.summary().splitlines()[2:5])
+    assert said.startswith("The estimate predicts this record worse than the nominal model, 20 % against 10 %")
+    assert "predict better than these: 5 %" in said
 
 
 def test_coupled_motors() -> None:

@@ -47,7 +47,7 @@ def validate_robot_file(
     path: Path, record: Path | None, changes: Sequence[str], outputs: Outputs, json: Path | None
 ) -> None:
     """Identify a robot from the record that its file names, and hold the estimate against another one."""
-    from jointid.estimation.robots.idim import validate_robot
+    from jointid.estimation.robots.validation import validate_robot
 
     if record is None:
         raise MethodError(

@@ -22,12 +22,13 @@ from jointid.estimation.robots.idim import RobotEstimate
 from jointid.models.robots.inertial import from_log_cholesky, log_cholesky, pseudo_inertia
 from jointid.models.robots.robot import Robot
 
-SPREAD = 0.5
+SPREAD = 0.3
 """How far the model's bodies may be off, as a share: the standard deviation of logarithms, and of lengths."""
 
 _THIN = 1e-6  # of a body's second moments: what a rod or a plate is given across itself
 _FLOOR = 1e-10  # of the largest variance of a correlation: rounding
 _POSES = 1000
+_SETTLED = 1e-6  # relative, of the search
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,7 +97,9 @@ def consistent_robot(estimate: RobotEstimate, prior: Robot | None = None, spread
     lower = np.concatenate([np.full(10 * n, -np.inf), np.zeros(n), np.where(signed, -np.inf, 0.0)])
     start = np.concatenate([theta0, rotors0, np.where(signed, friction, np.abs(friction))])
     start = np.maximum(start, np.where(np.isfinite(lower), 1e-9, -np.inf))
-    found = least_squares(residual, start, jacobian, bounds=(lower, np.inf), x_scale="jac", max_nfev=300)
+    found = least_squares(
+        residual, start, jacobian, bounds=(lower, np.inf), x_scale="jac", ftol=_SETTLED, xtol=_SETTLED, max_nfev=100
+    )
     standard, _ = unpack(found.x)
     joints = tuple(
         replace(joint, rotor_inertia=float(rotor), viscous=float(fv), coulomb=float(fc), offset=float(offset))

@@ -4,8 +4,8 @@ The rows of all joints share their instants, and their errors differ in size by 
 joint's rows are divided by the size of its own error, again until that settles [Gautier 1997, who takes it once].
 Least squares without weights ("ols") lets the large joints decide the wrist's parameters.
 
-A model is worth having if it predicts a motion that it has not seen better than what one had before: `validate_robot`
-holds an estimate beside the model's own masses, with friction fitted as the estimate's was.
+Beside it stand the model's own masses, with friction fitted as the estimate's was: an opponent without friction would
+be none.
 """
 
 from __future__ import annotations
@@ -17,13 +17,12 @@ from typing import Literal
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.document import Document, Documented, Facts, Heading, Listing, Paragraph, Table
+from jointid.common.document import Document, Documented, Facts, Heading, Listing, Table
 from jointid.common.errors import MethodError
 from jointid.common.settings import check_settings, documented, setting
 from jointid.common.text import interval, number
 from jointid.estimation.methods.linear import Rows, Solution, ordinary, robust, weighted
 from jointid.estimation.robots.regression import (
-    RobotMotion,
     base_rows,
     motion_of_robot,
     relative_errors,
@@ -144,8 +143,10 @@ class RobotEstimate(Documented):
             f"{self.robot.name}: {len(self.base)} base parameters of {len(self.robot)} joints",
             (
                 Facts((("method", f"IDIM of a robot, {_WORDS[self.settings.estimator]}"),)),
-                _errors_table(
-                    self.robot, self.joint_errors, self.nominal_errors, "of the record it was identified from"
+                errors_table(
+                    self.robot,
+                    {"estimate": self.joint_errors, "nominal": self.nominal_errors},
+                    "of the record it was identified from",
                 ),
                 Table(("parameter", "value, 2 sigma", "unit", "sigma, %", "nominal"), rows, caption, (0, 1, 2)),
                 *((Heading("Sums that the parameters stand for"), Listing(sums)) if details else ()),
@@ -159,53 +160,6 @@ class RobotEstimate(Documented):
     def _friction_units(self, joint: int) -> tuple[str, ...]:
         torque, position = self.robot.torque_unit(joint), self.robot.position_unit(joint)
         return f"{torque} s/{position}", torque, torque
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RobotValidation(Documented):
-    """An estimate's torque on another record, beside that of the nominal model.
-
-    Attributes:
-        robot: whose joints they are.
-        joint_errors: (n,) what the estimate leaves of each joint's filtered torque, as a share.
-        nominal_errors: (n,) what the nominal masses leave, with friction fitted to the estimate's record.
-        overall: both errors of all joints together, each joint by the size of its torque.
-    """
-
-    robot: Robot
-    joint_errors: FloatArray
-    nominal_errors: FloatArray
-
-    @property
-    def overall(self) -> tuple[float, float]:
-        """Root mean square over the joints: of the estimate, and of the nominal model."""
-        return _rms(self.joint_errors), _rms(self.nominal_errors)
-
-    @property
-    def better(self) -> bool:
-        """True if the estimate predicts better than the nominal model over all joints."""
-        return self.overall[0] < self.overall[1]
-
-    def document(self, *, details: bool = False) -> Document:
-        """Return the verdict first, then the errors joint by joint; there are no further details."""
-        del details
-        mine, nominal = (f"{100 * one:.3g} %" for one in self.overall)
-        worse = [n for n, a, b in zip(self.robot.names, self.joint_errors, self.nominal_errors, strict=True) if a > b]
-        if self.better:
-            said = f"The estimate predicts this record better than the nominal model: {mine} against {nominal}."
-            said += f" Not so of {', '.join(worse)}." if worse else ""
-        else:
-            said = (
-                f"The estimate predicts this record worse than the nominal model, {mine} against {nominal}: do not use "
-                "it in its place."
-            )
-        return Document(
-            f"{self.robot.name}: torque on a record that the estimate has not seen",
-            (
-                Paragraph(said, lead=True, tone="good" if self.better else "bad"),
-                _errors_table(self.robot, self.joint_errors, self.nominal_errors, "of that record"),
-            ),
-        )
 
 
 def identify_robot(
@@ -242,25 +196,8 @@ def identify_robot(
     )  # fmt: skip
 
 
-def validate_robot(estimate: RobotEstimate, records: Sequence[Record]) -> RobotValidation:
-    """Hold an estimate's torque against another record, beside the nominal model's.
-
-    Args:
-        estimate: from another record.
-        records: of each joint, as `identify_robot` takes them.
-    """
-    motion: RobotMotion = motion_of_robot(estimate.robot, records, estimate.filtering)
-    rows = base_rows(estimate.robot, estimate.base, motion)
-    return RobotValidation(
-        estimate.robot, relative_errors(rows, estimate.values), relative_errors(rows, estimate.nominal)
-    )
-
-
 def _nominal(robot: Robot, base: BaseParameters, rows: Rows) -> FloatArray:
-    """Return the base parameters of the model's own masses, and the friction that fits best beside them.
-
-    An opponent without friction would be none.
-    """
+    """Return the base parameters of the model's own masses, and the friction that fits best beside them."""
     own, found = base.of(robot), []
     left, W = rows.by_equation(rows.Y - rows.W[:, : len(base)] @ own), rows.W[:, len(base) :]
     columns = W.reshape(rows.equations, -1, W.shape[1])
@@ -269,15 +206,17 @@ def _nominal(robot: Robot, base: BaseParameters, rows: Rows) -> FloatArray:
     return np.concatenate([own, *found])
 
 
-def _errors_table(robot: Robot, errors: FloatArray, nominal: FloatArray, of_what: str) -> Table:
-    if not np.all(np.isfinite(errors)):
-        raise MethodError("A joint's torque is 0 throughout; expected a torque of every motor: check the channels.")
+def errors_table(robot: Robot, columns: Mapping[str, FloatArray], of_what: str) -> Table:
+    """Return what is left of each joint's torque as a table, a column for each model, in per cent.
+
+    Raises:
+        MethodError: a joint has no torque to explain.
+    """
+    for errors in columns.values():
+        if not np.all(np.isfinite(errors)):
+            raise MethodError("A joint's torque is 0 throughout; expected a torque of every motor: check the channels.")
     rows = tuple(
-        (name, f"{100 * mine:.3g}", f"{100 * other:.3g}")
-        for name, mine, other in zip(robot.names, errors, nominal, strict=True)
+        (name, *(f"{100 * errors[k]:.3g}" for errors in columns.values())) for k, name in enumerate(robot.names)
     )
-    return Table(("joint", "estimate, %", "nominal, %"), rows, f"filtered torque that is left, {of_what}")
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+    header = ("joint", *(f"{name}, %" for name in columns))
+    return Table(header, rows, f"filtered torque that is left, {of_what}")

@@ -326,8 +326,10 @@ SHAPES: Mapping[str, Shape] = {
         "robot": "robot.name",
         "joints": "robot.names",
         "better_than_nominal": "better",
+        "bodies_better_than_nominal": "bodies_better",
         "left": "joint_errors",
         "nominal_left": "nominal_errors",
+        "bodies_left": "body_errors",
     },
     # Files and reports
     "Inspection": {

@@ -1,0 +1,109 @@
+"""An estimate of a robot on a motion that it has not seen, beside the model that one had before.
+
+A model is worth having if it predicts such a motion better. Three are compared: the estimate, which its own record may
+have led astray; bodies near the model's that fit it (`consistent`); and the model's own masses, with friction fitted to
+the estimate's record.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.document import Document, Documented, Paragraph
+from jointid.estimation.robots.consistent import consistent_robot
+from jointid.estimation.robots.idim import RobotEstimate, errors_table
+from jointid.estimation.robots.regression import base_rows, motion_of_robot, relative_errors
+from jointid.models.robots.robot import Robot
+from jointid.records.record import Record
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotValidation(Documented):
+    """What an estimate, bodies that fit it and the nominal model leave of another record's torque.
+
+    Attributes:
+        robot: whose joints they are.
+        joint_errors: (n,) what the estimate leaves of each joint's filtered torque, as a share.
+        nominal_errors: (n,) what the nominal masses leave, with friction fitted to the estimate's record.
+        body_errors: (n,) what bodies near the nominal ones leave, which fit the estimate; None where the model has no
+            masses to be near.
+    """
+
+    robot: Robot
+    joint_errors: FloatArray
+    nominal_errors: FloatArray
+    body_errors: FloatArray | None = None
+
+    @property
+    def better(self) -> bool:
+        """True if the estimate predicts better than the nominal model over all joints."""
+        return _rms(self.joint_errors) < _rms(self.nominal_errors)
+
+    @property
+    def bodies_better(self) -> bool:
+        """True if the bodies near the nominal ones predict better than these over all joints."""
+        return self.body_errors is not None and _rms(self.body_errors) < _rms(self.nominal_errors)
+
+    def document(self, *, details: bool = False) -> Document:
+        """Return the verdict first, then the errors joint by joint; there are no further details."""
+        del details
+        mine, nominal = _percent(self.joint_errors), _percent(self.nominal_errors)
+        if self.better:
+            said = f"The estimate predicts this record better than the nominal model: {mine} against {nominal}."
+        else:
+            said = (
+                f"The estimate predicts this record worse than the nominal model, {mine} against {nominal}: do not use "
+                "it in its place."
+            )
+        columns = {"estimate": self.joint_errors, "nominal": self.nominal_errors}
+        if self.body_errors is not None:
+            columns["bodies"] = self.body_errors
+            than = "better" if self.bodies_better else "worse"
+            said += (
+                f" Bodies near the nominal ones that fit the estimate predict {than} than these: "
+                f"{_percent(self.body_errors)}."
+            )
+        useful = self.better or self.bodies_better
+        return Document(
+            f"{self.robot.name}: torque on a record that the estimate has not seen",
+            (
+                Paragraph(said, lead=True, tone="good" if useful else "bad"),
+                errors_table(self.robot, columns, "of that record"),
+            ),
+        )
+
+
+def validate_robot(estimate: RobotEstimate, records: Sequence[Record]) -> RobotValidation:
+    """Hold an estimate's torque against another record, beside the nominal model's.
+
+    Args:
+        estimate: from another record.
+        records: of each joint, as `identify_robot` takes them.
+
+    Raises:
+        MethodError: no body can have a link's parameters in the model.
+        RecordError: as of `identify_robot`.
+    """
+    motion = motion_of_robot(estimate.robot, records, estimate.filtering)
+    rows = base_rows(estimate.robot, estimate.base, motion)
+    bodies = None
+    if np.all(estimate.robot.inertials[:, 0] > 0):
+        found = consistent_robot(estimate).robot
+        friction = np.column_stack([found.of_joints(name) for name in ("viscous", "coulomb", "offset")]).ravel()
+        bodies = relative_errors(rows, np.concatenate([estimate.base.of(found), friction]))
+    return RobotValidation(
+        estimate.robot, relative_errors(rows, estimate.values), relative_errors(rows, estimate.nominal), bodies
+    )
+
+
+def _rms(errors: FloatArray) -> float:
+    return float(np.sqrt(np.mean(errors**2)))
+
+
+def _percent(errors: FloatArray) -> str:
+    """Return the root mean square over the joints, each by the size of its own torque."""
+    return f"{100 * _rms(errors):.3g} %"
