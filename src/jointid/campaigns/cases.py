@@ -68,6 +68,7 @@ class Case:
         changes: keys of the joint file that are changed, each as ``method.frequency=30``.
         varied: the simulated run, the resampled error or the start that is this case's own; None for a logged record.
         program: the version of jointid that described it.
+        settings: keys of the joint file that are set for this joint alone, as ``transmission.ratio=100``, by key.
 
     Example:
         >>> from jointid.campaigns.cases import Case
@@ -84,6 +85,7 @@ class Case:
     changes: tuple[str, ...] = ()
     varied: Simulated | Redrawn | Started | None = None
     program: str = __version__
+    settings: tuple[str, ...] = ()
 
     @property
     def content_hash(self) -> str:

@@ -66,6 +66,7 @@ def table_of(rows: Sequence[Row]) -> dict[str, list[Any]]:
         "record": [row.record for row in rows],
         "seed": [row.seed for row in rows],
         "changes": ["; ".join(row.changes) for row in rows],
+        "settings": ["; ".join(row.settings) for row in rows],
         "outcome": [str(row.outcome) for row in rows],
         "sentence": [row.sentence for row in rows],
         "trust": [row.trust for row in rows],

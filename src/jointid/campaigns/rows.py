@@ -54,6 +54,7 @@ class Row:
         record_sha256: of the record's bytes; empty where they could not be read.
         joint_file_sha256: of the joint file's text.
         versions: of jointid, Python and the libraries that compute, by name.
+        settings: as the case has them.
     """
 
     content_hash: str
@@ -72,6 +73,7 @@ class Row:
     simulations: int | None = None
     record_sha256: str = ""
     versions: Mapping[str, str] = field(default_factory=dict)
+    settings: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, case: Case, outcome: Outcome, sentence: str, **more: Any) -> Self:
@@ -79,7 +81,7 @@ class Row:
         seed = None if case.varied is None else case.varied.seed
         return cls(
             case.content_hash, case.joint, case.record, case.day, case.changes, seed, outcome, sentence,
-            sha256_of(case.joint_file), **more,
+            sha256_of(case.joint_file), settings=case.settings, **more,
         )  # fmt: skip
 
     def text(self) -> str:
@@ -97,7 +99,8 @@ class Row:
             raw = json.loads(text)
             found = {str(name): Found(_number(one["value"]), _number(one["std"]), str(one["unit"]))
                      for name, one in raw["found"].items()}  # fmt: skip
-            raw |= {"found": found, "changes": tuple(map(str, raw["changes"])), "outcome": Outcome(raw["outcome"])}
+            raw |= {key: tuple(map(str, raw.get(key, ()))) for key in ("changes", "settings")}
+            raw |= {"found": found, "outcome": Outcome(raw["outcome"])}
             row = cls(**raw)
         except (TypeError, KeyError, AttributeError, RecursionError) as error:
             raise ValueError(f"no row ({error})") from error
