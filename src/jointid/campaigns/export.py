@@ -64,6 +64,7 @@ def table_of(rows: Sequence[Row]) -> dict[str, list[Any]]:
         "joint": [row.joint for row in rows],
         "day": [row.day for row in rows],
         "record": [row.record for row in rows],
+        "kind": [row.kind for row in rows],
         "seed": [row.seed for row in rows],
         "changes": ["; ".join(row.changes) for row in rows],
         "settings": ["; ".join(row.settings) for row in rows],

@@ -11,6 +11,9 @@ from typing import Any, Self
 
 from jointid.campaigns.cases import Case, sha256_of
 
+LOGGED = "logged"
+"""Kind of a run that was no simulation: it has a time."""
+
 
 class Outcome(StrEnum):
     """How a case ended."""
@@ -55,6 +58,7 @@ class Row:
         joint_file_sha256: of the joint file's text.
         versions: of jointid, Python and the libraries that compute, by name.
         settings: as the case has them.
+        kind: of the run: logged, simulated, resampled, or a search that is started elsewhere.
     """
 
     content_hash: str
@@ -74,14 +78,15 @@ class Row:
     record_sha256: str = ""
     versions: Mapping[str, str] = field(default_factory=dict)
     settings: tuple[str, ...] = ()
+    kind: str = LOGGED
 
     @classmethod
     def of(cls, case: Case, outcome: Outcome, sentence: str, **more: Any) -> Self:
         """Return the row of a case."""
-        seed = None if case.varied is None else case.varied.seed
+        seed, kind = (None, LOGGED) if case.varied is None else (case.varied.seed, case.varied.kind)
         return cls(
             case.content_hash, case.joint, case.record, case.day, case.changes, seed, outcome, sentence,
-            sha256_of(case.joint_file), settings=case.settings, **more,
+            sha256_of(case.joint_file), settings=case.settings, kind=kind, **more,
         )  # fmt: skip
 
     def text(self) -> str:
@@ -104,7 +109,7 @@ class Row:
             row = cls(**raw)
         except (TypeError, KeyError, AttributeError, RecursionError) as error:
             raise ValueError(f"no row ({error})") from error
-        texts = (row.content_hash, row.joint, row.record, row.day, row.sentence, row.trust, row.record_sha256)
+        texts = (row.content_hash, row.joint, row.record, row.day, row.sentence, row.trust, row.record_sha256, row.kind)
         if not all(isinstance(one, str) for one in texts):
             raise ValueError("no row (a text is none)")
         return row
