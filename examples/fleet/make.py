@@ -23,9 +23,12 @@ FIRST_DAY = datetime.date(2026, 10, 1)
 SCATTER = {"stiffness": 0.005, "motor_coulomb": 0.03, "load_coulomb": 0.03, "motor_viscous": 0.03, "load_viscous": 0.03}
 """Standard deviation from day to day, as a share of the value."""
 
+TABLE = "name,filtering.cutoff,method.frequency"
+"""Columns of the table of joints: each may be given its own values."""
+
 
 def make(folder: Path, joints: int, days: int, spoiled: float, falling: int, fall: float, seed: int = 1) -> None:
-    """Write the fleet, with the campaign file and the joint file beside it.
+    """Write the fleet, with its table, the campaign files and the joint file beside it.
 
     Args:
         folder: is made.
@@ -40,13 +43,15 @@ def make(folder: Path, joints: int, days: int, spoiled: float, falling: int, fal
     reference = ji.excitation.trapezoids((0.042, 0.083, 0.125), 0.83, 0.1, 1e-3, duration=8.0)
     pulses = ji.excitation.pulses(reference.size, 1e-3, height=150.0, width=0.02, every=0.4, seed=0)
     folder.mkdir(parents=True, exist_ok=True)
-    for name in ("campaign.toml", "joint.toml"):
+    for name in ("campaign.toml", "campaign-table.toml", "joint.toml"):
         shutil.copyfile(HERE / name, folder / name)
-    for number in range(joints):
+    names = [f"axis-{number + 1:03}" for number in range(joints)]
+    (folder / "fleet.csv").write_text("".join(f"{line}\n" for line in (TABLE, *(f"{name},60,30" for name in names))))
+    for number, name in enumerate(names):
         draw = np.random.default_rng([seed, number])
         own = {name: value * (1 + 0.1 * draw.uniform(-1, 1)) for name, value in TABLE_2.items()}
         begins = int(draw.integers(days // 3, max(2 * days // 3, days // 3 + 1)))
-        place = folder / "logs" / f"axis-{number + 1:03}"
+        place = folder / "logs" / name
         place.mkdir(parents=True, exist_ok=True)
         for day in range(days):
             today = {name: value * (1 + SCATTER.get(name, 0.0) * draw.standard_normal()) for name, value in own.items()}

@@ -197,6 +197,30 @@ def test_a_torn_line_of_a_shard_is_made_again(tmp_path: Path) -> None:
     assert len(ends(log)) == 5
 
 
+def test_a_list_that_grows_is_kept_once_and_what_changed(tmp_path: Path) -> None:
+    hashes, part = [f"{n:064x}" for n in range(1000)], Shard(1, 1)
+    path, sizes = part.path(tmp_path), []
+    for night in (hashes[:900], hashes[::-1], hashes, hashes[5:]):
+        with open_shard(tmp_path, part) as results:
+            assert results.list_cases("fleet", night) == len(night)
+            assert results.list_cases("fleet", night) == len(night)
+        sizes.append(path.stat().st_size)
+        assert read_shards(tmp_path)[:2] == ("fleet", len(night))
+    assert sizes[1] - sizes[0] < 0.2 * sizes[0]
+    assert sizes[2] == sizes[1], "in another order it is the same list"
+    assert sizes[3] - sizes[2] < 1000
+    torn = path.read_bytes()[:-10]
+    path.write_bytes(torn)
+    assert read_shards(tmp_path)[1] == 1000, "the list before a torn change"
+    with open_shard(tmp_path, part) as results:
+        results.list_cases("other name", hashes[5:])
+    assert read_shards(tmp_path)[:2] == ("other name", 995)
+    with open_shard(tmp_path, part) as results:
+        results.list_cases("fleet", ["0" * 64])
+        results.add([Row("f" * 64, "a", "a.npy", "", (), None, Outcome.REFUSED, "Of before.", "")])
+    assert read_shards(tmp_path) == ("fleet", 1, []), "rows of cases that are no longer listed are not shown"
+
+
 def test_a_full_disk_is_a_sentence_and_keeps_what_is_finished(tmp_path: Path) -> None:
     log = tmp_path / "log"
     with open_database(tmp_path) as database:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import datetime
 import itertools
 import json
 import os
-import posixpath
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -17,32 +14,14 @@ import numpy as np
 from pydantic import ValidationError
 
 from jointid import DIDIM
-from jointid.campaigns.addresses import is_remote, listed, stamp_of
-from jointid.campaigns.campaign_tables import (
-    PLACEHOLDER,
-    PLACEHOLDERS,
-    BootstrapTable,
-    CampaignTable,
-    MultistartTable,
-)
+from jointid.campaigns.campaign_tables import BootstrapTable, CampaignTable, MultistartTable
 from jointid.campaigns.cases import Case, Redrawn, Simulated, Started
+from jointid.campaigns.fleet import FleetRecords, Logged, named_record
 from jointid.common.errors import JointFileError
 from jointid.common.text import listed as in_a_row
 from jointid.config import loads
 from jointid.config.loading import parse_toml, read_text
 from jointid.config.table import sentences
-
-_NAMED = 5  # files that a sentence names
-
-
-@dataclass(frozen=True, slots=True)
-class Logged:
-    """A record of a fleet: the joint's name, the record's address and stamp, and its day."""
-
-    joint: str
-    address: str
-    stamp: str
-    day: str
 
 
 @dataclass(frozen=True)
@@ -77,14 +56,8 @@ class Campaign:
 
     @property
     def left_out(self) -> str:
-        """A sentence on files that fit the pattern of the records but for their date; empty if there are none."""
-        others = self._listed[1] if self.table.fleet is not None else ()
-        if not others:
-            return ""
-        return (
-            f"{len(others)} files have no date as 2026-11-23 or 20261123 where [fleet] says {{day}}, and are left out: "
-            f"{in_a_row([*others[:_NAMED], *(['others'] if len(others) > _NAMED else [])])}."
-        )
+        """Sentences on what a fleet names and has no case; empty if there is none."""
+        return "" if self.table.fleet is None else self._fleet.left_out
 
     @cached_property
     def _combinations(self) -> tuple[tuple[str, ...], ...]:
@@ -94,44 +67,13 @@ class Campaign:
         return tuple(itertools.product(*keys))
 
     def _of_fleet(self, changes: tuple[str, ...]) -> Iterator[Case]:
-        for one in self._listed[0]:
-            yield Case(one.joint, self._texts[one.joint], one.address, one.stamp, one.day, changes)
+        for one in self._fleet.found:
+            yield Case(one.joint, one.joint_file, one.address, one.stamp, one.day, changes, settings=one.settings)
 
     @cached_property
-    def _listed(self) -> tuple[tuple[Logged, ...], tuple[str, ...]]:
-        """The records of a fleet, and the paths of those without a date where there should be one."""
+    def _fleet(self) -> FleetRecords:
         assert self.table.fleet is not None
-        pattern = self.table.fleet.records
-        if pattern is None:
-            return (self._named_record(self.table.fleet.joint, None),), ()
-        plain = pattern if is_remote(pattern) else posixpath.normpath(pattern)
-        shape = re.compile(f"(?:^|/){_expression(re.sub(r'^([.][.]/)+|^/', '', plain))}$")
-        found, others = [], []
-        stars = PLACEHOLDER.sub(lambda one: one[0] if one[1] is None else "*", plain)
-        for address, stamp in listed(stars, self.folder).items():
-            said = shape.search(address.replace(os.sep, "/"))
-            if said is None:
-                others.append(address)
-                continue
-            parts = said.groupdict()
-            found.append(Logged(parts.get("joint", "joint"), address, stamp, _day(parts.get("day"), address, stamp)))
-        if not found:
-            raise JointFileError(f'fleet.records is "{pattern}", and no file is of that form; correct the path.')
-        return tuple(found), tuple(others)
-
-    @cached_property
-    def _texts(self) -> Mapping[str, str]:
-        """The joint file of each joint of a fleet."""
-        assert self.table.fleet is not None
-        pattern, texts, faults = self.table.fleet.joint, dict[str, str](), list[str]()
-        for joint in dict.fromkeys(one.joint for one in self._listed[0]):
-            try:
-                texts[joint] = read_text(self.folder / pattern.replace("{joint}", joint))
-            except JointFileError as error:
-                faults += error.faults
-        if faults:
-            raise JointFileError(faults)
-        return texts
+        return FleetRecords(self.table.fleet, self.folder)
 
     def _of_runs(self, changes: tuple[str, ...]) -> Iterator[Case]:
         asked = self.table.monte_carlo
@@ -163,13 +105,15 @@ class Campaign:
         return text, self._named_record(asked.joint, asked.record), truth
 
     def _of_resamples(self, changes: tuple[str, ...], asked: BootstrapTable) -> Iterator[Case]:
-        text, logged = read_text(self.folder / asked.joint), self._named_record(asked.joint, asked.record)
+        logged = self._named_record(asked.joint, asked.record)
+        text = logged.joint_file
         for number in range(asked.runs):
             drawn = Redrawn(asked.seed + number)
             yield Case(logged.joint, text, logged.address, logged.stamp, "", changes, drawn)
 
     def _of_starts(self, changes: tuple[str, ...], asked: MultistartTable) -> Iterator[Case]:
-        text, logged = read_text(self.folder / asked.joint), self._named_record(asked.joint, asked.record)
+        logged = self._named_record(asked.joint, asked.record)
+        text = logged.joint_file
         given = {name: p.start for name, p in loads(text, changes=changes).parameters.items() if p.free and p.start}
         if not given:
             raise JointFileError(
@@ -185,18 +129,7 @@ class Campaign:
             yield Case(logged.joint, text, logged.address, logged.stamp, "", changes, begun)
 
     def _named_record(self, joint: str, record: str | None) -> Logged:
-        """Return a record by its path, or the one that a joint file names."""
-        path = (self.folder / joint).absolute()
-        if "{joint}" in joint:
-            raise JointFileError(
-                f'fleet.joint is "{joint}", and there is no fleet.records to say which joints there are; add it.'
-            )
-        named = loads(read_text(path)).source.file if record is None else record
-        if named is None:
-            raise JointFileError(f"{path} names no record; add file to its [record], or name records in this file.")
-        place = (path.parent if record is None else self.folder) / named
-        stamp = stamp_of(place)
-        return Logged(path.stem, str(place.absolute()), stamp, _day(None, str(place), stamp))
+        return named_record(self.folder / joint, None if record is None else self.folder / record)
 
 
 def load_campaign(path: Path) -> Campaign:
@@ -229,35 +162,8 @@ def _check_changes(campaign: Campaign) -> None:
         JointFileError: a change cannot be made, or the joint file has faults.
     """
     first = next(campaign.cases())
+    own = {one.partition("=")[0] for one in first.settings}
+    if both := [key for key in campaign.table.sweep if key in own]:
+        raise JointFileError(f"{in_a_row(both)} is set by [sweep] and by the fleet's table; leave one of them out.")
     for changes in campaign._combinations:
-        loads(first.joint_file, changes=changes)
-
-
-def _expression(pattern: str) -> str:
-    """Return the regular expression of a pattern: each placeholder is a part of a path, and the same wherever it is."""
-    seen: set[str] = set()
-
-    def part(found: re.Match[str]) -> str:
-        name = found[1]
-        if name is None:
-            return "[^/]*" if found[2] else "[^/]"
-        if name in seen:
-            return f"(?P={name})"
-        seen.add(name)
-        return f"(?P<{name}>{PLACEHOLDERS[name]})"
-
-    parts, at = [], 0
-    for found in PLACEHOLDER.finditer(pattern):
-        parts += [re.escape(pattern[at : found.start()]), part(found)]
-        at = found.end()
-    return "".join([*parts, re.escape(pattern[at:])])
-
-
-def _day(said: str | None, address: str, stamp: str) -> str:
-    """Return a day as 2026-11-23: the one in a file's name, else that of its last change, where that is known."""
-    if said is not None:
-        digits = said.replace("-", "")
-        return f"{digits[:4]}-{digits[4:6]}-{digits[6:]}"
-    if is_remote(address) or not stamp:
-        return ""
-    return datetime.datetime.fromtimestamp(int(stamp.rpartition(" ")[2]) / 1000, datetime.UTC).date().isoformat()
+        loads(first.joint_file, changes=(*first.settings, *changes))

@@ -26,13 +26,16 @@ PLACEHOLDER = re.compile(r"\{(\w*)\}|(\*)|(\?)")
 class Fleet:
     """Joints, and the records that were logged of them."""
 
-    joint: str = field(
-        metadata=declare("path of the joint file, with {joint} in it where each joint has its own; from this file")
+    joint: str | None = setting(
+        None, "path of the joint file, with {joint} in it where each joint has its own; from this file"
     )
     records: str | None = setting(
         None,
         "path or URL of the records, with {joint} where the joint's name stands, {day} where a date does, and *; "
         "without it the record that the joint file names",
+    )
+    table: str | None = setting(
+        None, "path of a table of joints, .csv or .parquet; joint and records then serve rows that do not say them"
     )
 
 
@@ -86,17 +89,24 @@ class Multistart:
     spread: float = setting(3.0, "largest factor, or its inverse, by which a start is changed", above=1)
 
 
+def unknown_placeholders(key: str, pattern: str, known: tuple[str, ...]) -> Iterator[tuple[str, str]]:
+    """Yield what stands in braces in a pattern and is no known part of it: the key, and the rest of a sentence."""
+    for found in PLACEHOLDER.finditer(pattern):
+        if found[1] is not None and found[1] not in known:
+            expected = either(f"{{{name}}}" for name in known)
+            yield key, f" has {{{found[1]}}} in it; expected {expected}: correct it."
+
+
 @keys_from(Fleet)
 class FleetTable(Table):
     """[fleet]: joints, and the records that were logged of them."""
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield placeholders that are none."""
+        """Yield that no joint file is named, and placeholders that are none."""
+        if self.joint is None and self.table is None:
+            yield "joint", self.lacks("joint")
         for key, known in (("joint", ("joint",)), ("records", tuple(PLACEHOLDERS))):
-            for found in PLACEHOLDER.finditer(getattr(self, key) or ""):
-                if found[1] is not None and found[1] not in known:
-                    expected = either(f"{{{name}}}" for name in known)
-                    yield key, f" has {{{found[1]}}} in it; expected {expected}: correct it."
+            yield from unknown_placeholders(key, getattr(self, key) or "", known)
 
 
 @keys_from(MonteCarlo)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict, dataclass
+from typing import ClassVar
 
 from jointid import __version__
 
@@ -25,6 +26,7 @@ class Simulated:
         seed: of both.
     """
 
+    kind: ClassVar[str] = "simulated"
     values: tuple[tuple[str, float], ...]
     noise_force: float = 0.0
     noise_log: float = 0.0
@@ -39,6 +41,7 @@ class Redrawn:
         seed: of the draw.
     """
 
+    kind: ClassVar[str] = "resampled"
     seed: int
 
 
@@ -51,6 +54,7 @@ class Started:
         seed: that they were drawn with.
     """
 
+    kind: ClassVar[str] = "started"
     starts: tuple[tuple[str, float], ...]
     seed: int
 
@@ -68,6 +72,7 @@ class Case:
         changes: keys of the joint file that are changed, each as ``method.frequency=30``.
         varied: the simulated run, the resampled error or the start that is this case's own; None for a logged record.
         program: the version of jointid that described it.
+        settings: keys of the joint file that are set for this joint alone, as ``transmission.ratio=100``, by key.
 
     Example:
         >>> from jointid.campaigns.cases import Case
@@ -84,6 +89,7 @@ class Case:
     changes: tuple[str, ...] = ()
     varied: Simulated | Redrawn | Started | None = None
     program: str = __version__
+    settings: tuple[str, ...] = ()
 
     @property
     def content_hash(self) -> str:

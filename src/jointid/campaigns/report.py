@@ -1,4 +1,4 @@
-"""The report of a campaign: distributions, drifted joints, trends, runs and joints that stand out, scatter."""
+"""The report of a campaign by the kind of its runs: drift of a fleet, scatter of repeated runs, best of many starts."""
 
 from __future__ import annotations
 
@@ -7,13 +7,18 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
+from jointid.campaigns.cases import Redrawn, Simulated, Started
 from jointid.campaigns.drift import FALSE_ALARM, Change, judge
+from jointid.campaigns.ends import SearchEnd, end_blocks, ends_of, summarise_ends
 from jointid.campaigns.folder import Results, described, read_results
-from jointid.campaigns.rows import Outcome, Row
+from jointid.campaigns.repeats import Repeated, repeat_blocks, repeats_of, summarise_repeats
+from jointid.campaigns.rows import LOGGED, Outcome, Row
 from jointid.campaigns.series import Series, series_of
+from jointid.campaigns.sweeps import sweep_blocks
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, Paragraph, Table
 from jointid.common.errors import MethodError
@@ -23,6 +28,8 @@ _SHOWN = 10  # rows of a table without details
 _UNLIKE = 5.0  # robust deviations from the other joints
 _LEAST_JOINTS = 8  # among which one can be unlike the others
 _TO_SIGMA = 1.4826
+_REPEATED = (Simulated.kind, Redrawn.kind)
+_TONES: dict[bool | None, Literal["good", "bad", "open"]] = {True: "good", False: "bad", None: "open"}
 _CAREFUL, _LAX = 0.7, 1.4  # scatter over stated deviation beyond which that is said
 
 
@@ -40,8 +47,28 @@ class CampaignReport(Documented):
 
     @cached_property
     def series(self) -> tuple[Series, ...]:
-        """Stiffness and frictions of every joint over its runs."""
-        return tuple(series_of(self.results.rows))
+        """Stiffness and frictions of every joint over its runs, of those that have a time."""
+        return tuple(series_of([row for row in self.results.rows if row.kind == LOGGED]))
+
+    @cached_property
+    def repeats(self) -> tuple[Repeated, ...]:
+        """Every quantity of runs that differ in their seed alone."""
+        return tuple(repeats_of([row for row in self.results.rows if row.kind in _REPEATED]))
+
+    @cached_property
+    def ends(self) -> tuple[tuple[SearchEnd, ...], ...]:
+        """Where searches from many starts ended, for each combination of settings."""
+        return ends_of([row for row in self.results.rows if row.kind == Started.kind])
+
+    @cached_property
+    def verdict(self) -> tuple[str, bool | None]:
+        """The lead sentence, and whether it is good news; None where nothing can be said yet."""
+        kind = self.results.rows[0].kind if self.results.rows else LOGGED
+        if kind in _REPEATED:
+            return summarise_repeats(self.repeats, self.results.counts()[Outcome.IDENTIFIED], kind)
+        if kind == Started.kind:
+            return summarise_ends(self.ends)
+        return self._drift_sentence, None if not self.changes else not self.drifted
 
     @cached_property
     def changes(self) -> tuple[Change, ...]:
@@ -55,7 +82,11 @@ class CampaignReport(Documented):
 
     @property
     def sentence(self) -> str:
-        """The verdict on drift in a line."""
+        """The verdict in a line."""
+        return self.verdict[0]
+
+    @property
+    def _drift_sentence(self) -> str:
         joints = list(dict.fromkeys(one.series.joint for one in self.drifted))
         if joints:
             more = [*joints[:_SHOWN], *([f"{len(joints) - _SHOWN} more"] if len(joints) > _SHOWN else [])]
@@ -71,10 +102,13 @@ class CampaignReport(Documented):
         results, counts = self.results, self.results.counts()
         ends = ", ".join(f"{count} {outcome}" for outcome, count in counts.items() if count)
         blocks: list[Block] = [
-            Paragraph(self.sentence, lead=True, tone="bad" if self.drifted else "good" if self.changes else "open"),
+            Paragraph(self.sentence, lead=True, tone=_TONES[self.verdict[1]]),
             Facts((("done", f"{len(results.rows)} of {results.cases} cases{f': {ends}' if ends else ''}"),)),
             *self._drift_blocks(most),
-            *_distributions(results.rows),
+            *end_blocks(self.ends, most),
+            *_distributions([row for row in results.rows if row.kind != Started.kind]),
+            *sweep_blocks(results.rows, most),
+            *repeat_blocks(self.repeats, most),
             *self._scatter_blocks(),
             *self._outlier_blocks(most),
             *_reasons(results.rows, most),

@@ -11,6 +11,9 @@ from typing import Any, Self
 
 from jointid.campaigns.cases import Case, sha256_of
 
+LOGGED = "logged"
+"""Kind of a run that was no simulation: it has a time."""
+
 
 class Outcome(StrEnum):
     """How a case ended."""
@@ -54,6 +57,8 @@ class Row:
         record_sha256: of the record's bytes; empty where they could not be read.
         joint_file_sha256: of the joint file's text.
         versions: of jointid, Python and the libraries that compute, by name.
+        settings: as the case has them.
+        kind: of the run: logged, simulated, resampled, or a search that is started elsewhere.
     """
 
     content_hash: str
@@ -72,14 +77,16 @@ class Row:
     simulations: int | None = None
     record_sha256: str = ""
     versions: Mapping[str, str] = field(default_factory=dict)
+    settings: tuple[str, ...] = ()
+    kind: str = LOGGED
 
     @classmethod
     def of(cls, case: Case, outcome: Outcome, sentence: str, **more: Any) -> Self:
         """Return the row of a case."""
-        seed = None if case.varied is None else case.varied.seed
+        seed, kind = (None, LOGGED) if case.varied is None else (case.varied.seed, case.varied.kind)
         return cls(
             case.content_hash, case.joint, case.record, case.day, case.changes, seed, outcome, sentence,
-            sha256_of(case.joint_file), **more,
+            sha256_of(case.joint_file), settings=case.settings, kind=kind, **more,
         )  # fmt: skip
 
     def text(self) -> str:
@@ -97,11 +104,12 @@ class Row:
             raw = json.loads(text)
             found = {str(name): Found(_number(one["value"]), _number(one["std"]), str(one["unit"]))
                      for name, one in raw["found"].items()}  # fmt: skip
-            raw |= {"found": found, "changes": tuple(map(str, raw["changes"])), "outcome": Outcome(raw["outcome"])}
+            raw |= {key: tuple(map(str, raw.get(key, ()))) for key in ("changes", "settings")}
+            raw |= {"found": found, "outcome": Outcome(raw["outcome"])}
             row = cls(**raw)
         except (TypeError, KeyError, AttributeError, RecursionError) as error:
             raise ValueError(f"no row ({error})") from error
-        texts = (row.content_hash, row.joint, row.record, row.day, row.sentence, row.trust, row.record_sha256)
+        texts = (row.content_hash, row.joint, row.record, row.day, row.sentence, row.trust, row.record_sha256, row.kind)
         if not all(isinstance(one, str) for one in texts):
             raise ValueError("no row (a text is none)")
         return row

@@ -110,7 +110,7 @@ def _identify(case: Case, path: Path, record_sha256: str) -> dict[str, Any]:
     """Return the entries of a row that an estimate gives."""
     begun = case.varied.starts if isinstance(case.varied, Started) else ()
     changes = [f"parameters.{name}.start={value!r}" for name, value in begun]
-    file = _joint_file(case.joint_file, (*case.changes, *changes))
+    file = _joint_file(case.joint_file, (*case.settings, *case.changes, *changes))
     if file.runs:
         raise MethodError(
             f"The joint file of {case.joint} lists several [[records]], and a campaign identifies from one at a time; "

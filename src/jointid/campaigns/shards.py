@@ -69,7 +69,7 @@ class _Contents:
     """The lines of a shard's file: the campaign's name, its cases, results with when they were stored, and deaths."""
 
     name: str = ""
-    cases: tuple[str, ...] = ()
+    cases: dict[str, None] = field(default_factory=dict)
     rows: dict[str, tuple[float, Row]] = field(default_factory=dict)
     deaths: dict[str, int] = field(default_factory=dict)
 
@@ -87,7 +87,11 @@ class _Contents:
                 made = Row.read(json.dumps(row))
                 self.rows.setdefault(made.content_hash, (stored, made))
             case {"cases": list(cases), "name": str(name)}:
-                self.name, self.cases = name, tuple(map(str, cases))
+                self.name, self.cases = name, dict.fromkeys(map(str, cases))
+            case {"more": list(more), "fewer": list(fewer), "name": str(name)}:
+                gone = set(map(str, fewer))
+                kept = (one for one in self.cases if one not in gone)
+                self.name, self.cases = name, dict.fromkeys([*kept, *map(str, more)])
             case {"death": str(content_hash)}:
                 self.deaths[content_hash] = self.deaths.get(content_hash, 0) + 1
             case _:
@@ -102,10 +106,13 @@ class ShardFile:
         self._finished = {*contents.rows, *elsewhere}
 
     def list_cases(self, name: str, hashes: Iterable[str]) -> int:
-        """Keep which cases the whole campaign has now; see `store.Results`."""
-        cases = tuple(hashes)
-        if (name, cases) != (self._contents.name, self._contents.cases):
-            self._append({"name": name, "cases": cases})
+        """Keep which cases the whole campaign has now, of a list that is there what changed; see `store.Results`."""
+        cases, before = dict.fromkeys(hashes), self._contents.cases
+        more, fewer = list(cases.keys() - before.keys()), list(before.keys() - cases.keys())
+        if more or fewer or name != self._contents.name:
+            changed: dict[str, Any] = {"more": sorted(more), "fewer": sorted(fewer)}
+            self._append({"name": name, **(changed if len(more) + len(fewer) < len(cases) else {"cases": [*cases]})})
+            self._contents.name, self._contents.cases = name, cases
         return len(cases)
 
     def is_finished(self, content_hash: str) -> bool:
@@ -188,7 +195,7 @@ def read_shards(folder: Path) -> tuple[str, int, list[tuple[float, Row]]]:
     Raises:
         RecordError: a file cannot be read.
     """
-    name, cases, rows = "", tuple[str, ...](), dict[str, tuple[float, Row]]()
+    name, cases, rows = "", dict[str, None](), dict[str, tuple[float, Row]]()
     for path in sorted(folder.glob(SHARD_FILES), key=lambda one: one.stat().st_mtime_ns):
         with _explain(path):
             contents, _ = _read(path)
@@ -196,8 +203,7 @@ def read_shards(folder: Path) -> tuple[str, int, list[tuple[float, Row]]]:
             name, cases = contents.name, contents.cases
         for content_hash, found in contents.rows.items():
             rows.setdefault(content_hash, found)
-    listed = dict.fromkeys(cases)
-    return name, len(listed), [rows[one] for one in listed if one in rows]
+    return name, len(cases), [rows[one] for one in cases if one in rows]
 
 
 def _read(path: Path) -> tuple[_Contents, bool]:

@@ -1,0 +1,319 @@
+"""A fleet: which records there are of which joint, by one pattern for all or by a table of joints."""
+
+from __future__ import annotations
+
+import datetime
+import os
+import posixpath
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from jointid.campaigns.addresses import is_remote, listed, stamp_of
+from jointid.campaigns.campaign_tables import PLACEHOLDER, PLACEHOLDERS, FleetTable, unknown_placeholders
+from jointid.campaigns.fleet_table import FleetRow, RowFaults, read_fleet_table
+from jointid.common.errors import JointFileError, RecordError
+from jointid.common.text import counted
+from jointid.common.text import listed as in_a_row
+from jointid.config import loads
+from jointid.config.loading import read_text
+
+_NAMED = 5  # files or joints that a sentence names
+
+
+@dataclass(frozen=True, slots=True)
+class Logged:
+    """A record of a joint.
+
+    Attributes:
+        joint: its name.
+        joint_file: text of it.
+        address, stamp, day: of the record, as a case has them.
+        settings: keys of the joint file that are set for this joint alone.
+    """
+
+    joint: str
+    joint_file: str
+    address: str
+    stamp: str
+    day: str
+    settings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class FleetRecords:
+    """The records of a fleet, listed when they are first asked for.
+
+    Attributes:
+        asked: the table [fleet] of the campaign file.
+        folder: of the campaign file.
+    """
+
+    asked: FleetTable
+    folder: Path
+    _texts: dict[Path, str] = field(default_factory=dict, repr=False, compare=False)
+    _matched: dict[tuple[str, Path], dict[str, list[tuple[str, str, str]]]] = field(
+        default_factory=dict, repr=False, compare=False
+    )
+    _undated: list[str] = field(default_factory=list, repr=False, compare=False)
+
+    @cached_property
+    def found(self) -> tuple[Logged, ...]:
+        """The records, in an order that depends on campaign file, table and records alone.
+
+        Raises:
+            JointFileError: there are none, or joint files or the table have faults.
+            RecordError: they cannot be listed.
+            ExtraError: what reads the table, or lists the records, is not installed.
+        """
+        return tuple(self._of_pattern() if self.asked.table is None else self._of_table(self.folder / self.asked.table))
+
+    @property
+    def left_out(self) -> str:
+        """Sentences on files that fit but for their date, and joints without a record; empty if there are none."""
+        said, without = [], self._without
+        if self._undated:
+            said.append(
+                f"{len(self._undated)} files have no date as 2026-11-23 or 20261123 where [fleet] says {{day}}, "
+                f"and are left out: {_some(self._undated)}."
+            )
+        if without:
+            said.append(f"{counted(len(without), 'joint')} of the table have no record yet: {_some(without)}.")
+        return " ".join(said)
+
+    @property
+    def _without(self) -> list[str]:
+        """The joints of a table that have no record."""
+        if self.asked.table is None:
+            return []
+        with_one = {one.joint for one in self.found}
+        return [name for name in dict.fromkeys(row.name for row in self._table[0]) if name not in with_one]
+
+    @cached_property
+    def _table(self) -> tuple[tuple[FleetRow, ...], RowFaults]:
+        assert self.asked.table is not None
+        return read_fleet_table(self.folder / self.asked.table)
+
+    def _of_pattern(self) -> list[Logged]:
+        pattern = self.asked.records
+        assert self.asked.joint is not None
+        if pattern is None and "{joint}" in self.asked.joint:
+            raise JointFileError(
+                f'fleet.joint is "{self.asked.joint}", and there is no fleet.records to say which joints there are; '
+                "add it."
+            )
+        if pattern is None:
+            return [named_record(self.folder / self.asked.joint, None)]
+        matched, texts, faults = self._match(pattern, self.folder), dict[str, str](), list[str]()
+        for joint in matched:
+            try:
+                texts[joint] = self._text(self.folder, self.asked.joint, joint)
+            except JointFileError as error:
+                faults += error.faults
+        if faults:
+            raise JointFileError(faults)
+        return [Logged(joint, texts[joint], *one) for joint, records in matched.items() for one in records]
+
+    def _of_table(self, path: Path) -> list[Logged]:
+        (rows, faults), texts = self._table, dict[FleetRow, str]()
+        for row in rows:
+            try:
+                folder, joint = self._joint_of(row, path.parent)
+                texts[row] = self._text(folder, joint, row.name)
+            except JointFileError as error:
+                faults.add(row.number, error.faults)
+        for row, said in _check_settings(texts):
+            faults.add(row.number, said)
+        made, taken = list[Logged](), dict[tuple[str, str], int]()
+        for row, text in texts.items():
+            try:
+                found = [replace(one, joint=row.name) for one in self._of_row(row, text, path.parent)]
+            except (JointFileError, RecordError) as error:
+                faults.add(row.number, error.faults)
+                continue
+            for one in found:
+                first = taken.setdefault((one.joint, one.address), row.number)
+                if first != row.number:
+                    faults.add(row.number, [f"{one.address} is a record of {one.joint} in row {first}, too; leave one "
+                                            "out, or have settings side by side by [sweep]."])  # fmt: skip
+            made += found
+        faults.require_none()
+        if not made:
+            raise JointFileError(f"{path} names {counted(len(rows), 'row')}, and no record is there; correct the "
+                                 "paths, which are taken from its folder.")  # fmt: skip
+        return made
+
+    def _joint_of(self, row: FleetRow, place: Path) -> tuple[Path, str]:
+        """Return a row's joint file, and the folder from which its path is taken.
+
+        Raises:
+            JointFileError: none is named.
+        """
+        if row.joint or self.asked.joint is None:
+            if not row.joint:
+                raise JointFileError("it names no joint file; fill in joint, or add joint to [fleet] for all.")
+            return place, row.joint
+        return self.folder, self.asked.joint
+
+    def _of_row(self, row: FleetRow, text: str, place: Path) -> list[Logged]:
+        """Return the records of a row of a table in a folder.
+
+        Raises:
+            JointFileError, RecordError: the row has faults.
+        """
+        if row.record:
+            return [Logged(row.name, text, *_single(row.record, place, row.day), row.settings)]
+        folder, pattern = (place, row.records) if row.records else (self.folder, self.asked.records)
+        if pattern is None:
+            where, joint = self._joint_of(row, place)
+            return [named_record(where / joint.replace("{joint}", row.name), None, row.settings)]
+        if faults := tuple(map("".join, unknown_placeholders("records", pattern, tuple(PLACEHOLDERS)))):
+            raise JointFileError(faults)
+        matched = self._match(pattern, folder)
+        # One listing serves all rows: those of a flat folder would each go through all its files.
+        ours = [matched.get(row.name, [])] if "{joint}" in pattern else matched.values()
+        return [Logged(row.name, text, *one, row.settings) for records in ours for one in records]
+
+    def _text(self, folder: Path, joint: str, name: str) -> str:
+        path = folder / joint.replace("{joint}", name)
+        if path not in self._texts:
+            self._texts[path] = read_text(path)
+        return self._texts[path]
+
+    def _match(self, pattern: str, folder: Path) -> Mapping[str, list[tuple[str, str, str]]]:
+        """Return address, stamp and day of what a pattern matches, by joint.
+
+        Raises:
+            JointFileError: nothing does, where the campaign file has the pattern.
+        """
+        if (pattern, folder) not in self._matched:
+            self._matched[pattern, folder] = dict[str, list[tuple[str, str, str]]]()
+            for joint, address, stamp, day in self._matches(pattern, folder):
+                self._matched[pattern, folder].setdefault(joint, []).append((address, stamp, day))
+        matched = self._matched[pattern, folder]
+        if not matched and self.asked.table is None:
+            raise JointFileError(f'fleet.records is "{pattern}", and no file is of that form; correct the path.')
+        return matched
+
+    def _matches(self, pattern: str, folder: Path) -> Iterator[tuple[str, str, str, str]]:
+        plain = pattern if is_remote(pattern) else posixpath.normpath(pattern)
+        shape = re.compile(f"(?:^|/){_expression(re.sub(r'^([.][.]/)+|^/', '', plain))}$")
+        stars = PLACEHOLDER.sub(lambda one: one[0] if one[1] is None else "*", plain)
+        for address, stamp in listed(stars, folder).items():
+            said = shape.search(address.replace(os.sep, "/"))
+            if said is None:
+                self._undated.append(address)
+                continue
+            parts = said.groupdict()
+            yield parts.get("joint", "joint"), address, stamp, _day(parts.get("day"), address, stamp)
+
+
+def named_record(joint: Path, record: Path | None, settings: tuple[str, ...] = ()) -> Logged:
+    """Return a record by its path, or the one that a joint file names.
+
+    Args:
+        joint: path of the joint file.
+        record: path of the record; the joint file's when None.
+        settings: keys of the joint file that are set, of which one may be record.file.
+
+    Raises:
+        JointFileError: the joint file cannot be read, or names none.
+        RecordError: the record is not there.
+    """
+    path = joint.absolute()
+    text = read_text(path)
+    named = loads(text, changes=settings).source.file if record is None else record
+    if named is None:
+        raise JointFileError(f"{path} names no record; add file to its [record], or name records in this file.")
+    place = path.parent / named
+    stamp = stamp_of(place)
+    return Logged(path.stem, text, str(place.absolute()), stamp, _day(None, str(place), stamp), settings)
+
+
+def _single(record: str, folder: Path, day: str) -> tuple[str, str, str]:
+    """Return address, stamp and day of a record that a row names; without a stamp its own case says what is wrong."""
+    if is_remote(record):
+        address, stamp = next(iter(listed(record, folder).items()), (record, ""))
+    else:
+        address = os.path.normpath(folder / record)
+        try:
+            stamp = stamp_of(Path(address))
+        except RecordError:
+            stamp = ""
+    return address, stamp, day or _day(None, address, stamp)
+
+
+def _check_settings(texts: Mapping[FleetRow, str]) -> Iterator[tuple[FleetRow, tuple[str, ...]]]:
+    """Yield the rows whose settings their joint file does not take, with its sentences.
+
+    Of rows that differ in numbers alone those with the least and the largest of each are checked, and all of them if
+    one has a fault: a number's bounds hold between two that keep them. What two numbers are to one another is left to
+    their own case.
+    """
+    alike = dict[tuple[str, ...], list[tuple[FleetRow, list[float]]]]()
+    for row, text in texts.items():
+        numbers = [_number(one.partition("=")[2]) for one in row.settings]
+        kinds = (
+            one if number is None else one.partition("=")[0]
+            for one, number in zip(row.settings, numbers, strict=True)
+        )  # fmt: skip
+        alike.setdefault((text, *kinds), []).append((row, [one for one in numbers if one is not None]))
+    for (text, *_), members in alike.items():
+        rows, values = [row for row, _ in members], np.array([numbers for _, numbers in members])
+        ends = {0, *map(int, values.argmin(axis=0)), *map(int, values.argmax(axis=0))} if values.size else {0}
+        if any(_faults(text, rows[k].settings) for k in ends):
+            yield from ((row, _faults(text, row.settings)) for row in rows)
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+@lru_cache(maxsize=1024)
+def _faults(text: str, settings: tuple[str, ...]) -> tuple[str, ...]:
+    try:
+        loads(text, changes=settings)
+    except JointFileError as error:
+        return error.faults
+    return ()
+
+
+def _some(names: list[str]) -> str:
+    return in_a_row([*names[:_NAMED], *(["others"] if len(names) > _NAMED else [])])
+
+
+def _expression(pattern: str) -> str:
+    """Return the regular expression of a pattern: each placeholder is a part of a path, and the same wherever it is."""
+    seen: set[str] = set()
+
+    def part(found: re.Match[str]) -> str:
+        name = found[1]
+        if name is None:
+            return "[^/]*" if found[2] else "[^/]"
+        if name in seen:
+            return f"(?P={name})"
+        seen.add(name)
+        return f"(?P<{name}>{PLACEHOLDERS[name]})"
+
+    parts, at = [], 0
+    for found in PLACEHOLDER.finditer(pattern):
+        parts += [re.escape(pattern[at : found.start()]), part(found)]
+        at = found.end()
+    return "".join([*parts, re.escape(pattern[at:])])
+
+
+def _day(said: str | None, address: str, stamp: str) -> str:
+    """Return a day as 2026-11-23: the one in a file's name, else that of its last change, where that is known."""
+    if said is not None:
+        digits = said.replace("-", "")
+        return f"{digits[:4]}-{digits[4:6]}-{digits[6:]}"
+    if is_remote(address) or not stamp:
+        return ""
+    return datetime.datetime.fromtimestamp(int(stamp.rpartition(" ")[2]) / 1000, datetime.UTC).date().isoformat()

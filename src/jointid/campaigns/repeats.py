@@ -1,0 +1,121 @@
+"""Runs that repeat one another but for their noise: their scatter beside what is stated, and those that stand out.
+
+Simulated runs, and one record resampled, have seeds and no time: nothing drifts among them. If estimates are normal,
+``(n - 1) s^2`` over the variance is of chi-squared distribution with n - 1 degrees of freedom, which gives the interval
+of the scatter s of n runs over the median stated deviation. Limits: one wild run widens s, and is named; what every
+run errs alike, a bias, does not scatter.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from jointid.campaigns.rows import Outcome, Row
+from jointid.common.arrays import FloatArray
+from jointid.common.document import Block, Heading, Table
+from jointid.common.text import counted, listed, number, signed
+
+_FEWEST = 3  # runs that have a scatter
+_LEVEL = 0.95  # of its interval
+_CLOSE = 1.1  # a ratio that is no other, however surely it is known
+_OUT = 6.0  # robust deviations beyond which a run stands out
+_NAMED = 5  # quantities in a sentence
+_TO_SIGMA = 1.4826  # from the median of absolute deviations, for a normal distribution
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Repeated:
+    """A quantity over runs that differ in their seed alone.
+
+    Attributes:
+        name: of the quantity, with the swept settings of these runs.
+        seeds: (runs,) of each.
+        values: (runs,) in SI units.
+        stds: (runs,) stated standard deviations.
+    """
+
+    name: str
+    seeds: tuple[int | None, ...]
+    values: FloatArray
+    stds: FloatArray
+
+    @property
+    def ratio(self) -> float:
+        """Scatter over the median stated standard deviation."""
+        return float(np.std(self.values, ddof=1) / np.median(self.stds))
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Interval of the ratio, of 95 %."""
+        freedom = self.values.size - 1
+        lower, upper = (
+            self.ratio * math.sqrt(freedom / float(stats.chi2.ppf((1 + sign * _LEVEL) / 2, freedom)))
+            for sign in (1, -1)
+        )
+        return lower, upper
+
+    @property
+    def verdict(self) -> str:
+        """Whether the runs scatter as their stated deviations say."""
+        lower, upper = self.interval
+        if lower > 1 and self.ratio > _CLOSE:
+            return "more than stated"
+        return "less" if upper < 1 and self.ratio < 1 / _CLOSE else "as stated"
+
+    @property
+    def outlying(self) -> Iterator[tuple[int | None, float, float]]:
+        """Seed, value and deviations of each run that is far off the median."""
+        off = self.values - np.median(self.values)
+        scale = max(_TO_SIGMA * float(np.median(np.abs(off))), float(np.median(self.stds)))
+        for k in np.flatnonzero(np.abs(off) > _OUT * scale):
+            yield self.seeds[k], float(self.values[k]), float(off[k] / scale)
+
+
+def repeats_of(rows: Sequence[Row]) -> Iterator[Repeated]:
+    """Yield every quantity of runs that differ in their seed alone, where there are three or more."""
+    groups: dict[tuple[str, tuple[str, ...]], list[tuple[int | None, float, float]]] = {}
+    for row in rows:
+        if row.outcome is Outcome.IDENTIFIED:
+            for name, one in row.found.items():
+                if one.value is not None and one.std:
+                    groups.setdefault((name, row.changes), []).append((row.seed, one.value, one.std))
+    for (name, changes), runs in sorted(groups.items(), key=lambda one: one[0][1]):
+        if len(runs) >= _FEWEST:
+            seeds, values, stds = zip(*runs, strict=True)
+            called = f"{name} ({'; '.join(changes)})" if changes else name
+            yield Repeated(called, seeds, np.array(values), np.array(stds))
+
+
+def summarise_repeats(found: Sequence[Repeated], runs: int, what: str) -> tuple[str, bool | None]:
+    """Return in a sentence whether runs scatter as stated, and whether they do; None where that is not known."""
+    if not found:
+        return f"{counted(runs, f'{what} run')} with an answer; three are needed to say how they scatter.", None
+    wrong = [one for one in found if one.verdict != "as stated"]
+    if not wrong:
+        return f"{counted(runs, f'{what} run')} scatter as their stated deviations say.", True
+    said = [f"{one.name} ({number(one.ratio, 2)} times as stated)" for one in wrong[:_NAMED]]
+    more = [f"{len(wrong) - _NAMED} more"] if len(wrong) > _NAMED else []
+    return f"{counted(runs, f'{what} run')} scatter otherwise than stated in {listed([*said, *more])}.", False
+
+
+def repeat_blocks(found: Sequence[Repeated], most: int | None) -> Iterator[Block]:
+    """Yield the scatter of every quantity beside what is stated, and the runs that stand out."""
+    if found:
+        yield Heading("Scatter between the runs over the stated standard deviation")
+        scatter = ((one.name, str(one.values.size), number(one.ratio, 3), " to ".join(number(end, 3) for end in
+                   one.interval), one.verdict) for one in found)  # fmt: skip
+        yield Table(("quantity", "runs", "ratio", "95 %", "verdict"), tuple(scatter), "", (0, 3, 4))
+    outlying = [
+        (one.name, f"seed {seed}", number(value), signed(off, 2))
+        for one in found
+        for seed, value, off in one.outlying
+    ]  # fmt: skip
+    if outlying:
+        yield Heading("Runs that stand out from the others")
+        outlying.sort(key=lambda row: -abs(float(row[-1])))
+        yield Table(("quantity", "run", "value", "deviations"), tuple(outlying[:most]), "", (0, 1))
