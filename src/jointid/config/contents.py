@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Self
 from pydantic import ValidationError
 
 from jointid.common import units
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.common.messages import Progress, silent
 from jointid.common.parameters import TORQUE_UNIT, Parameter
@@ -52,7 +53,7 @@ from jointid.records.drives import Drive
 from jointid.records.reading import read
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.records.writing import write
+from jointid.records.writing import columns_to_write, write_columns
 
 if TYPE_CHECKING:
     from jointid.controller_id.learned_loop import LearnedLoop
@@ -232,6 +233,21 @@ class JointFile:
         )
         return record
 
+    def driving(self, path: str | os.PathLike[str] | None = None) -> Record:
+        """Read what drives a simulation: the reference and what is injected; torque and positions if they are there.
+
+        Args:
+            path: of the record, instead of the one the joint file names.
+
+        Raises:
+            RecordError: there is no such file, or it has no reference.
+        """
+        seen = ("torque", "motor_position", "load_position")
+        columns = {name: replace(c, optional=True) if name in seen else c for name, c in self._columns.items()}
+        record = read(self.record_path(path), columns, **self._reading, **self._clock, **self.source.options)
+        record.require(("reference",), "a simulation")
+        return record
+
     def identify(self, record: Record, progress: Progress = silent) -> Estimate:
         """Identify the joint from a record, as the file says; its loop is not checked, see `jointid.check_loop`.
 
@@ -290,7 +306,20 @@ class JointFile:
         Raises:
             RecordError: see `jointid.records.writing.write`.
         """
-        write(record, path, self.columns, **self._reading, **self.source.options)
+        write_columns(self.columns_to_write(record), path, **self.source.options)
+
+    def columns_to_write(self, record: Record) -> dict[str, FloatArray]:
+        """Return the columns of the file that `write` makes, by their names.
+
+        Raises:
+            RecordError: see `jointid.records.writing.columns_to_write`.
+        """
+        return columns_to_write(record, self.columns, **self._reading)
+
+    @property
+    def column_names(self) -> frozenset[str]:
+        """Names of the columns that channels are declared by, as the file of the record has them."""
+        return frozenset(column.column for column in self.columns.values() if column.column)
 
     def record_path(self, path: str | os.PathLike[str] | None = None) -> str | os.PathLike[str]:
         """Return the path of the record: that one, or the one this file names.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeAlias
@@ -20,9 +20,10 @@ from pydantic import Field, ValidationError
 
 from jointid.common import messages
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import JointFileError, JointidError, RecordError
+from jointid.common.errors import JointFileError, JointidError, MethodError, RecordError
 from jointid.common.files import write_whole
 from jointid.common.messages import Says
+from jointid.common.settings import settings_of
 from jointid.config.contents import JointFile
 from jointid.config.loading import apply_changes, parse_toml, read_text
 from jointid.config.robot_model import in_order, load_robot
@@ -30,9 +31,12 @@ from jointid.config.schema import CONSTANT, ControllerTable, FilteringTable, Tra
 from jointid.config.schema_record import ChannelsTable, DriveTable, RecordTable
 from jointid.config.table import Number, Positive, Table, Text, keys_from, sentences, with_unit
 from jointid.estimation.robots.idim import RobotIDIM
+from jointid.estimation.robots.torque_only import RobotDIDIM
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
+from jointid.records.writing import write_columns
+from jointid.simulation.robots import RobotLoop, add_feed_forward
 
 FeedForward: TypeAlias = Literal["none", "gravity", "inverse-model", "logged"]
 Angles = Annotated[list[Number], Field(min_length=3, max_length=3), Says("a list of three numbers")]
@@ -82,9 +86,30 @@ class RobotJointTable(Table):
         return replace(joint, **given)
 
 
-@keys_from(RobotIDIM)
+@keys_from(RobotIDIM, RobotDIDIM)
 class RobotMethodTable(Table):
-    """[method]: how the robot is identified, by IDIM."""
+    """[method]: how the robot is identified; some keys are for one method only."""
+
+    name: Literal["idim", "didim"] | None = Field(
+        None,
+        description="idim, from motor positions and torques, or didim, from torques and references; without it idim "
+        "where [record.channels] or a joint has a motor_position",
+    )
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield keys of the other method, where one is named."""
+        if self.name is not None:
+            other = RobotDIDIM if self.name == "idim" else RobotIDIM
+            for one in settings_of(other):
+                if one.name in self.model_fields_set:
+                    yield one.name, f" is a setting of another method than {self.name}; leave it out."
+
+    def method(self, measured: bool) -> RobotIDIM | RobotDIDIM:
+        """Return the method that is named, or, of records with motor positions or without, the one they are for."""
+        name = self.name or ("idim" if measured else "didim")
+        own = RobotIDIM if name == "idim" else RobotDIDIM
+        given = self.settings("name")
+        return own(**{one.name: given[one.name] for one in settings_of(own) if one.name in given})
 
 
 class RobotFileTable(Table):
@@ -108,7 +133,7 @@ class RobotFile:
         robot: the model, with what the file says of its joints; gravity as the base stands.
         joints: the joint file of each joint: channels, transmission, controller.
         filtering: how signals are filtered.
-        method: how the robot is identified.
+        method: how the robot is identified: by IDIM, or by DIDIM from torques and references.
         feed_forward: what the drives are given beside the controllers' torque.
         path: of the robot file.
         raw: its tables.
@@ -117,7 +142,7 @@ class RobotFile:
     robot: Robot
     joints: tuple[JointFile, ...]
     filtering: Filtering
-    method: RobotIDIM
+    method: RobotIDIM | RobotDIDIM
     feed_forward: FeedForward
     path: Path
     raw: Mapping[str, Any] = field(repr=False)
@@ -141,11 +166,12 @@ class RobotFile:
         if faults:
             raise JointFileError(faults)
         robot = _robot(said, path.parent)
+        method = said.method.method(_has_positions(raw))
         return cls(
             robot,
-            _joint_files(raw, robot, path),
+            _joint_files(raw, robot, path, "idim" if isinstance(method, RobotIDIM) else "didim"),
             said.filtering.build(),
-            said.method.build(),
+            method,
             said.robot.feed_forward,
             path,
             raw,
@@ -160,15 +186,62 @@ class RobotFile:
         Raises:
             RecordError: the file does not hold what the robot file says; each sentence names its joint.
         """
+        return self._of_each(lambda file: file.record(path))
+
+    def _of_each(self, read: Callable[[JointFile], Record]) -> tuple[Record, ...]:
         found, faults = list[Record](), list[str]()
         for file in self.joints:
             try:
-                found.append(file.record(path))
+                found.append(read(file))
             except RecordError as error:
                 faults += [f"{file.name}: {fault}" for fault in error.faults]
         if faults:
             raise RecordError(faults)
         return tuple(found)
+
+    @property
+    def loop(self) -> RobotLoop:
+        """The robot under its controllers.
+
+        Raises:
+            MethodError: a joint has no controller, or motors are coupled.
+        """
+        missing = [file.name for file in self.joints if file.controller is None]
+        if missing:
+            raise MethodError(
+                f"A robot is simulated under its controllers, and {', '.join(map(str, missing))} has none; add a "
+                "controller to its [[joints]] table, or identify by idim from motor positions."
+            )
+        return RobotLoop(self.robot, tuple(file.controller for file in self.joints if file.controller is not None))
+
+    def driven(self, path: str | os.PathLike[str] | None = None, *, logged: bool = True) -> tuple[Record, ...]:
+        """Read the records as `records` does, with the feed-forward that the file asks to compute.
+
+        Args:
+            path: of the record, instead of the one that the file names.
+            logged: whether torques must be there, as to identify from; a simulation needs references alone.
+
+        Raises:
+            RecordError: see `records`.
+            MethodError: the feed-forward needs references of one rate.
+        """
+        found = self.records(path) if logged else self._of_each(lambda file: file.driving(path))
+        if self.feed_forward in ("gravity", "inverse-model"):
+            return add_feed_forward(self.loop, found, self.feed_forward)
+        return found
+
+    def write(self, records: Sequence[Record], path: str | os.PathLike[str]) -> None:
+        """Write one record of each joint into a file that `records` reads; channels without a column as JOINT.CHANNEL.
+
+        Raises:
+            RecordError: the file cannot be written, or would not be read back.
+        """
+        table: dict[str, FloatArray] = {}
+        for file, record in zip(self.joints, records, strict=True):
+            for name, values in file.columns_to_write(record).items():
+                own = f"{file.name}.{name}" if name in record.channels and name not in file.column_names else name
+                table[own] = values
+        write_columns(table, path, **self.joints[0].source.options)
 
     def tables(self) -> dict[str, Any]:
         """Return the tables that say the same, with the numbers of this robot's joints."""
@@ -245,11 +318,11 @@ def _base(angles: list[float]) -> FloatArray:
     return np.asarray(np.array([[c, -z, 0], [z, c, 0], [0, 0, 1]]) @ pitch @ roll)
 
 
-def _joint_files(raw: Mapping[str, Any], robot: Robot, path: Path) -> tuple[JointFile, ...]:
+def _joint_files(raw: Mapping[str, Any], robot: Robot, path: Path, method: str) -> tuple[JointFile, ...]:
     files, faults = list[JointFile](), dict[str, list[str]]()
     for place, (table, link) in enumerate(zip(raw["joints"], robot.links, strict=True)):
         try:
-            files.append(JointFile.of(_tables_of_joint(raw, table, link.kind, place), path))
+            files.append(JointFile.of(_tables_of_joint(raw, table, link.kind, place, method), path))
         except JointFileError as error:
             for fault in error.faults:
                 faults.setdefault(fault, []).append(table["name"])
@@ -259,21 +332,27 @@ def _joint_files(raw: Mapping[str, Any], robot: Robot, path: Path) -> tuple[Join
     return tuple(files)
 
 
-def _tables_of_joint(raw: Mapping[str, Any], table: Mapping[str, Any], kind: str, place: int) -> dict[str, Any]:
+def _has_positions(raw: Mapping[str, Any]) -> bool:
+    """True if a motor's position is a channel, or a joint has no controller, without which there is one method only."""
+    shared = "motor_position" in raw.get("record", {}).get("channels", {})
+    return shared or any("motor_position" in t.get("channels", {}) or "controller" not in t for t in raw["joints"])
+
+
+def _tables_of_joint(
+    raw: Mapping[str, Any], table: Mapping[str, Any], kind: str, place: int, method: str
+) -> dict[str, Any]:
     """Return the joint file of one joint: its channels by its name and place, and its own tables."""
     record, drive = dict(raw.get("record", {})), dict(raw.get("drive", {}))
     channels = {**record.get("channels", {}), **table.get("channels", {})}
     record["channels"] = _named(channels, table["name"], place)
     if "profile" in drive:
         drive.setdefault("axis", place + 1)
-    # What a joint of a robot is identified by is not its own method, but says which channels must be there.
-    measured = "motor_position" in channels or "controller" not in table
     own = {name: table[name] for name in ("transmission", "controller") if name in table}
     joint = {"kind": kind, "name": table["name"]}
     if "torque_constant" in table:
         joint["torque_constant"] = table["torque_constant"]
-    method = {"name": "idim" if measured else "didim"}
-    return {"joint": joint, "record": record, "drive": drive, "method": method} | own
+    # What a joint of a robot is identified by is not its own method, but says which channels must be there.
+    return {"joint": joint, "record": record, "drive": drive, "method": {"name": method}} | own
 
 
 def _named(value: Any, name: str, place: int) -> Any:

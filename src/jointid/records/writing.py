@@ -63,6 +63,39 @@ def write(
         RecordError: the channels differ in rate or have one sample, two of them have one column, the file would not be
             read back, or cannot be written.
     """
+    made = columns_to_write(
+        record, columns, drive=drive, time=time, time_unit=time_unit, sample_time=sample_time, kind=kind,
+        transmission=transmission,
+    )  # fmt: skip
+    write_columns(made, path, **options)
+
+
+def write_columns(columns: Mapping[str, FloatArray], path: str | os.PathLike[str], **options: object) -> None:
+    """Write columns by their names; those of a file without names, numbers, in their order.
+
+    Raises:
+        RecordError: the file would not be read back, or cannot be written.
+    """
+    by_number = all(name.isdecimal() for name in columns)
+    write_table(path, Table({n: columns[n] for n in (sorted(columns, key=int) if by_number else columns)}), **options)
+
+
+def columns_to_write(
+    record: Record,
+    columns: Mapping[str, str | Column] | None = None,
+    *,
+    drive: Drive | None = None,
+    time: str | None = None,
+    time_unit: str | None = None,
+    sample_time: float | None = None,
+    kind: str = "prismatic",
+    transmission: Transmission | None = None,
+) -> dict[str, FloatArray]:
+    """Return a record as the columns of the file that `write` makes of it, by their names; arguments as there.
+
+    Raises:
+        RecordError: the channels differ in rate or have one sample, or two of them have one column.
+    """
     wanted = {n: Column(c) if isinstance(c, str) else c for n, c in (columns or {}).items()}
     writing = _Writer(drive or Drive(), kind, transmission)
     named = writing.name_columns(record, wanted)
@@ -83,8 +116,7 @@ def write(
     for named_column in named.values():
         if named_column.time is not None:
             table.setdefault(named_column.time, _stamps(next(iter(channels.values())), named_column.time, time_unit))
-    by_number = all(name.isdecimal() for name in table)
-    write_table(path, Table({n: table[n] for n in (sorted(table, key=int) if by_number else table)}), **options)
+    return table
 
 
 def _time_column(

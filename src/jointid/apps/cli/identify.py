@@ -16,6 +16,7 @@ from jointid.apps.cli.console import (
     Options,
     Quiet,
     deliver,
+    listen,
     ready,
     show,
 )
@@ -117,7 +118,7 @@ def identify(
         robots.refuse(
             window=window, settling=settling, method=method, filtering=filtering, friction=friction, figure=figure
         )
-        robots.identify_robot_file(joint, records, changes, outputs, json, details)
+        robots.identify_robot_file(joint, records, changes, outputs, json, details, listen(quiet))
         return
     outputs.spare("--record", *records)
     options = Options(record=records[0] if records else None, changes=changes, json=json, quiet=quiet)

@@ -146,7 +146,7 @@ def validate(
     outputs = Outputs({"--json": options.json}, {"--figure": figure, "--residuals": residuals})
     if robots.is_robot(joint):
         robots.refuse(estimate=estimate, figure=figure, residuals=residuals)
-        robots.validate_robot_file(joint, options.record, options.changes, outputs, options.json)
+        robots.validate_robot_file(joint, options, outputs)
         return
     estimate = _needed(estimate)
     outputs.spare("--estimate", estimate)

@@ -6,13 +6,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jointid.apps.cli.console import deliver, show
+from jointid.apps.cli.console import Options, deliver, show
 from jointid.apps.cli.places import Outputs
 from jointid.common.errors import MethodError
+from jointid.common.messages import Progress, silent
 
 if TYPE_CHECKING:
     from jointid.config.robot_file import RobotFile
     from jointid.estimation.robots.idim import RobotEstimate
+    from jointid.estimation.robots.torque_only import RobotTorqueEstimate
 
 
 def is_robot(path: Path) -> bool:
@@ -30,41 +32,74 @@ def refuse(**options: object) -> None:
     """
     given = [f"--{name}" for name, value in options.items() if value]
     if given:
-        raise MethodError(f"{', '.join(given)} is for a joint file; a robot file is identified by IDIM: leave it out.")
+        raise MethodError(f"{', '.join(given)} is for a joint file; a robot file says it itself: leave it out.")
 
 
 def identify_robot_file(
-    path: Path, records: Sequence[Path], changes: Sequence[str], outputs: Outputs, json: Path | None, details: bool
-) -> None:
+    path: Path, records: Sequence[Path], changes: Sequence[str], outputs: Outputs, json: Path | None, details: bool,
+    progress: Progress,
+) -> None:  # fmt: skip
     """Identify all joints of a robot file from one record."""
     if len(records) > 1:
         raise MethodError(f"A robot is identified from one record; received {len(records)}: name one.")
-    _, estimate = _identified(path, changes, outputs, records[0] if records else None)
+    _, estimate = _identified(path, changes, outputs, progress, records[0] if records else None)
     deliver(estimate, json, details=details)
 
 
-def validate_robot_file(
-    path: Path, record: Path | None, changes: Sequence[str], outputs: Outputs, json: Path | None
-) -> None:
+def simulate_robot_file(path: Path, options: Options, out: Path | None, outputs: Outputs) -> None:
+    """Simulate a robot under its controllers along the references of a record, and write what its drives would log."""
+    from jointid.simulation.robots import RobotOutcome, robot_records, simulate_robot
+
+    file = _loaded(path, options.changes, outputs, options.record)
+    loop, records = file.loop, file.driven(options.record, logged=False)
+    found = simulate_robot(loop, records)
+    if found.outcome is not RobotOutcome.FINISHED:
+        raise MethodError(f"{file.robot.name} cannot be simulated: {found.outcome.value}.")
+    peaks = ", ".join(
+        f"{name} {peak:.4g} {file.robot.torque_unit(k)}"
+        for k, (name, peak) in enumerate(zip(file.robot.names, abs(found.torque).max(axis=0), strict=True))
+    )
+    show(
+        f"{len(found.torque)} samples of {found.sample_time:g} s, {found.events} reversals, stops and starts; peak "
+        f"torques: {peaks}"
+    )
+    if out is not None:
+        file.write(robot_records(loop, records, found), out)
+        show(f"Written: {out}")
+
+
+def validate_robot_file(path: Path, options: Options, outputs: Outputs) -> None:
     """Identify a robot from the record that its file names, and hold the estimate against another one."""
+    from jointid.estimation.robots.idim import RobotEstimate
+    from jointid.estimation.robots.torque_only import validate_robot_torques
     from jointid.estimation.robots.validation import validate_robot
 
-    if record is None:
+    if options.record is None:
         raise MethodError(
             "A robot's estimate is held against a record that it has not seen; expected --record OTHER, beside the "
             "record that the robot file names."
         )
-    file, estimate = _identified(path, changes, outputs)
-    deliver(validate_robot(estimate, file.records(record)), json)
+    file, estimate = _identified(path, options.changes, outputs, options.progress)
+    if isinstance(estimate, RobotEstimate):
+        found = validate_robot(estimate, file.records(options.record))
+    else:
+        found = validate_robot_torques(estimate, file.driven(options.record))
+    deliver(found, options.json)
 
 
 def export_robot_file(path: Path, changes: Sequence[str], out: Path) -> None:
     """Identify a robot from the record that its file names, and write bodies that fit, as URDF or MJCF."""
     from jointid.common.files import write_whole
     from jointid.estimation.robots.consistent import consistent_robot
+    from jointid.estimation.robots.idim import RobotEstimate
     from jointid.output.export.robot_model import write_robot
 
-    _, estimate = _identified(path, changes, Outputs({"--out": out}))
+    _, estimate = _identified(path, changes, Outputs({"--out": out}), silent)
+    if not isinstance(estimate, RobotEstimate):
+        raise MethodError(
+            "Bodies are fitted to an estimate by IDIM, of motor positions, and this robot file asks for DIDIM; add "
+            "--set method.name=idim, with a record that has them."
+        )
     found = consistent_robot(estimate)
     text, lost = write_robot(found.robot, out)
     write_whole(out, text)
@@ -77,14 +112,27 @@ def export_robot_file(path: Path, changes: Sequence[str], out: Path) -> None:
     show(f"Written: {out}")
 
 
-def _identified(
-    path: Path, changes: Sequence[str], outputs: Outputs, record: Path | None = None
-) -> tuple[RobotFile, RobotEstimate]:
+def _loaded(path: Path, changes: Sequence[str], outputs: Outputs, record: Path | None = None) -> RobotFile:
+    """Return a robot file, whose model and record no output may replace."""
     from jointid.config.robot_file import load_robot_file
-    from jointid.estimation.robots.idim import identify_robot
 
     file = load_robot_file(path, changes)
     outputs.spare("JOINT", path, path.parent / str(file.raw["robot"]["model"]))
     source = file.joints[0].source.file
     outputs.spare("the record", record, path.parent / source if source else None)
-    return file, identify_robot(file.robot, file.records(record), file.method, filtering=file.filtering)
+    return file
+
+
+def _identified(
+    path: Path, changes: Sequence[str], outputs: Outputs, progress: Progress, record: Path | None = None
+) -> tuple[RobotFile, RobotEstimate | RobotTorqueEstimate]:
+    from jointid.estimation.robots.idim import RobotIDIM, identify_robot
+    from jointid.estimation.robots.torque_only import identify_robot_from_torques
+
+    file = _loaded(path, changes, outputs, record)
+    if isinstance(file.method, RobotIDIM):
+        return file, identify_robot(file.robot, file.records(record), file.method, filtering=file.filtering)
+    found = identify_robot_from_torques(
+        file.loop, file.driven(record), file.method, filtering=file.filtering, progress=progress
+    )
+    return file, found

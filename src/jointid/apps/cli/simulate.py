@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from jointid.apps.cli import robots
 from jointid.apps.cli.console import DEFAULTS, Flag, Options, Quiet, fresh_folder, listen, ready, show
 from jointid.apps.cli.places import Outputs
 from jointid.common.errors import MethodError, RecordError
@@ -107,7 +108,7 @@ def simulate(
     needed: the paper's flexible axis is simulated, under one of its two loops.
 
     Args:
-        joint: the joint file (TOML).
+        joint: the joint file (TOML), or a robot file, which has the table [robot]; its own numbers are used.
         options: those that most commands have.
         estimate: what identify --json wrote; its parameters are used.
         out: write torque, reference and positions to this file, of any format, under the names and in the
@@ -132,6 +133,9 @@ def simulate(
         _simulate_twin(twin, added_mass, noise, seed, out, options)
     elif joint is None:
         raise MethodError("A simulation needs a joint file; name one, or give --twin L19 for the paper's axis.")
+    elif robots.is_robot(joint):
+        robots.refuse(estimate=estimate, json=options.json)
+        robots.simulate_robot_file(joint, options, out, outputs)
     else:
         _simulate_joint(joint, estimate, out, options, outputs)
 

@@ -213,10 +213,11 @@ def errors_table(robot: Robot, columns: Mapping[str, FloatArray], of_what: str) 
         MethodError: a joint has no torque to explain.
     """
     for errors in columns.values():
-        if not np.all(np.isfinite(errors)):
+        if np.any(np.isnan(errors)):
             raise MethodError("A joint's torque is 0 throughout; expected a torque of every motor: check the channels.")
     rows = tuple(
-        (name, *(f"{100 * errors[k]:.3g}" for errors in columns.values())) for k, name in enumerate(robot.names)
+        (name, *(f"{100 * errors[k]:.3g}" if np.isfinite(errors[k]) else "runs away" for errors in columns.values()))
+        for k, name in enumerate(robot.names)
     )
     header = ("joint", *(f"{name}, %" for name in columns))
     return Table(header, rows, f"filtered torque that is left, {of_what}")

@@ -321,6 +321,15 @@ SHAPES: Mapping[str, Shape] = {
         "left": "joint_errors",
         "nominal_left": "nominal_errors",
     },
+    "RobotTorqueEstimate": {
+        "schema": always("jointid.robot_torque_estimate/1"),
+        "robot": "robot.name",
+        "joints": "robot.names",
+        "converged": "fit.converged",
+        "parameters": "rows",
+        "left": "joint_errors",
+        "nominal_left": "nominal_errors",
+    },
     "RobotValidation": {
         "schema": always("jointid.robot_validation/1"),
         "robot": "robot.name",

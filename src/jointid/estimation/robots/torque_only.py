@@ -1,0 +1,230 @@
+"""A robot identified by DIDIM, as an answer: from torques and references alone, its joints rigid or flexible.
+
+It is held against another record as it was identified, by simulating the robot under its controllers, and beside the
+robot that one had before: the model's own masses, and the friction and rotors that the robot file says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.document import Document, Documented, Facts, Paragraph, Table
+from jointid.common.errors import MethodError
+from jointid.common.messages import Progress, silent
+from jointid.common.settings import check_settings, documented, setting
+from jointid.common.text import interval, number
+from jointid.common.units import Kind
+from jointid.estimation.robots.didim import RobotFit, identify_rigid_robot
+from jointid.estimation.robots.flexible import SpringVerdict, identify_flexible_robot
+from jointid.estimation.robots.idim import errors_table
+from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
+from jointid.estimation.robots.problem import robot_problem
+from jointid.estimation.robots.validation import RobotValidation
+from jointid.models.robots.robot import Robot
+from jointid.records.record import Record
+from jointid.records.signals.filtering import Filtering
+from jointid.simulation.robots import RobotLoop, RobotNumbers, RobotOutcome, run_robot
+
+_TWO = 2.0  # standard deviations of an interval
+_TOLD = 1.0  # relative deviation: a parameter that is known worse is not told from 0
+
+
+@documented
+@dataclass(frozen=True, slots=True)
+class RobotDIDIM:
+    """Settings of DIDIM of a robot."""
+
+    offsets: bool = setting(True, "whether a constant torque of each motor is identified, too")
+    iterations: int = setting(30, "iterations at most, of the robot of rigid joints", at_least=1)
+    evaluations: int = setting(60, "simulations with derivatives at most, of each search of springs", at_least=1)
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotTorqueEstimate(Documented):
+    """A robot's friction, rotors, springs and base parameters, from torques and references alone.
+
+    Attributes:
+        loop: the robot that was begun with, and its controllers.
+        fit: parameters, their covariance, and what is left of each joint's torque.
+        nominal_errors: (n,) what the robot that was begun with leaves, simulated; infinite where it cannot be.
+        springs: a verdict for each flexible joint.
+        settings: of the method.
+        filtering: resolved.
+    """
+
+    loop: RobotLoop
+    fit: RobotFit
+    nominal_errors: FloatArray
+    springs: tuple[SpringVerdict, ...]
+    settings: RobotDIDIM
+    filtering: Filtering
+
+    @property
+    def robot(self) -> Robot:
+        """The robot that was begun with."""
+        return self.loop.robot
+
+    @property
+    def joint_errors(self) -> FloatArray:
+        """What is left of each joint's filtered torque, (n,), as a share."""
+        return self.fit.relative_error
+
+    @property
+    def params(self) -> Mapping[str, float]:
+        """The values by their names; without stiffnesses that are refused."""
+        refused = {f"{one.joint}.stiffness" for one in self.springs if not one.shown}
+        values = zip(self.fit.names, self.fit.values, strict=True)
+        return {name: float(value) for name, value in values if name not in refused}
+
+    @property
+    def rows(self) -> Mapping[str, Mapping[str, float | str | None]]:
+        """Value, deviation and unit of each parameter, by its name; a stiffness that is refused has its bound."""
+        found: dict[str, Mapping[str, float | str | None]] = {}
+        units = parameter_units(self.robot, self.fit.parameters)
+        least = {f"{one.joint}.stiffness": one.at_least for one in self.springs if not one.shown}
+        for name, value, std in zip(self.fit.names, self.fit.values, self.fit.covariance.std, strict=True):
+            unit = units[name]
+            if name in least:
+                found[name] = {"value": None, "std": None, "unit": unit, "at_least": float(least[name])}
+            else:
+                found[name] = {"value": float(value), "std": float(std), "unit": unit, "at_least": None}
+        return found
+
+    def numbers(self) -> RobotNumbers:
+        """Return the robot that was identified, as it is simulated."""
+        return self.fit.parameters.numbers(self.fit.values)
+
+    def document(self, *, details: bool = False) -> Document:
+        """Return the springs first, then what is left of each joint's torque, and the parameters.
+
+        Args:
+            details: whether those that this record does not tell from 0 stand there too.
+        """
+        kind = "of springs, rotors and links" if self.springs else "of rigid joints"
+        settled = "settled" if self.fit.converged else "did not settle: do not rely on it"
+        facts = (
+            ("method", f"DIDIM of a robot, from torques and references alone, {kind}"),
+            ("search", f"{settled} after {self.fit.iterations} {'simulations' if self.springs else 'iterations'}"),
+        )
+        rows, units = [], parameter_units(self.robot, self.fit.parameters)
+        least = {f"{one.joint}.stiffness": one.at_least for one in self.springs if not one.shown}
+        for name, value, std in zip(self.fit.names, self.fit.values, self.fit.covariance.std, strict=True):
+            share = std / max(abs(value), 1e-300)
+            if name in least:
+                rows.append((name, f"at least {number(least[name], 3)}", units[name], ""))
+            elif details or share < _TOLD:
+                shown = interval(float(value), _TWO * float(std))
+                rows.append((name, shown, units[name], f"{100 * share:.2g}"))
+        hidden = len(self.fit.names) - len(rows)
+        caption = f"{hidden} more are not told from 0 by this record" if hidden else "all that torques can tell"
+        return Document(
+            f"{self.robot.name}: {len(self.fit.names)} parameters of {len(self.robot)} joints",
+            (
+                *(Paragraph(f"{one}.", lead=True, tone="good" if one.shown else "open") for one in self.springs),
+                Facts(facts),
+                errors_table(
+                    self.robot,
+                    {"estimate": self.joint_errors, "nominal": self.nominal_errors},
+                    "of the record it was identified from",
+                ),
+                Table(("parameter", "value, 2 sigma", "unit", "sigma, %"), tuple(rows), caption, (0, 1, 2)),
+            ),
+        )
+
+
+def parameter_units(robot: Robot, parameters: RobotParameters) -> dict[str, str]:
+    """Return the unit of each parameter by its name: of a joint's numbers those of its kind, of a link's in kg, m."""
+    kinds: dict[str, Kind] = {joint.name: link.kind for joint, link in zip(robot.joints, robot.links, strict=True)}
+    links = {link.name for link in robot.links}
+    found = {}
+    for name in parameters.names:
+        owner, _, what = name.rpartition(".")
+        what = what.removeprefix("link_")
+        if (owner in links and owner not in kinds) or what not in _UNITS["revolute"]:
+            found[name] = "kg" if what.startswith("m") and len(what) < 3 else ("kg m" if what[0] == "m" else "kg m2")
+        else:
+            found[name] = _UNITS[kinds[owner]][what]
+    return found
+
+
+_UNITS: Mapping[str, Mapping[str, str]] = {
+    "revolute": {
+        "rotor_inertia": "kg m2", "viscous": "N m s/rad", "coulomb": "N m", "offset": "N m", "stiffness": "N m/rad",
+        "damping": "N m s/rad",
+    },
+    "prismatic": {
+        "rotor_inertia": "kg", "viscous": "N s/m", "coulomb": "N", "offset": "N", "stiffness": "N/m",
+        "damping": "N s/m",
+    },
+}  # fmt: skip
+
+
+def identify_robot_from_torques(
+    loop: RobotLoop,
+    records: Sequence[Record],
+    settings: RobotDIDIM | None = None,
+    *,
+    filtering: Filtering | None = None,
+    progress: Progress = silent,
+) -> RobotTorqueEstimate:
+    """Identify a robot by DIDIM; joints with a spring are flexible, all others rigid.
+
+    Args:
+        loop: the robot and its controllers. Its own numbers are what the answer is held beside.
+        records: of each joint, with torque and reference, of one log; positions are not read.
+        settings: of the method.
+        filtering: of torques and derivatives.
+        progress: is told the steps.
+
+    Raises:
+        RecordError, MethodError: see `identify_rigid_robot` and `identify_flexible_robot`.
+    """
+    settings = settings or RobotDIDIM()
+    springs: tuple[SpringVerdict, ...] = ()
+    if any(loop.robot.flexible):
+        found = identify_flexible_robot(
+            loop, records, filtering, offsets=settings.offsets, evaluations=settings.evaluations, progress=progress
+        )
+        fit, springs = found.fit, found.springs
+    else:
+        fit = identify_rigid_robot(
+            loop, records, filtering, offsets=settings.offsets, iterations=settings.iterations, progress=progress
+        )
+    nominal, resolved = _errors(loop, records, filtering, RobotNumbers.of(loop.robot))
+    return RobotTorqueEstimate(loop, fit, nominal, springs, settings, resolved)
+
+
+def validate_robot_torques(estimate: RobotTorqueEstimate, records: Sequence[Record]) -> RobotValidation:
+    """Hold an estimate against another record of the same loops, simulated, beside the robot that one had before.
+
+    Args:
+        estimate: from another record.
+        records: of each joint, as `identify_robot_from_torques` takes them.
+
+    Raises:
+        MethodError: the estimate cannot be simulated along that record.
+    """
+    mine, _ = _errors(estimate.loop, records, estimate.filtering, estimate.numbers())
+    nominal, _ = _errors(estimate.loop, records, estimate.filtering, RobotNumbers.of(estimate.robot))
+    if not np.all(np.isfinite(mine)):
+        raise MethodError("The robot that was identified cannot be simulated along this record; check its references.")
+    return RobotValidation(estimate.robot, mine, nominal)
+
+
+def _errors(
+    loop: RobotLoop, records: Sequence[Record], filtering: Filtering | None, numbers: RobotNumbers
+) -> tuple[FloatArray, Filtering]:
+    """Return what a robot leaves of each joint's filtered torque, (n,), infinite if it cannot be simulated."""
+    problem = robot_problem(loop, records, robot_parameters(loop.robot), filtering)
+    run = run_robot(problem.experiment, numbers)
+    if run.outcome is not RobotOutcome.FINISHED:
+        return np.full(len(loop.robot), np.inf), problem.filtering
+    left, whole = (problem.by_joint(rows) for rows in (problem.error(run), problem.decimated(problem.measured)))
+    return np.linalg.norm(left, axis=1) / np.linalg.norm(whole, axis=1), problem.filtering

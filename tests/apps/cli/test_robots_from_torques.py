@@ -1,0 +1,124 @@
+"""A robot file with controllers: simulated, and identified from torques and references alone, by the commands."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jointid.apps.cli.app import app
+from jointid.common.errors import JointFileError, MethodError
+from jointid.output.export.robot_model import robot_mjcf
+from tests.robots_plants import Twin, six, two
+
+pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
+
+HEAD = """
+[robot]
+model = "robot.xml"
+[record]
+file = "references.csv"
+sample_time = 0.001
+[record.channels]
+torque = { column = "tau{axis}" }
+reference = { column = "r{axis}" }
+"""
+
+
+def run(*words: str | Path) -> None:
+    app([str(word) for word in words], result_action="return_value")
+
+
+def write_files(place: Path, twin: Twin, seconds: float, multisine: float = 0.0, heavier: float = 1.0) -> None:
+    """Write the robot's model, its file with controllers and friction, and references in the place of a record."""
+    links = tuple(replace(link, inertial=heavier * link.inertial) for link in twin.robot.links)
+    rigid = tuple(replace(joint, spring=None) for joint in twin.robot.joints)
+    model = replace(twin.robot, links=links, joints=rigid)
+    (place / "robot.xml").write_text(robot_mjcf(model)[0], encoding="utf-8")
+    text = HEAD
+    for joint, controller in zip(twin.robot.joints, twin.loop().controllers, strict=True):
+        numbers = [f"{name} = {float(getattr(joint, name))!r}" for name in ("rotor_inertia", "viscous", "coulomb")]
+        text += f'[[joints]]\nname = "{joint.name}"\n' + "\n".join(numbers) + "\n"
+        if joint.spring is not None:
+            own = [
+                f"{key} = {float(getattr(joint.spring, key))!r}"
+                for key in ("stiffness", "damping", "viscous", "coulomb")
+            ]
+            text += "[joints.spring]\n" + "\n".join(own) + "\n"
+        given = {key: float(getattr(controller, key)) for key in ("position_gain", "derivative_gain")}
+        gains = "".join(f"{key} = {value!r}\n" for key, value in given.items())
+        text += f'[joints.controller]\nlaw = "pd"\n{gains}'
+    (place / "robot.toml").write_text(text, encoding="utf-8")
+    for name, seed in (("references.csv", 1), ("others.csv", 4)):
+        columns = [r.reference.values for r in twin.records(seconds, seed, multisine=multisine) if r.reference]
+        header = ",".join(f"r{k}" for k in range(1, len(columns) + 1))
+        np.savetxt(place / name, np.column_stack(columns), fmt="%.12g", delimiter=",", header=header, comments="")
+
+
+def logged(place: Path, name: str, sigma: float, seed: int) -> Path:
+    """Add noise to the torques of a simulated file, as a share of each one's rms."""
+    path = place / name
+    header = path.read_text(encoding="utf-8").splitlines()[0].split(",")
+    table = np.loadtxt(path, delimiter=",", skiprows=1)
+    rng = np.random.default_rng(seed)
+    for k, column in enumerate(header):
+        if column.startswith("tau"):
+            table[:, k] += sigma * np.std(table[:, k]) * rng.normal(size=len(table))
+    np.savetxt(path, table, fmt="%.12g", delimiter=",", header=",".join(header), comments="")
+    return path
+
+
+def test_six_rigid_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_files(tmp_path, six(), 6.0)
+    joint, truth = tmp_path / "robot.toml", six().robot.joints
+    for name, of in (("one.csv", "references.csv"), ("two.csv", "others.csv")):
+        run("simulate", joint, "--record", tmp_path / of, "--out", tmp_path / name)
+        logged(tmp_path, name, 0.01, 3)
+    assert "reversals, stops and starts; peak torques: joint1 " in capsys.readouterr().out
+    # The model that it is held beside is a fifth too heavy.
+    write_files(tmp_path, six(), 6.0, heavier=1.2)
+    one, two_ = tmp_path / "one.csv", tmp_path / "two.csv"
+    run("identify", joint, "--record", one, "--json", tmp_path / "found.json")
+    printed = capsys.readouterr().out
+    assert "DIDIM of a robot, from torques and references alone" in printed
+    answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
+    assert answer["schema"] == "jointid.robot_torque_estimate/1" and answer["converged"]
+    for one_joint in truth:
+        for word in ("viscous", "coulomb"):
+            row = answer["parameters"][f"{one_joint.name}.{word}"]
+            assert abs(row["value"] - getattr(one_joint, word)) < 4 * row["std"], (one_joint.name, word)
+    run("validate", joint, "--set", 'record.file="one.csv"', "--record", two_)
+    assert "The estimate predicts this record better than the nominal model" in capsys.readouterr().out
+
+
+def test_two_flexible_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    twin = two((9.0, 16.0))
+    write_files(tmp_path, twin, 6.0, multisine=0.01)
+    joint = tmp_path / "robot.toml"
+    run("simulate", joint, "--out", tmp_path / "one.csv")
+    logged(tmp_path, "one.csv", 0.003, 5)
+    one_file, found = tmp_path / "one.csv", tmp_path / "found.json"
+    run("identify", joint, "--record", one_file, "--json", found, "--set", "filtering.cutoff=40")
+    assert "joint1: stiffness" in capsys.readouterr().out
+    answer = json.loads(found.read_text(encoding="utf-8"))
+    for one in twin.robot.joints:
+        assert one.spring is not None
+        row = answer["parameters"][f"{one.name}.stiffness"]
+        assert row["unit"] == "N m/rad"
+        assert abs(row["value"] - one.spring.stiffness) < 4 * row["std"] < 0.2 * one.spring.stiffness
+
+
+def test_what_is_refused(tmp_path: Path) -> None:
+    write_files(tmp_path, two(), 1.0)
+    joint = tmp_path / "robot.toml"
+    with pytest.raises(MethodError, match="--method is for a joint file; a robot file says it itself"):
+        run("identify", joint, "--method", "idim")
+    with pytest.raises(JointFileError, match=r"method\.estimator is a setting of another method than didim"):
+        run("identify", joint, "--set", "method.name=didim", "--set", "method.estimator=ols")
+    text = joint.read_text(encoding="utf-8")
+    joint.write_text(text[: text.rindex("[joints.controller]")], encoding="utf-8")
+    with pytest.raises(JointFileError, match="joint2: controller is missing, but DIDIM needs it"):
+        run("simulate", joint, "--set", "method.name=didim", "--out", tmp_path / "one.csv")
