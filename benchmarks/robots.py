@@ -51,7 +51,7 @@ def loops() -> None:
         experiment, numbers = prepare_robot(loop, twin.records(10.0)), RobotNumbers.of(twin.robot)
         exact = run_robot(experiment, numbers, steps=16).torque
         own = shortest(lambda: run_robot(experiment, numbers))  # noqa: B023
-        print(f"{name}: ours {own[0]:.3f} s (processor {own[1]:.3f} s), ", end="")
+        print(f"{name}, times of the processor: ours {own[1]:.3f} s, ", end="")
         print(f"error {worst(run_robot(experiment, numbers).torque, exact):.1e}")
         gains = np.array([[c.position_gain, c.derivative_gain] for c in loop.controllers])  # type: ignore[attr-defined]
         start = rest(experiment, numbers)[0]
@@ -62,7 +62,7 @@ def loops() -> None:
 
             taken = shortest(theirs, 2)
             error = worst(theirs(), exact)
-            print(f"  MuJoCo at {1e3 * step:g} ms: {taken[0]:.3f} s, {taken[0] / own[0]:.1f} times, error {error:.1e}")
+            print(f"  MuJoCo at {1e3 * step:g} ms: {taken[1]:.3f} s, {taken[1] / own[1]:.1f} times, error {error:.1e}")
 
 
 def rigid(twin: Twin, duration: float) -> None:
