@@ -16,7 +16,7 @@ from packaging.requirements import Requirement
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "licences.md"
 PINNED = ROOT / "requirements.txt"
-EXTRAS = ("logs", "report", "web", "models", "dataframe", "cluster", "slurm", "remote")
+EXTRAS = ("logs", "report", "web", "models", "dataframe", "cluster", "slurm", "remote", "robots")
 
 # Packages whose metadata name no licence, or a family of them; read in their own files.
 _READ = {
@@ -35,6 +35,7 @@ _READ = {
     "pandas": "BSD-3-Clause",
     "partd": "BSD-3-Clause",
     "pycparser": "BSD-3-Clause",
+    "pyopengl": "BSD (which one its files do not say)",
     "pysqa": "BSD-3-Clause",
     "scipy": "BSD-3-Clause",
     "tomli-w": "MIT",

@@ -9,7 +9,7 @@ import pytest
 
 from jointid.common.errors import JointFileError, RecordError
 from jointid.config.loading import parse_toml
-from jointid.config.robot_file import RobotFile, is_robot_file, load_robot_file, save_robot_file
+from jointid.config.robot_file import RobotFile, RobotFileTable, is_robot_file, load_robot_file, save_robot_file
 from jointid.models.controllers import PD
 from jointid.models.robots.robot import JointSpring
 from tests.models.robots.trees import as_mjcf, chain
@@ -126,3 +126,13 @@ def test_joints_that_are_not_those_of_the_model(folder: Path) -> None:
     tables["joints"].reverse()
     with pytest.raises(JointFileError, match="write them as joint0, joint1, joint2"):
         RobotFile.of(tables, folder / "robot.toml")
+
+
+def test_every_key_of_its_own_is_on_the_page() -> None:
+    page = (Path(__file__).resolve().parents[2] / "docs" / "robots.md").read_text(encoding="utf-8")
+    tables = RobotFileTable.model_json_schema()["$defs"]
+    for name in ("RobotTable", "RobotMethodTable", "RobotJointTable", "JointSpringTable"):
+        for key in tables[name]["properties"]:
+            assert f"`{key}`" in page, key
+    for table in RobotFileTable.model_fields:
+        assert f"[{table}]" in page, table

@@ -1,0 +1,85 @@
+"""What examples/kr300/README.md says of all six axes at once is what comes out; its model against the record's own."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import loadmat
+
+from jointid.config.robot_file import RobotFile, load_robot_file
+from jointid.estimation.robots.consistent import mass_matrix_at
+from jointid.estimation.robots.idim import identify_robot
+from jointid.estimation.robots.validation import validate_robot
+from jointid.models.robots.base_parameters import base_parameters, inverse_columns
+from jointid.models.robots.robot import Robot
+
+pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
+
+EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "kr300"
+PAGE = (EXAMPLE / "README.md").read_text(encoding="utf-8")
+ROWS = re.findall(r"^\| ([AB]) on ([AB]) \| (.*) \|$", PAGE, re.MULTILINE)
+
+
+@pytest.fixture(scope="module")
+def file() -> RobotFile:
+    return load_robot_file(EXAMPLE / "robot.toml")
+
+
+def fit_of_kinematics(robot: Robot, data_dir: Path) -> float:
+    """Return what base parameters leave of the mass matrix and the Coriolis torques that the records' file holds."""
+    base, weightless, columns, values = base_parameters(robot), replace(robot, gravity=np.zeros(3)), [], []
+    for name in "AB":
+        data = loadmat(data_dir / "kr300" / f"rec_{name}.mat", squeeze_me=True, struct_as_record=False)
+        q, v = (getattr(data["ref_kin"], key)[::25] for key in ("phi_r_all", "phi_r_all_d1"))
+        still = np.zeros_like(q)
+        turning = inverse_columns(weightless, q, v, still)
+        for i in range(6):
+            along = still.copy()
+            along[:, i] = 1.0
+            pairs = (
+                (inverse_columns(weightless, q, still, along)[:, i], data["m_all"][i, ::25]),
+                (turning[:, i], data["tau_c_all"][i, ::25]),
+            )
+            for found, expected in pairs:
+                size = max(float(np.sqrt(np.mean(expected**2))), 1.0)
+                columns.append(found[:, base.chosen] / size)
+                values.append(expected / size)
+    W, Y = np.vstack(columns), np.concatenate(values)
+    norms = np.linalg.norm(W, axis=0)
+    norms[norms < 1e-9] = 1.0
+    left = Y - W / norms @ np.linalg.lstsq(W / norms, Y, rcond=1e-10)[0]
+    return float(np.linalg.norm(left) / np.linalg.norm(Y))
+
+
+def test_the_lengths_of_the_data_sheet_are_those_of_the_nominal_model(file: RobotFile, data_dir: Path) -> None:
+    assert fit_of_kinematics(file.robot, data_dir) < 2e-5
+    forearm = file.robot.links[3]
+    longer = replace(forearm, origin=forearm.origin + np.array([0.05, 0.0, 0.0]))
+    wrong = replace(file.robot, links=(*file.robot.links[:3], longer, *file.robot.links[4:]))
+    assert fit_of_kinematics(wrong, data_dir) > 1e-3
+
+
+def test_its_masses_are_those_of_the_nominal_model(file: RobotFile, data_dir: Path) -> None:
+    data = loadmat(data_dir / "kr300" / "rec_B.mat", squeeze_me=True, struct_as_record=False)
+    for k in range(0, 2501, 500):
+        found = np.diag(mass_matrix_at(file.robot, data["ref_kin"].phi_r_all[k]))
+        assert found == pytest.approx(data["m_all"][:, k], rel=0.03)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("first", "second", "cells"), ROWS)
+def test_the_table_is_what_comes_out(file: RobotFile, data_dir: Path, first: str, second: str, cells: str) -> None:
+    records = {name: file.records(data_dir / "kr300" / f"rec_{name}.mat") for name in "AB"}
+    found = validate_robot(identify_robot(file.robot, records[first]), records[second])
+    assert found.body_errors is not None
+    errors = np.concatenate([found.joint_errors, found.nominal_errors, found.body_errors])
+    said = [float(text) for text in re.findall(r"[\d.]+", cells)]
+    assert said == pytest.approx(100 * errors, rel=0.05, abs=0.3)
+
+
+def test_both_ways_are_on_the_page() -> None:
+    assert [row[:2] for row in ROWS] == [("A", "B"), ("B", "A")]
