@@ -1,24 +1,28 @@
 """Campaigns, measured: `python -m benchmarks.campaigns`; `--runs` and `--simulations` make it shorter or longer.
 
 How many identifications of the twin two workers make against one process that knows no campaign, what handing them out
-costs, whether memory grows, and whether every engine gives the same bytes. Then how many simulations of 25 s a core
-makes beside the C stick, and how their cost grows with length, candidates and workers. All are ratios of one run.
+costs, whether memory grows, and whether processes, a Dask cluster that loses a worker and gets another, and shards give
+the same bytes. Then how many simulations of 25 s a core makes beside the C stick, and how their cost grows with length,
+candidates and workers. All are ratios of one run.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import resource
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
+from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 
 os.environ["OPENBLAS_NUM_THREADS"] = os.environ["JOINTID_THREADS"] = "1"
 
 import jointid as ji
+from benchmarks.dask_cluster import Cluster
 from benchmarks.peers import peer
 from benchmarks.peers.c_stick import stick_folder
 from benchmarks.problem import SAMPLES, STICK, candidates, loop_of
@@ -55,65 +59,90 @@ def identifications(folder: Path, runs: int) -> None:
     on_one_core(run_case, list(islice(campaign.cases(), 1)))  # loads and, the first time, compiles
     carried(folder / "first", LocalProcesses(_WORKERS), list(islice(campaign.cases(), 4)))
     # By turns, as others use the machine too: what it is to one it is to all.
+    turns = min(4, alone)
     paces: dict[str, list[float]] = {"no campaign": [], "1 process": [], f"{_WORKERS} processes": []}
-    for turn in range(4):
-        part = list(islice(campaign.cases(), turn * alone // 4, (turn + 1) * alone // 4))
+    for turn in range(turns):
+        part = list(islice(campaign.cases(), turn * alone // turns, (turn + 1) * alone // turns))
         begin = time.perf_counter()
         on_one_core(run_case, part)
         paces["no campaign"].append(len(part) / (time.perf_counter() - begin))
         for name, workers in (("1 process", 1), (f"{_WORKERS} processes", _WORKERS)):
             seconds = carried(folder / f"{workers}-{turn}", LocalProcesses(workers), part)
             paces[name].append(len(part) / seconds)
-    one = sum(paces["no campaign"]) / 4
+    one = sum(paces["no campaign"]) / turns
     for name, found in paces.items():
-        pace = sum(found) / 4
+        pace = sum(found) / turns
         print(f"{name:14} {pace:6.2f}/s  {pace / one:5.2f} of no campaign ({alone} identifications, by turns)")
-    for name, engine in engines():
-        seconds = carried(folder / name, engine, list(campaign.cases()))
-        print(f"{name:14} {runs / seconds:6.2f}/s  {runs} identifications")
+    cases, names = list(campaign.cases()), ["processes"]
+    print_pace("processes", runs, carried(folder / "processes", LocalProcesses(_WORKERS), cases))
+    if find_spec("distributed") is None:
+        print(f"{'dask':14} not there: pip install jointid[cluster]")
+    else:
+        with contextlib.ExitStack() as stack:
+            cluster = Cluster(folder, stack)
+            first, _ = cluster.add_worker(), cluster.add_worker()
+
+            def come_and_go() -> None:
+                first.kill()
+                cluster.add_worker()
+
+            seconds = carried(folder / "dask", DaskCluster(cluster.address), cases, come_and_go)
+        print_pace("dask", runs, seconds)
+        print(f"{'':14} of two workers one was killed midway, and one added")
+        names.append("dask")
     begin = time.perf_counter()
     for number in range(_SHARDS):
         part = Shard(number + 1, _SHARDS)
         (folder / "shards").mkdir(exist_ok=True)
         with open_shard(folder / "shards", part) as results:
             run_cases(campaign.cases, LocalProcesses(_WORKERS), results, has=part.has)
-    print(f"{'shards':14} {runs / (time.perf_counter() - begin):6.2f}/s  {_SHARDS} shards, one after the other")
+    print_pace(f"{_SHARDS} shards", runs, time.perf_counter() - begin)
     tables = {}
-    for name in [*(name for name, _ in engines()), "shards"]:
+    for name in [*names, "shards"]:
         export_rows(read_results(folder / name).rows, folder / f"{name}.csv")
         tables[name] = (folder / f"{name}.csv").read_bytes()
     same = len(set(tables.values())) == 1
     print(f"the same {len(next(iter(tables.values())))} bytes by {', '.join(tables)}: {'yes' if same else 'NO'}")
 
 
-def engines() -> Iterator[tuple[str, Engine]]:
-    """Yield the engines that the whole campaign is carried out by, by name."""
-    yield "processes", LocalProcesses(_WORKERS)
-    if address := os.environ.get("JOINTID_DASK"):
-        yield "dask", DaskCluster(address)
+def print_pace(name: str, runs: int, seconds: float) -> None:
+    """Print identifications a second."""
+    print(f"{name:14} {runs / seconds:6.2f}/s  {runs} identifications")
 
 
-def carried(folder: Path, engine: Engine, cases: list[Case]) -> float:
-    """Carry out cases, and return the seconds it takes when the workers have started."""
+def carried(folder: Path, engine: Engine, cases: list[Case], midway: Callable[[], None] | None = None) -> float:
+    """Carry out cases, and return the seconds it takes when the workers have started.
+
+    Args:
+        folder: is made.
+        engine: who carries them out.
+        cases: one or more.
+        midway: is called once, when half of them are done.
+    """
     folder.mkdir()
     memory: list[int] = []
+    begin = time.perf_counter()
 
     with open_database(folder) as database:
-        keep, began = database.add, []
+        keep, done = database.add, list[float]()
 
         def add(rows: Sequence[Row]) -> None:
             keep(rows)
-            began.append(time.perf_counter())
+            done.append(time.perf_counter())
             memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+            if midway is not None and len(done) == (len(cases) + 1) // 2:
+                midway()
 
         database.add = add  # type: ignore[method-assign]
         run_cases(lambda: cases, engine, database)
     if len(memory) > 100:
         quarter = memory[len(memory) // 4]
         print(f"{'':14} memory of the client {memory[-1] / 1024:.0f} MB, {memory[-1] / quarter:.3f} of a quarter's")
-    # From when each worker had given a result to the last, and as much for those first ones.
     workers = getattr(engine, "workers", _WORKERS) or _WORKERS
-    return (began[-1] - began[workers - 1]) * len(began) / max(len(began) - workers, 1)
+    if len(done) <= workers:  # too few to leave the start of the workers out
+        return done[-1] - begin
+    # From when each worker had given a result to the last, and as much for those first ones.
+    return (done[-1] - done[workers - 1]) * len(done) / (len(done) - workers)
 
 
 def simulations(count: int) -> None:

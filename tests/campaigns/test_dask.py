@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
-import os
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -14,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.dask_cluster import Cluster
 from jointid.campaigns.engines import DaskCluster, LocalProcesses
 from jointid.campaigns.folder import read_results
 from jointid.campaigns.rows import Outcome
@@ -23,34 +20,10 @@ from jointid.common.errors import MethodError
 from tests.campaigns.work import POISON, carry, cases, ends
 
 pytest.importorskip("distributed")
-ROOT = Path(__file__).resolve().parents[2]
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.filterwarnings("default"),  # Dask's own
 ]
-
-
-class Cluster:
-    """A scheduler and workers, each a process, as `dask scheduler` and `dask worker` start them."""
-
-    def __init__(self, folder: Path, stack: contextlib.ExitStack) -> None:
-        self._file, self._stack = folder / "scheduler.json", stack
-        self.start("dask_scheduler", "--port", "0", "--no-dashboard")
-        while not self._file.exists():
-            time.sleep(0.05)
-        self.address: str = json.loads(self._file.read_text())["address"]
-
-    def start(self, program: str, *options: str) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", f"distributed.cli.{program}", "--scheduler-file", str(self._file), *options]
-        few = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}  # workers take seconds to start anew
-        process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.DEVNULL, env=os.environ | few)
-        self._stack.callback(process.wait)
-        self._stack.callback(process.kill)
-        return process
-
-    def add_worker(self, *, nanny: bool = False) -> subprocess.Popen[bytes]:
-        kind = "--nanny" if nanny else "--no-nanny"
-        return self.start("dask_worker", "--nthreads", "1", kind, "--no-dashboard")
 
 
 @pytest.fixture
