@@ -87,7 +87,8 @@ def _share(c: FloatArray, fastest: float) -> float:
 
 
 @inlined
-def _value(c: FloatArray, row: int, t: float) -> float:
+def series_value(c: FloatArray, row: int, t: float) -> float:
+    """Return a series' value at a share of its step."""
     total = 0.0
     for k in range(TERMS, -1, -1):
         total = total * t + c[row, k]
@@ -289,7 +290,7 @@ def _advance(b: Beyond, m: Modes, c: FloatArray, t: float, y: FloatArray) -> Non
     for i in range(STATES):
         if (4 <= i <= 5 and b.share == 0.0) or (i == WOUND1 and b.soft1 == 0.0) or (i == WOUND2 and b.soft2 == 0.0):
             continue
-        y[i] = _value(c, i, t)
+        y[i] = series_value(c, i, t)
     for i in (WOUND1, WOUND2, WOUND):
         direction = m.motor if i == WOUND1 else (m.load if i == WOUND2 else m.rate)
         if abs(y[i] - direction) < _WOUND_UP:

@@ -9,6 +9,8 @@ each kicks the velocity, as in `kernels.drive_sensitivities`.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from jointid.common.arrays import FloatArray
@@ -48,7 +50,7 @@ from jointid.simulation.kernels.smooth_series import (
     beyond_of,
     fill_series,
 )
-from jointid.simulation.kernels.stepped_drive import accelerations_of
+from jointid.simulation.kernels.stepped_drive import accelerations_of, series_value
 
 # Rows of the scratch, LANES long, at constant places, so that the compiler sees that nothing overlaps: the state; its
 # coefficients of one order; of that order the deflection, its rate, the spring's torque, by how much the load's Coulomb
@@ -62,6 +64,8 @@ _BEFORE1, _BEFORE2, _TORQUE, _VISCOUS1, _COULOMB1 = (LANES * row for row in (28,
 _VISCOUS2, _COULOMB2, _DRIVE, _BEYOND, _RELATIVE = (LANES * row for row in (33, 34, 35, 49, 62))
 _OLD1, _OLD2, _SCRATCH = LANES * 68, LANES * 69, LANES * 70
 _Q1, _V1, _Q2, _V2, _Q3, _V3 = (_X + LANES * row for row in range(6))
+_STABLE = 3.0  # rad of a swing in one step: within it a series of this order does not make it grow
+_PIECES = 1000  # of a step at most: what is faster parts from its neighbours at once
 # Of the orders before, where a product needs them.
 _OF_E, _OF_APART, _OF_MORE, _OF_STATE = 0, 1, 2, 3
 _KEPT = 3 + STATES
@@ -277,6 +281,29 @@ def _write_relative(p: Drive, b: Beyond, q: FloatArray) -> None:
 
 
 @inlined
+def _fastest_rate(p: Drive, b: Beyond, places: FloatArray, m: Modes, y: FloatArray) -> float:
+    """Bound in 1/s on how fast the motion can change here, that of masses which the run itself hardly moves, too."""
+    mobility1, mobility2 = 1.0 / p.inertia1, 1.0 / ((1.0 - b.share) * p.inertia2)
+    e, both = y[2] - y[0], mobility1 + mobility2
+    stiffness = p.stiffness + max(3.0 * b.cubic * e * e, 0.0) + b.slope * abs(1.0 - m.rate * y[WOUND])
+    rate = math.sqrt(max(stiffness, 0.0) * both) + p.damping * both
+    rate += max(p.viscous1, p.viscous1_back) * mobility1 + max(p.viscous2, p.viscous2_back) * mobility2
+    if b.share > 0.0:
+        other = mobility2 + 1.0 / (b.share * p.inertia2)
+        rate += math.sqrt(b.stiffness2 * other) + b.damping2 * other
+    if b.soft1 > 0.0 and y[WOUND1] != m.motor:
+        left = abs(1.0 - m.motor * y[WOUND1])
+        rate += math.sqrt(max(p.coulomb1, p.coulomb1_back) * left / b.soft1 * mobility1) + abs(y[MOTOR]) / b.soft1
+    if b.soft2 > 0.0 and y[WOUND2] != m.load:
+        left = abs(1.0 - m.load * y[WOUND2])
+        rate += math.sqrt(max(p.coulomb2, p.coulomb2_back) * left / b.soft2 * mobility2) + abs(y[LOAD]) / b.soft2
+    for n in range(places.shape[0]):
+        slope = abs(places[n, 3]) * (abs(places[n, 0]) + abs(places[n, 1])) + abs(places[n, 2])
+        rate += math.sqrt(slope * max(mobility1, mobility2))
+    return rate
+
+
+@inlined
 def _modes(tape: FloatArray, row: int) -> Modes:
     return Modes(int(tape[row, 2]), int(tape[row, 3]), int(tape[row, 4]), int(tape[row, 5]))
 
@@ -368,9 +395,19 @@ def follow_steps(
                 if h > 0.0:
                     for i in range(STATES):
                         y[i] = tape[row, 8 + i]
-                    fill_series(p, b, places, m, known, y, time, torque, h, c, turns)
-                    _tangent(q, past, p, b, places, dplaces, m, time, h, c, turns)
-                    time += h
+                    # A step that the run's own series holds for may be long for what its derivatives set going.
+                    pieces = math.ceil(_fastest_rate(p, b, places, m, y) * h / _STABLE)
+                    if not pieces <= _PIECES:
+                        du[:] = np.inf
+                        return
+                    h /= pieces
+                    for _ in range(pieces):
+                        fill_series(p, b, places, m, known, y, time, torque, h, c, turns)
+                        _tangent(q, past, p, b, places, dplaces, m, time, h, c, turns)
+                        known = Known(0, 0, 0, 0)
+                        time += h
+                        for i in range(STATES):
+                            y[i] = series_value(c, i, 1.0)
                 mass = int(tape[row, 17])
                 if mass >= 0:
                     for j in range(LANES):
