@@ -107,6 +107,9 @@ def mjcf(inside: str, beside: str = "") -> str:
         (URDF.replace('<child link="rod"/>', '<child link="base"/>'), "is no robot that MuJoCo reads"),
         ("<!DOCTYPE x><robot/>", "declares a DOCTYPE"),
         ('<robot xmlns:xacro="http://x"><xacro:include filename="a"/></robot>', "is a template for xacro"),
+        (URDF.replace('value="5"', 'value="NaN"'), "value of <mass> is NaN; expected finite numbers"),
+        (URDF.replace('xyz="1 0 0"', 'xyz="1 -inf 0"'), "xyz of <origin> is 1 -inf 0"),
+        (URDF.replace('xyz="0.5 0 0"', 'xyz="1e200 0 0"'), "expected finite numbers"),
         ("<sdf/>", "holds <sdf>; expected <robot>"),
         ("<robot", "is no XML"),
         ("<robot>" + "<link>" * 400 + "</link>" * 400 + "</robot>", "deep in each other"),
@@ -125,6 +128,14 @@ def test_files_that_are_no_model(tmp_path: Path) -> None:
             load_robot(tmp_path / name)
     (tmp_path / "two.urdf").write_text(URDF, encoding="utf-8")
     assert load_robot(tmp_path / "two.urdf").names == ("turn", "lift")
+
+
+def test_nothing_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+    """MuJoCo warns of what it could not simulate on the terminal, and in a log in the current folder."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(JointFileError, match="rotor_inertia is -"):
+        read_robot(mjcf("").replace('name="j"', 'name="j" armature="-10"'))
+    assert not list(tmp_path.iterdir()) and capfd.readouterr().err == ""
 
 
 def test_nothing_is_drawn_from_elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

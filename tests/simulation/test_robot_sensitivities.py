@@ -7,7 +7,7 @@ import pytest
 
 from jointid.common.arrays import FloatArray
 from jointid.models.controllers import PID, Cascade
-from jointid.simulation.robot_sensitivities import Place, all_places, differentiate_torque, with_values
+from jointid.simulation.robot_sensitivities import NumberPlace, all_places, differentiate_torque, with_values
 from jointid.simulation.robots import RobotInput, RobotLoop, RobotNumbers, prepare_robot, run_robot
 from tests.robots_plants import six, two
 from tests.simulation.test_robots import faster
@@ -22,7 +22,9 @@ LIMITED = tuple(
 )
 
 
-def differences(experiment: RobotInput, numbers: RobotNumbers, places: tuple[Place, ...], steps: int) -> FloatArray:
+def differences(
+    experiment: RobotInput, numbers: RobotNumbers, places: tuple[NumberPlace, ...], steps: int
+) -> FloatArray:
     """Return the derivatives by central differences of whole runs, (samples, n, parameters)."""
     x, columns = np.array([place.read(numbers) for place in places]), []
     for c in range(x.size):

@@ -7,7 +7,9 @@ meshes beside it. Links that do not move against each other are one.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +19,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointFileError, MethodError, extra
+from jointid.common.text import short
 from jointid.common.units import Kind
 from jointid.models.robots.inertial import MassProperties, in_parent
 from jointid.models.robots.robot import Link, Robot, RobotJoint
@@ -53,7 +56,6 @@ _URDF: Mapping[str, tuple[str, ...]] = {
     "parent": ("link",),
     "child": ("link",),
     "axis": ("xyz",),
-    "limit": ("lower", "upper", "effort", "velocity"),
     "dynamics": ("damping", "friction"),
 }
 _REFUSED: Mapping[str, str] = {
@@ -67,6 +69,8 @@ _REFUSED: Mapping[str, str] = {
     "connect": "closes a loop; a tree of links is expected: leave it out, with the links that close it",
     "weld": "closes a loop; a tree of links is expected: leave it out, with the links that close it",
 }
+_NO_NUMBER = re.compile(r"(?i)(^|[\s,])[+-]?(nan|inf)")
+_WORDS = ("name", "model", "class", "childclass", "link")  # attributes that are any text
 _SHAPES = ("mesh", "hfield", "sdf")  # read from other files
 
 
@@ -114,14 +118,32 @@ def read_robot(text: str, called: str = "the robot's model") -> Robot:
     _refuse_elements(root, called)
     order = [one.get("name", "") for one in root.iter("joint")]
     stripped = _kept(root, kept)
+    _refuse_infinite(stripped, called)
     _give_masses(stripped)
     mujoco = extra("mujoco", "robots", "A robot's model")
     try:
-        model = mujoco.MjModel.from_xml_string(ET.tostring(stripped, encoding="unicode"))
+        with _quiet(mujoco):
+            model = mujoco.MjModel.from_xml_string(ET.tostring(stripped, encoding="unicode"))
     except ValueError as error:
         reason = " ".join(str(error).split())[:300]
         raise JointFileError(f"{called} is no robot that MuJoCo reads ({reason}); correct it there.") from error
-    return in_order(_robot(mujoco, model, root.get("name") or root.get("model") or "robot", called), order)
+    try:
+        with np.errstate(all="ignore"):  # what is too large is seen by the robot, which asks for finite numbers
+            robot = _robot(mujoco, model, root.get("name") or root.get("model") or "robot", called)
+    except MethodError as error:
+        raise JointFileError(f"{called}: {error}") from error
+    return in_order(robot, order)
+
+
+@contextmanager
+def _quiet(mujoco: Any) -> Iterator[None]:
+    """Keep MuJoCo's warnings, of a mass that it cannot simulate, from the terminal and from a log in this folder."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda _: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 def _parse(text: str, called: str) -> ET.Element:
@@ -162,6 +184,16 @@ def _refuse_elements(root: ET.Element, called: str) -> None:
         faults.append(f"{called} ties joints by <equality>; a tree of independent joints is expected: leave it out.")
     if faults:
         raise JointFileError(dict.fromkeys(faults))
+
+
+def _refuse_infinite(root: ET.Element, called: str) -> None:
+    """Refuse numbers that are none, or not finite."""
+    for one in root.iter():
+        for name, value in one.items():
+            if name not in _WORDS and _NO_NUMBER.search(value):
+                raise JointFileError(
+                    f"{called}: {name} of <{one.tag}> is {short(value)}; expected finite numbers: correct it."
+                )
 
 
 def _is_drawn(geom: ET.Element) -> bool:
@@ -221,10 +253,7 @@ def _robot(mujoco: Any, model: Any, name: str, called: str) -> Robot:
         raise JointFileError(
             f"{called} has {len(links)} joints that turn or slide; expected 1 to {_MOST}: check that it is the robot."
         )
-    try:
-        return Robot(tuple(links), tuple(joints), np.array(model.opt.gravity), name)
-    except MethodError as error:
-        raise JointFileError(f"{called}: {error}") from error
+    return Robot(tuple(links), tuple(joints), np.array(model.opt.gravity), name)
 
 
 def _joint(model: Any, number: int, called: str) -> RobotJoint:

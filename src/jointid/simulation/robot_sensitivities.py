@@ -10,6 +10,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.records.record import Tap
 from jointid.simulation.closed_loop import first_state
+from jointid.simulation.loop_input import as_logged
 from jointid.simulation.robots import RobotInput, RobotNumbers, RobotRun, weigh
 
 _SMALL = 1e-7  # rad: differences of the weight
@@ -24,7 +25,7 @@ class NumberOf(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class NumberPlace:
     """The place of a parameter among a candidate's numbers.
 
     Attributes:
@@ -40,7 +41,7 @@ class Place:
         return float((numbers.inertials, numbers.masses, numbers.springs)[self.of][self.row, self.column])
 
 
-def with_values(numbers: RobotNumbers, places: tuple[Place, ...], values: FloatArray) -> RobotNumbers:
+def with_values(numbers: RobotNumbers, places: tuple[NumberPlace, ...], values: FloatArray) -> RobotNumbers:
     """Return a candidate with other numbers in these places."""
     arrays = [numbers.inertials.copy(), numbers.masses.copy(), numbers.springs.copy()]
     for place, value in zip(places, values, strict=True):
@@ -48,7 +49,7 @@ def with_values(numbers: RobotNumbers, places: tuple[Place, ...], values: FloatA
     return replace(numbers, inertials=arrays[0], masses=arrays[1], springs=arrays[2])
 
 
-def differentiate_torque(run: RobotRun, places: tuple[Place, ...]) -> FloatArray:
+def differentiate_torque(run: RobotRun, places: tuple[NumberPlace, ...]) -> FloatArray:
     """Return the derivatives of the torques as the log shows them, (samples, n, parameters).
 
     Args:
@@ -57,6 +58,11 @@ def differentiate_torque(run: RobotRun, places: tuple[Place, ...]) -> FloatArray
 
     Of order 2 in the pieces of the tape: against differences of whole runs some 1e-3 of the largest.
     """
+    return np.stack(differentiate_torques(run, places), axis=1)
+
+
+def differentiate_torques(run: RobotRun, places: tuple[NumberPlace, ...]) -> list[FloatArray]:
+    """Return what `differentiate_torque` does, joint by joint, (samples, parameters) each: no more is copied."""
     from jointid.simulation.kernels import robot_sensitivities as kernels
 
     experiment, numbers, tape = run.experiment, run.numbers, run.tape
@@ -75,14 +81,13 @@ def differentiate_torque(run: RobotRun, places: tuple[Place, ...]) -> FloatArray
         tape.first, tape.lasting, tape.places, tape.speeds, tape.begun, tape.ended, tape.directions, tape.stopped,
         rows, dq, dz, before, command, tapped,
     )  # fmt: skip
-    shown = [
-        tapped[j] if through and each.tap is Tap.COMMAND else command[j]
+    return [
+        as_logged(each, tapped[j] if through and each.tap is Tap.COMMAND else command[j])
         for j, each in enumerate(experiment.experiments)
     ]
-    return experiment.logged(np.stack(shown, axis=1))
 
 
-def _at_rest(run: RobotRun, places: tuple[Place, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _at_rest(run: RobotRun, places: tuple[NumberPlace, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the derivatives of positions, controllers' states and torques where the robot rests at first.
 
     Of `rest`: ``g(q) + offset = torque(qm)`` where the law has no integral, ``qm`` the reference where it has;
@@ -127,15 +132,17 @@ def _at_rest(run: RobotRun, places: tuple[Place, ...]) -> tuple[FloatArray, Floa
     return dq, dz, weight + offset
 
 
-def all_places(experiment: RobotInput, numbers: RobotNumbers) -> tuple[Place, ...]:
+def all_places(experiment: RobotInput, numbers: RobotNumbers) -> tuple[NumberPlace, ...]:
     """Return the places of every number that a robot has: masses, then springs, then links."""
     n = len(experiment.experiments)
     masses = [
-        Place(NumberOf.MASS, row, column)
+        NumberPlace(NumberOf.MASS, row, column)
         for row in range(len(numbers.masses))
         for column in range(4)
         if row in numbers.rotors or column in (1, 2)
     ]
-    springs = [Place(NumberOf.SPRING, int(i), column) for i in np.flatnonzero(numbers.flexible) for column in (0, 1)]
-    links = [Place(NumberOf.LINK, row, column) for row in range(n) for column in range(10)]
+    springs = [
+        NumberPlace(NumberOf.SPRING, int(i), column) for i in np.flatnonzero(numbers.flexible) for column in (0, 1)
+    ]
+    links = [NumberPlace(NumberOf.LINK, row, column) for row in range(n) for column in range(10)]
     return (*masses, *springs, *links)

@@ -182,11 +182,6 @@ class RobotInput:
         """Commanded positions at the controllers' instants, (periods, n)."""
         return np.column_stack([each.inputs[:, REFERENCE] for each in self.experiments])
 
-    def logged(self, values: FloatArray) -> FloatArray:
-        """Return signals of the controllers' instants, (periods, n, ...), as the torque channels show them."""
-        shown = [as_logged(each, values[:, j]) for j, each in enumerate(self.experiments)]
-        return np.stack(shown, axis=1)
-
 
 def prepare_robot(loop: RobotLoop, records: Sequence[Record]) -> RobotInput:
     """Prepare the inputs of a robot's simulation from a record of each joint.

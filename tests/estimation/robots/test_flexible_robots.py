@@ -81,6 +81,7 @@ def test_a_spring_that_is_not_shown_is_refused_with_its_bound() -> None:
     assert str(soft).startswith("joint1: stiffness 4")
 
 
+@pytest.mark.slow
 def test_a_spring_within_the_noise_is_refused_with_its_bound() -> None:
     """Without energy at its mode, a stiff spring is a small compliance with a large deviation."""
     twin = two((40.0, 60.0))

@@ -32,7 +32,7 @@ from jointid.estimation.robots.problem import RobotProblem, robot_problem
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import in_threads
-from jointid.simulation.robot_sensitivities import NumberOf, Place
+from jointid.simulation.robot_sensitivities import NumberOf, NumberPlace
 from jointid.simulation.robots import RobotLoop, RobotNumbers, RobotOutcome
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Solution, Step, solve
@@ -260,7 +260,7 @@ def _split(
         elif place.of is NumberOf.MASS:
             joint = joint_of.get(place.row, place.row)
             both = 0.5 if numbers.flexible[joint] and place.column < 3 else 1.0
-            values[c] = both * known.get(Place(NumberOf.MASS, joint, place.column), 0.0)
+            values[c] = both * known.get(NumberPlace(NumberOf.MASS, joint, place.column), 0.0)
     # What each inertial parameter is of the rigid robot's: itself if that has it, or else as it groups it.
     kept, dropped = list(rigid.parameters.places), list(rigid.parameters.dropped)
     weights = np.zeros((len(kept), len(inertial)))
@@ -269,7 +269,7 @@ def _split(
         place = parameters.places[c]
         if place.of is NumberOf.MASS:
             began[i] = rotors[joint_of[place.row]]
-            place = Place(NumberOf.MASS, joint_of[place.row], 0)
+            place = NumberPlace(NumberOf.MASS, joint_of[place.row], 0)
         if place in kept:
             weights[kept.index(place), i] = 1.0
         else:
@@ -290,7 +290,7 @@ def _bounded(problem: RobotProblem, start: _Start) -> RobotProblem:
     inertias = start.rotors * start.links / (start.rotors + start.links)
     lowest, highest = (2.0 * math.pi * share / problem.sample_time for share in (_SOFTEST, _STIFFEST))
 
-    def within(place: Place, parameter: Parameter) -> Parameter:
+    def within(place: NumberPlace, parameter: Parameter) -> Parameter:
         if parameter.symbol != "stiffness":
             return parameter
         ends = [math.log(inertias[place.row] * w * w) for w in (lowest, highest)]

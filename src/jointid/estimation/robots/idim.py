@@ -135,6 +135,9 @@ class RobotEstimate(Documented):
             )
             for i in shown
         )
+        errors = {"estimate": self.joint_errors}
+        if self.robot.has_masses:
+            errors["nominal"] = self.nominal_errors
         sums = tuple(f"{a} is {b}" for a, b in zip(self.base.symbols, self.base.formulas, strict=True) if a != b)
         hidden = len(self.names) - len(shown)
         left_out = f"; {hidden} more are not told from 0 by this record" if hidden else ""
@@ -143,11 +146,7 @@ class RobotEstimate(Documented):
             f"{self.robot.name}: {len(self.base)} base parameters of {len(self.robot)} joints",
             (
                 Facts((("method", f"IDIM of a robot, {_WORDS[self.settings.estimator]}"),)),
-                errors_table(
-                    self.robot,
-                    {"estimate": self.joint_errors, "nominal": self.nominal_errors},
-                    "of the record it was identified from",
-                ),
+                errors_table(self.robot, errors, "of the record it was identified from"),
                 Table(("parameter", "value, 2 sigma", "unit", "sigma, %", "nominal"), rows, caption, (0, 1, 2)),
                 *((Heading("Sums that the parameters stand for"), Listing(sums)) if details else ()),
             ),

@@ -19,7 +19,7 @@ from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.parameters import Parameter, Quantity
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Robot
-from jointid.simulation.robot_sensitivities import NumberOf, Place, with_values
+from jointid.simulation.robot_sensitivities import NumberOf, NumberPlace, with_values
 from jointid.simulation.robots import LoopTree, MassMotion, RobotNumbers
 
 _MOTIONS = 300  # random ones, at each of which every joint has an equation
@@ -51,10 +51,10 @@ class RobotParameters:
     """
 
     parameters: tuple[Parameter, ...]
-    places: tuple[Place, ...]
+    places: tuple[NumberPlace, ...]
     logarithmic: NDArray[np.bool_]
     base: RobotNumbers
-    dropped: tuple[Place, ...]
+    dropped: tuple[NumberPlace, ...]
     grouping: FloatArray
 
     @property
@@ -106,18 +106,22 @@ def robot_parameters(robot: Robot, *, offsets: bool = True, logarithmic: bool = 
     )
 
 
-def _ordered(numbers: RobotNumbers, offsets: bool) -> tuple[Place, ...]:
+def _ordered(numbers: RobotNumbers, offsets: bool) -> tuple[NumberPlace, ...]:
     """Return all places, those first that are to be kept."""
     n, masses = numbers.rotors.size, range(len(numbers.masses))
-    friction = [Place(NumberOf.MASS, row, column) for column in (1, 2) for row in masses]
-    constant = [Place(NumberOf.MASS, int(row), 3) for row in numbers.rotors] if offsets else []
-    springs = [Place(NumberOf.SPRING, int(i), column) for column in (0, 1) for i in np.flatnonzero(numbers.flexible)]
-    rotors = [Place(NumberOf.MASS, int(row), 0) for row in numbers.rotors]
-    links = [Place(NumberOf.LINK, row, column) for row in range(n) for column in range(len(SYMBOLS))]
+    friction = [NumberPlace(NumberOf.MASS, row, column) for column in (1, 2) for row in masses]
+    constant = [NumberPlace(NumberOf.MASS, int(row), 3) for row in numbers.rotors] if offsets else []
+    springs = [
+        NumberPlace(NumberOf.SPRING, int(i), column) for column in (0, 1) for i in np.flatnonzero(numbers.flexible)
+    ]
+    rotors = [NumberPlace(NumberOf.MASS, int(row), 0) for row in numbers.rotors]
+    links = [NumberPlace(NumberOf.LINK, row, column) for row in range(n) for column in range(len(SYMBOLS))]
     return (*friction, *constant, *springs, *rotors, *links)
 
 
-def columns_of(tree: LoopTree, numbers: RobotNumbers, places: tuple[Place, ...], motion: MassMotion) -> FloatArray:
+def columns_of(
+    tree: LoopTree, numbers: RobotNumbers, places: tuple[NumberPlace, ...], motion: MassMotion
+) -> FloatArray:
     """Return the derivatives of all masses' equations by the parameters, (samples, masses, parameters).
 
     At a known motion, so these are the regressor's columns; its product with the parameters is the motors' torques,
@@ -153,7 +157,7 @@ def columns_of(tree: LoopTree, numbers: RobotNumbers, places: tuple[Place, ...],
     return out
 
 
-def _random_columns(robot: Robot, numbers: RobotNumbers, places: tuple[Place, ...]) -> FloatArray:
+def _random_columns(robot: Robot, numbers: RobotNumbers, places: tuple[NumberPlace, ...]) -> FloatArray:
     """Return the columns at random motions, (rows, parameters)."""
     random, shape = np.random.default_rng(0), (_MOTIONS, len(numbers.masses))
     velocity = 2.0 * random.normal(size=shape)
@@ -175,13 +179,13 @@ def _independent(columns: FloatArray) -> tuple[list[int], FloatArray]:
     return kept, np.where(np.abs(grouping) > _GROUPED, grouping, 0.0)
 
 
-def _positive(place: Place, numbers: RobotNumbers) -> bool:
+def _positive(place: NumberPlace, numbers: RobotNumbers) -> bool:
     """Return True of a number without which a flexible joint is none: its rotor's inertia, its stiffness."""
     rotor = place.of is NumberOf.MASS and place.column == 0 and place.row >= numbers.rotors.size
     return rotor or (place.of is NumberOf.SPRING and place.column == 0)
 
 
-def _named(place: Place, robot: Robot, numbers: RobotNumbers, logarithmic: bool) -> Parameter:
+def _named(place: NumberPlace, robot: Robot, numbers: RobotNumbers, logarithmic: bool) -> Parameter:
     if place.of is NumberOf.LINK:
         name, symbol = f"{robot.links[place.row].name}.{SYMBOLS[place.column]}", SYMBOLS[place.column]
         quantity = Quantity.INERTIA if place.column >= 4 else Quantity.RATIO

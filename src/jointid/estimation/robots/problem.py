@@ -13,7 +13,7 @@ from jointid.common.parameters import Parameter
 from jointid.estimation.robots.numbers import RobotParameters, columns_of
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, decimate_all
-from jointid.simulation.robot_sensitivities import differentiate_torque
+from jointid.simulation.robot_sensitivities import differentiate_torques
 from jointid.simulation.robots import (
     RobotInput,
     RobotLoop,
@@ -92,7 +92,8 @@ class RobotProblem:
 
     def slopes(self, run: RobotRun, x: FloatArray) -> FloatArray:
         """Return the derivatives of a run's filtered torques by what is searched, (rows, free), not weighted."""
-        J = self.decimated(differentiate_torque(run, self.parameters.places))
+        each = differentiate_torques(run, self.parameters.places)
+        J = np.concatenate(decimate_all(each, self.filtering, self.sample_time))
         return np.asarray(J * np.where(self.parameters.logarithmic, self.parameters.values(x), 1.0))
 
     def regressor(self, run: RobotRun) -> FloatArray:

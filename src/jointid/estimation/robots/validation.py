@@ -52,14 +52,18 @@ class RobotValidation(Documented):
         """Return the verdict first, then the errors joint by joint; there are no further details."""
         del details
         mine, nominal = _percent(self.joint_errors), _percent(self.nominal_errors)
-        if self.better:
+        columns = {"estimate": self.joint_errors}
+        if self.robot.has_masses:
+            columns["nominal"] = self.nominal_errors
+        if not self.robot.has_masses:
+            said = f"The estimate leaves {mine} of this record; the model says no masses to compare it with."
+        elif self.better:
             said = f"The estimate predicts this record better than the nominal model: {mine} against {nominal}."
         else:
             said = (
                 f"The estimate predicts this record worse than the nominal model, {mine} against {nominal}: do not use "
                 "it in its place."
             )
-        columns = {"estimate": self.joint_errors, "nominal": self.nominal_errors}
         if self.body_errors is not None:
             columns["bodies"] = self.body_errors
             than = "better" if self.bodies_better else "worse"

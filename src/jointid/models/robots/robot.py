@@ -157,6 +157,11 @@ class Robot:
         """Inertial parameters of the links, (n, 10)."""
         return np.array([link.inertial for link in self.links], dtype=np.float64)
 
+    @property
+    def has_masses(self) -> bool:
+        """True if a link has a mass: of a model without any only the kinematics are known."""
+        return bool(np.any(self.inertials[:, 0] > 0))
+
     def with_inertials(self, inertials: FloatArray) -> Robot:
         """Return the robot with other inertial parameters, (n, 10) or (10 n,)."""
         rows = np.asarray(inertials, dtype=np.float64).reshape(len(self), len(SYMBOLS))
