@@ -9,20 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.messages import Progress, silent
 from jointid.estimation.methods.flexible import inverse_model_covariance, refined_least_squares
 from jointid.estimation.problems.closed_loop import torque_problem
-from jointid.paper.twin import Twin, twin
+from jointid.paper.twin import twin
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.closed_loop import in_threads
 from jointid.uncertainty.identifiability import identifiability
 from jointid.uncertainty.position_dependent_error import uncertainty
 from jointid.uncertainty.residual_tests import whiteness
+from studies.seeds import judge_seeds
 
 _ENOUGH = 1e-6  # relative: far below a deviation
 _VISCOUS = ("motor_viscous", "load_viscous")
@@ -57,13 +57,13 @@ class Coverage:
     inseparable: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class _Run:
     """One run: errors and deviations of the joint's parameters, and the verdicts."""
 
-    error: FloatArray
-    paper: FloatArray
-    honest: FloatArray
+    error: list[float]
+    paper: list[float]
+    honest: list[float]
     white: bool
     repeats: bool
     sum_held: bool
@@ -76,7 +76,7 @@ def coverage(
     loop: Literal["L19", "L30"] = "L19",
     noise: Literal["disturbance", "white"] = "white",
     seed: int = 1,
-    progress: Progress = silent,
+    out: Path | None = None,
 ) -> Coverage:
     """Identify the twin from its torque many times, with the noise that gives the paper's 8 %.
 
@@ -85,15 +85,10 @@ def coverage(
         loop: of the twin.
         noise: white on the log, or a white force inside the loop, which is coloured in the torque.
         seed: of the first run's noise; the others follow.
-        progress: is told every hundredth run.
+        out: folder in which runs are kept, and found again.
     """
-
-    def one(number: int) -> _Run:
-        if number % 100 == 99:
-            progress(f"{number + 1} of {runs} runs")
-        return _identified(twin(loop, noise=noise, seed=seed + number))
-
-    found = in_threads(one, range(runs))
+    seeds, settings = range(seed, seed + runs), {"loop": loop, "noise": noise}
+    found = [_Run(**run) for run in judge_seeds("studies.coverage:judge", seeds, settings, out=out)]
     axis = twin(loop, noise="none")
     names = [p.name for p in axis.loop.joint.parameters]
     truth = np.array([axis.truth[name] for name in names])
@@ -103,7 +98,7 @@ def coverage(
     def by_name(values: FloatArray) -> dict[str, float]:
         return dict(zip(names, map(float, values), strict=True))
 
-    def share(std: list[FloatArray]) -> dict[str, float]:
+    def share(std: list[list[float]]) -> dict[str, float]:
         return by_name(np.mean(np.abs(error) <= 2 * np.array(std), axis=0))
 
     return Coverage(
@@ -120,8 +115,9 @@ def coverage(
     )
 
 
-def _identified(axis: Twin) -> _Run:
+def judge(seed: int, loop: Literal["L19", "L30"], noise: Literal["disturbance", "white"]) -> _Run:
     """Identify one noisy twin, from a fit that begins at the truth."""
+    axis = twin(loop, noise=noise, seed=seed)
     record = axis.record.without("motor_position", "load_position")
     problem = torque_problem(record, axis.loop, Filtering(), axis.loop.joint.parameters)
     still = tuple(p.fixed(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
@@ -138,12 +134,12 @@ def _identified(axis: Twin) -> _Run:
     (viscous,) = (one for one in told.physical if one.combination.name == "total viscous")
     motor, load = (names.index(name) for name in _VISCOUS)
     return _Run(
-        error=(x - truth)[:joint],
-        paper=inverse_model_covariance(problem, x, error).std,
-        honest=known.covariance.std[:joint],
-        white=found is not None and found.white,
-        repeats=known.repeatable.significant,
-        sum_held=abs(viscous.value - sum(axis.truth[name] for name in _VISCOUS)) <= 2 * viscous.std,
+        error=(x - truth)[:joint].tolist(),
+        paper=inverse_model_covariance(problem, x, error).std.tolist(),
+        honest=known.covariance.std[:joint].tolist(),
+        white=bool(found is not None and found.white),
+        repeats=bool(known.repeatable.significant),
+        sum_held=bool(abs(viscous.value - sum(axis.truth[name] for name in _VISCOUS)) <= 2 * viscous.std),
         correlation=float(known.covariance.correlation[motor, load]),
         inseparable=any(one.values.get("parameters") == ["motor_viscous", "load_viscous"] for one in told.limitations),
     )

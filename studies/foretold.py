@@ -11,18 +11,21 @@ import json
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
 from typing import Literal, TypeAlias
 
 import numpy as np
 
+from jointid.common.arrays import FloatArray
 from jointid.estimation.methods.flexible import refined_least_squares
 from jointid.estimation.problems.closed_loop import torque_problem
-from jointid.paper.twin import SAMPLE_TIME, twin
+from jointid.paper.twin import SAMPLE_TIME, Twin, twin
 from jointid.planning.foretell import Noise, foretell, planned_record
 from jointid.records.record import Tap
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.synthesis import simulated_record
+from studies.seeds import judge_seeds
 
 NoiseName: TypeAlias = Literal["white", "disturbance"]
 SUMS = ("viscous", "coulomb", "inertia")
@@ -42,34 +45,16 @@ class Beside:
     ratio: dict[str, float]
 
 
-def compare(loop: Literal["L19", "L30"], noise: NoiseName, tap: str, runs: int, seed: int = 1) -> Beside:
-    """Foretell the twin's test, make it many times, and compare."""
-    axis = twin(loop, noise=noise)
-    record = axis.record
-    assert record.reference is not None and record.injected is not None
-    reference, injected = record.reference.values, record.injected.channel.values
+def compare(
+    loop: Literal["L19", "L30"], noise: NoiseName, tap: str, runs: int, seed: int = 1, out: Path | None = None
+) -> Beside:
+    """Foretell the twin's test, make it many times, and compare; runs are kept in a folder, and found again."""
+    axis, reference, injected = _test(loop, noise)
     of = Noise(log=axis.noise) if noise == "white" else Noise(force=axis.noise)
     test = planned_record(axis.loop, reference, SAMPLE_TIME, injected, tap=tap)
     told = foretell(axis.loop, axis.truth, test, of)
-
-    def identified(number: int) -> list[float]:
-        white = axis.noise * np.random.default_rng([seed, number]).standard_normal(reference.size)
-        made = simulated_record(
-            axis.loop,
-            reference,
-            axis.truth,
-            sample_time=SAMPLE_TIME,
-            injected=injected,
-            torque_noise=white if noise == "white" else None,
-            disturbance=white if noise == "disturbance" else None,
-            tap=tap,
-        )
-        problem = torque_problem(made, axis.loop, Filtering(), axis.loop.joint.parameters)
-        problem = problem.keeping({"initial_velocity": 0.0})
-        start = problem.vector({**axis.truth, "initial_position": 0.0})
-        return list(refined_least_squares(problem, start, _ENOUGH)[0][: len(told.joint)])
-
-    found = np.array(in_threads(identified, range(runs)))
+    settings = {"loop": loop, "noise": noise, "tap": tap, "first": seed}
+    found = np.array(list(judge_seeds("studies.foretold:judge", range(runs), settings, out=out)))
     ratio = dict(zip(told.joint, map(float, told.covariance.std / found.std(axis=0, ddof=1)), strict=True))
     for name in SUMS:
         for sign, word in ((1.0, "sum"), (-1.0, "difference")):
@@ -79,6 +64,29 @@ def compare(loop: Literal["L19", "L30"], noise: NoiseName, tap: str, runs: int, 
     return Beside(loop, noise, tap, runs, ratio)
 
 
+@cache
+def _test(loop: Literal["L19", "L30"], noise: NoiseName) -> tuple[Twin, FloatArray, FloatArray]:
+    """Return the twin, its reference and its pulses."""
+    axis = twin(loop, noise=noise)
+    assert axis.record.reference is not None and axis.record.injected is not None
+    return axis, axis.record.reference.values, axis.record.injected.channel.values
+
+
+def judge(seed: int, loop: Literal["L19", "L30"], noise: NoiseName, tap: str, first: int) -> list[float]:
+    """Make the test once, and return the joint's parameters by least squares that begins at the truth."""
+    axis, reference, injected = _test(loop, noise)
+    white = axis.noise * np.random.default_rng([first, seed]).standard_normal(reference.size)
+    made = simulated_record(
+        axis.loop, reference, axis.truth, sample_time=SAMPLE_TIME, injected=injected, tap=tap,
+        torque_noise=white if noise == "white" else None, disturbance=white if noise == "disturbance" else None,
+    )  # fmt: skip
+    problem = torque_problem(made, axis.loop, Filtering(), axis.loop.joint.parameters)
+    problem = problem.keeping({"initial_velocity": 0.0})
+    start = problem.vector({**axis.truth, "initial_position": 0.0})
+    x, _ = refined_least_squares(problem, start, _ENOUGH)
+    return [float(one) for one in x[: len(problem.free_joint)]]
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Write a line of JSON for each loop, noise and tap."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -86,11 +94,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--loop", action="append", choices=("L19", "L30"))
     parser.add_argument("--noise", action="append", choices=("white", "disturbance"))
     parser.add_argument("--tap", action="append", choices=[str(tap) for tap in Tap])
+    parser.add_argument("--out", type=Path, help="folder in which runs are kept, and found again")
     given = parser.parse_args(arguments)
     for loop in given.loop or ("L19", "L30"):
         for noise in given.noise or ("white", "disturbance"):
             for tap in given.tap or [str(tap) for tap in Tap]:
-                found = compare(loop, noise, tap, given.runs)
+                found = compare(loop, noise, tap, given.runs, out=given.out)
                 sys.stdout.write(json.dumps(asdict(found)) + "\n")
                 sys.stdout.flush()
 

@@ -232,7 +232,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = parser.parse_args(arguments)
     seeds = range(given.first, given.first + given.count)
     runs = []
-    for found in judge_seeds("studies.healthy:judge", seeds, {"longest": given.longest}, given.out):
+    for found in judge_seeds("studies.healthy:judge", seeds, {"longest": given.longest}, out=given.out):
         runs.append(Said(**found))
         sys.stdout.write(json.dumps(found) + "\n")
     sys.stderr.write(summarise(runs) + "\n")

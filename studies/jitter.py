@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Literal
@@ -16,7 +17,6 @@ from typing import Literal
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.messages import Progress, silent
 from jointid.common.text import aligned, number
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM
@@ -31,6 +31,7 @@ from jointid.records.resampling import Resampling
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.synthesis import simulated_record
+from studies.seeds import judge_seeds
 
 Late = Literal["samples", "stamps"]
 _FINE = 20  # instants of the truth in a sample time
@@ -89,20 +90,23 @@ class Jitter:
         return aligned(header, rows, (False, True, False, *[True] * 6))
 
 
-def jitter(shares: Sequence[float] = (0.0, 0.05, 0.3), seed: int = 1, progress: Progress = silent) -> Jitter:
+def jitter(shares: Sequence[float] = (0.0, 0.05, 0.3), seed: int = 1, out: Path | None = None) -> Jitter:
     """Identify loop L19 of the twin, logged late by up to each of these shares of the sample time."""
-    truth = _truth()
-    late: tuple[Late, ...] = ("samples", "stamps")
-    runs = []
-    for what, share, remedy in itertools.product(late, shares, REMEDIES):
-        if share == 0.0 and (what, remedy) != ("samples", "taken as uniform"):
-            continue  # all the same
-        progress(f"{what} late by up to {100 * share:g} %, {remedy}")
-        delay = share * np.random.default_rng(seed).random(round(DURATION / SAMPLE_TIME) - 1)
-        runs.append(_judged(_logged(truth, delay, what, remedy), what, share, remedy))
-    return Jitter(tuple(runs))
+    settings = [
+        {"late": late, "share": share, "remedy": remedy}
+        for late, share, remedy in itertools.product(("samples", "stamps"), shares, REMEDIES)
+        if share or (late, remedy) == ("samples", "taken as uniform")  # else all the same
+    ]
+    return Jitter(tuple(Jittered(**run) for run in judge_seeds("studies.jitter:judge", [seed], *settings, out=out)))
 
 
+def judge(seed: int, late: Late, share: float, remedy: str) -> Jittered:
+    """Identify one log that is late."""
+    delay = share * np.random.default_rng(seed).random(round(DURATION / SAMPLE_TIME) - 1)
+    return _judged(_logged(_truth(), delay, late, remedy), late, share, remedy)
+
+
+@cache
 def _truth() -> Record:
     """Return the axis as it moved, each channel `_FINE` times in a sample time."""
     loop = ClosedLoop(FlexibleJoint(), replace(CONTROLLERS["L19"], period=SAMPLE_TIME))

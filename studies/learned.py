@@ -7,12 +7,12 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, silent
 from jointid.common.text import aligned, number
 from jointid.controller_id.learn import SAME, learn_loop
 from jointid.controller_id.learned_loop import LearnedLoop
@@ -23,6 +23,7 @@ from jointid.records.record import Record, Tap
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.synthesis import simulated_record
+from studies.seeds import judge_seeds, parse_seeds
 
 _PERIOD = 1e-3
 _SAMPLES = 10_000
@@ -103,24 +104,18 @@ class LearnedTwins:
         return "\n".join([aligned(header, rows, (False, *(True,) * 6)), "", *wrong])
 
 
-def learn_twins(seeds: Sequence[int] = range(200), progress: Progress = silent) -> LearnedTwins:
+def learn_twins(seeds: Sequence[int] = range(200), out: Path | None = None) -> LearnedTwins:
     """Learn the controllers of random twins, and compare them with the true ones.
 
     Args:
         seeds: of the twins.
-        progress: is told every run.
+        out: folder in which runs are kept, and found again.
     """
-
-    def one(seed: int) -> LearnedRun:
-        run = _learn_twin(seed)
-        verdict = "right" if run.right else "named" if run.named else f"wrong: {run.found}"
-        progress(f"seed {seed}: {run.true}: {verdict}, {run.seconds:.1f} s")
-        return run
-
-    return LearnedTwins(tuple(map(one, seeds)))
+    return LearnedTwins(tuple(LearnedRun(**run) for run in judge_seeds("studies.learned:judge", seeds, {}, out=out)))
 
 
-def _learn_twin(seed: int) -> LearnedRun:
+def judge(seed: int) -> LearnedRun:
+    """Learn the controller of one twin."""
     made = loop_twin(seed)
     begin = time.perf_counter()
     learned = learn_loop(made.record)
@@ -295,9 +290,8 @@ def _numbers(rng: np.random.Generator, structure: Structure, inertia: float) -> 
 
 def _main() -> None:
     """Show the table of the seeds ``python -m studies.learned [FIRST AFTER_LAST]``, 0 to 199 unless told."""
-    first, last = map(int, sys.argv[1:3]) if len(sys.argv) > 2 else (0, 200)
-    show = sys.stdout.write
-    show(f"{learn_twins(range(first, last), lambda said: print(said, file=sys.stderr))}\n")  # noqa: T201
+    given = parse_seeds(_main.__doc__, 200)
+    sys.stdout.write(f"{learn_twins(given.seeds, given.out)}\n")
 
 
 if __name__ == "__main__":

@@ -14,12 +14,12 @@ import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, silent
 from jointid.common.text import aligned
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM, refined_least_squares
@@ -34,6 +34,7 @@ from jointid.tuning.margins import NAMES, joint_set
 from jointid.tuning.minimum_detectable_change import compute_minimum_detectable_change
 from jointid.tuning.tune import tune
 from jointid.tuning.tuned import LoopMargins
+from studies.seeds import judge_seeds, parse_seeds
 
 _ROUNDING = 1e-3  # of a margin: how exactly it is computed
 _ENOUGH = 1e-6  # relative: far below a deviation
@@ -141,16 +142,13 @@ class MarginCoverage:
         return "\n".join(lines)
 
 
-def held_margins(seeds: Sequence[int] = range(200), progress: Progress = silent) -> MarginCoverage:
-    """Identify random twins, state their margins, and count how often these hold."""
-    found = []
-    for seed in seeds:
-        found.append(_check_margins(seed))
-        progress(f"seed {seed}: {found[-1].refused or 'stated'}")
-    return MarginCoverage(tuple(found))
+def held_margins(seeds: Sequence[int] = range(200), out: Path | None = None) -> MarginCoverage:
+    """Identify random twins, state their margins, and count how often these hold; runs are kept, and found again."""
+    return MarginCoverage(tuple(MarginRun(**run) for run in judge_seeds("studies.margins:judge", seeds, {}, out=out)))
 
 
-def _check_margins(seed: int) -> MarginRun:
+def judge(seed: int) -> MarginRun:
+    """Identify one twin, and state the margins of its loop and of the proposed one."""
     drive = random_drive(seed)
     try:
         tuned = tune(drive.identified(drive.record(seed)))
@@ -196,33 +194,34 @@ CHANGED = ("stiffness", "motor_inertia", "load_inertia", "damping", "load_viscou
 
 
 def changes(
-    pairs: Sequence[int] = range(200), names: Sequence[str] = CHANGED, progress: Progress = silent
+    pairs: Sequence[int] = range(200), names: Sequence[str] = CHANGED, out: Path | None = None
 ) -> ChangeDetection:
     """Compare pairs of records of one axis, without a change and with one of the stated size (1 %, 90 %).
 
     Args:
         pairs: their seeds: of so many without a change, and as many with one of each parameter.
         names: of the parameters, each changed in records of its own.
-        progress: is told every ten pairs.
+        out: folder in which pairs are kept, and found again.
     """
-    drive = random_drive(0)
-    false, found = dict.fromkeys(names, 0), dict.fromkeys(names, 0)
-    for done, pair in enumerate(pairs, 1):
-        seeds = iter(range(10_000 + 10 * pair, 10_010 + 10 * pair))
-        first = drive.identified(drive.record(next(seeds)))
-        stated = compute_minimum_detectable_change(first)
-        again = _again(first, drive.record(next(seeds)))
-        for name in names:
-            told = stated[name]
-            false[name] += abs(again[name] - told.value) > told.limit
-            # The stated size varies with the record's noise, as it does for whoever relies on it.
-            moved = dict(drive.truth) | {name: drive.truth[name] + told.size}
-            after = _again(first, drive.record(next(seeds), moved))
-            found[name] += abs(after[name] - told.value) > told.limit
-        if done % 10 == 0:
-            progress(f"{done} of {len(pairs)} pairs")
-    count = len(pairs)
-    return ChangeDetection({n: c / count for n, c in false.items()}, {n: c / count for n, c in found.items()}, count)
+    said = np.array(list(judge_seeds("studies.margins:judge_pair", pairs, {"names": list(names)}, out=out)))
+    false, found = (dict(zip(names, map(float, share), strict=True)) for share in said.mean(axis=0))
+    return ChangeDetection(false, found, len(pairs))
+
+
+def judge_pair(seed: int, names: Sequence[str]) -> tuple[list[bool], list[bool]]:
+    """Return by parameter whether a change is said where there is none, and where there is one of the stated size."""
+    drive, seeds = random_drive(0), iter(range(10_000 + 10 * seed, 10_010 + 10 * seed))
+    first = drive.identified(drive.record(next(seeds)))
+    stated = compute_minimum_detectable_change(first)
+    again, false, found = _again(first, drive.record(next(seeds))), [], []
+    for name in names:
+        told = stated[name]
+        false.append(bool(abs(again[name] - told.value) > told.limit))
+        # The stated size varies with the record's noise, as it does for whoever relies on it.
+        moved = dict(drive.truth) | {name: drive.truth[name] + told.size}
+        after = _again(first, drive.record(next(seeds), moved))
+        found.append(bool(abs(after[name] - told.value) > told.limit))
+    return false, found
 
 
 def _again(first: Estimate, record: Record) -> dict[str, float]:
@@ -294,16 +293,9 @@ def _drawn(rng: np.random.Generator, seed: int) -> RandomDrive:
 
 
 def _main() -> None:
-    """Show a table: ``python -m studies.margins [changes] [FIRST AFTER_LAST]``, seeds 0 to 199 unless told."""
-
-    def told(said: str) -> None:
-        sys.stderr.write(f"{said}\n")
-
-    numbers = [int(word) for word in sys.argv[1:] if word != "changes"] or [0, 200]
-    if "changes" in sys.argv[1:]:
-        sys.stdout.write(f"{changes(range(*numbers), progress=told)}\n")
-    else:
-        sys.stdout.write(f"{held_margins(range(*numbers), told)}\n")
+    """Show a table of the seeds ``python -m studies.margins [--changes] [FIRST AFTER_LAST]``, 0 to 199 unless told."""
+    given = parse_seeds(_main.__doc__, 200, "changes")
+    sys.stdout.write(f"{(changes if given.changes else held_margins)(given.seeds, out=given.out)}\n")
 
 
 if __name__ == "__main__":

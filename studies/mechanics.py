@@ -391,7 +391,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         else:
             asked |= {"spring": given.spring, "friction": given.friction, "ripple": given.ripple}
             function = "studies.mechanics:judge"
-        for found in judge_seeds(function, seeds, asked, given.out):
+        for found in judge_seeds(function, seeds, asked, out=given.out):
             sys.stdout.write(json.dumps(found) + "\n")
             if given.choose:
                 chosen.append(Chosen(**found))

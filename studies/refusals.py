@@ -9,11 +9,12 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from jointid.common.messages import Progress, silent
+from jointid.common.messages import silent
 from jointid.common.text import aligned, number
 from jointid.estimation.methods.flexible import refined_least_squares
 from jointid.estimation.methods.flexible_search import frequency_of, on_band
@@ -21,8 +22,8 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_pr
 from jointid.estimation.result.stiffness_identifiability import visible
 from jointid.paper.twin import Twin, twin
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.closed_loop import in_threads
 from jointid.uncertainty.position_dependent_error import uncertainty
+from studies.seeds import judge_seeds
 
 Noise = Literal["disturbance", "white"]
 
@@ -109,7 +110,7 @@ def refusals(
     factors: Sequence[float] = FACTORS,
     seeds: Sequence[int] = range(1, 11),
     noises: Sequence[Noise] = ("disturbance", "white"),
-    progress: Progress = silent,
+    out: Path | None = None,
 ) -> Refusals:
     """Judge the stiffness of the twin (loop L19) with springs from soft to stiff, under noise of both kinds.
 
@@ -117,19 +118,14 @@ def refusals(
         factors: times the K12 of Table 2; see `jointid.paper.twin.twin` for what happens to F12.
         seeds: of the noise, for each factor and kind.
         noises: kinds.
-        progress: is told every run.
+        out: folder in which runs are kept, and found again.
     """
-
-    def one(at: tuple[float, Noise, int]) -> StiffnessRun:
-        run = _identify_twin(*at)
-        verdict = f"K12 {run.value:.4g}" if run.value is not None else f"refused, bound {run.bound or 0:.4g}"
-        progress(f"K12 times {at[0]:g}, {at[1]}, seed {at[2]}: {verdict}, {'true' if run.holds else 'wrong'}")
-        return run
-
-    return Refusals(tuple(in_threads(one, list(itertools.product(factors, noises, seeds)))))
+    settings = [{"factor": factor, "noise": noise} for factor, noise in itertools.product(factors, noises)]
+    found = judge_seeds("studies.refusals:judge", seeds, *settings, out=out)
+    return Refusals(tuple(StiffnessRun(**run) for run in found))
 
 
-def _identify_twin(factor: float, noise: Noise, seed: int) -> StiffnessRun:
+def judge(seed: int, factor: float, noise: Noise) -> StiffnessRun:
     """Identify one run by a fit that begins at the truth: the search is not tested here."""
     axis = twin("L19", noise=noise, seed=seed, stiffer=factor)
     problem = _problem(axis)

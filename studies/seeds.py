@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
+import itertools
 import json
 import sys
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, is_dataclass
 from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -21,17 +23,18 @@ from jointid.campaigns.store import open_database
 
 
 def judge_seeds(
-    function: str, seeds: Iterable[int], settings: Mapping[str, Any], out: Path | None = None
-) -> Iterator[dict[str, Any]]:
-    """Yield what a function of a seed gives, for each seed in its order, as a dictionary; nothing where it gives None.
+    function: str, seeds: Iterable[int], *settings: Mapping[str, Any], out: Path | None = None
+) -> Iterator[Any]:
+    """Yield what a function of a seed gives, for each seed in its order, as JSON has it; nothing where it gives None.
 
     Args:
-        function: of a seed and the settings, which returns a dataclass or None, as "studies.mechanics:judge".
-        seeds: each a case of the campaign.
-        settings: the function's other arguments, as JSON has them.
+        function: of a seed and the settings, which returns a dataclass, numbers or None, as "studies.mechanics:judge".
+        seeds: each a case of the campaign, with each of the settings.
+        settings: the function's other arguments, as JSON has them; of several all seeds of the first come first.
         out: folder in which results are kept, and found again; one for this call alone when None.
     """
-    cases = [Case(function, "", "", "", changes=(canonical(settings),), varied=Simulated((), seed=n)) for n in seeds]
+    asked = itertools.product(map(canonical, settings), list(seeds))
+    cases = [Case(function, "", "", "", changes=(one,), varied=Simulated((), seed=n)) for one, n in asked]
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(TemporaryDirectory())) if out is None else out
         folder.mkdir(parents=True, exist_ok=True)
@@ -49,7 +52,22 @@ def _carry(case: Case) -> Row:
     module, _, name = case.joint.partition(":")
     assert isinstance(case.varied, Simulated)
     found = getattr(import_module(module), name)(case.varied.seed, **json.loads(case.changes[0]))
-    return Row.of(case, Outcome.IDENTIFIED, canonical(None if found is None else asdict(found)))
+    said = asdict(found) if is_dataclass(found) and not isinstance(found, type) else found
+    return Row.of(case, Outcome.IDENTIFIED, json.dumps(said, sort_keys=True))  # a margin may be infinite
+
+
+def parse_seeds(about: str | None, count: int, *more: str) -> argparse.Namespace:
+    """Return what a study is asked for: `seeds`, a range of so many unless told, `out`, and flags by their names."""
+    parser = argparse.ArgumentParser(description=about)
+    parser.add_argument("seeds", nargs="*", type=int, metavar="FIRST AFTER_LAST")
+    parser.add_argument("--out", type=Path, help="folder in which results are kept, and found when it is given again")
+    for flag in more:
+        parser.add_argument(f"--{flag}", action="store_true")
+    given = parser.parse_args()
+    if len(given.seeds) not in (0, 2):
+        parser.error("expected two numbers, the first seed and the one after the last")
+    given.seeds = range(*(given.seeds or (0, count)))
+    return given
 
 
 def _say(said: str) -> None:

@@ -14,11 +14,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.messages import Progress, silent
 from jointid.estimation.methods.flexible import refined_least_squares
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.models.controllers import Cascade, FirstOrder, Notch
@@ -26,9 +26,10 @@ from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.paper.twin import DURATION, RESIDUAL, TABLE_2, Twin
 from jointid.records.record import Channel, Injection, Record, Timing
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.closed_loop import in_threads, require_finished, simulate_torque
+from jointid.simulation.closed_loop import require_finished, simulate_torque
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.loop_input import prepare
+from studies.seeds import judge_seeds
 
 LOG = 2e-3
 """Seconds between the samples of the log, and between the commands."""
@@ -97,17 +98,9 @@ class Accuracy:
     bias: Mapping[str, float]
 
 
-def accuracy(runs: int, seed: int = 1, progress: Progress = silent) -> Accuracy:
-    """Identify the servo's twin from force and command many times, from starts at the truth."""
-
-    def one(number: int) -> FloatArray:
-        if number % 10 == 9:
-            progress(f"{number + 1} of {runs} runs")
-        problem = _problem(servo_twin(seed=seed + number))
-        x, _ = refined_least_squares(problem, _truth(problem), _ENOUGH)
-        return np.asarray(x[: len(problem.free_joint)])
-
-    found = np.array(in_threads(one, range(runs)))
+def accuracy(runs: int, seed: int = 1, out: Path | None = None) -> Accuracy:
+    """Identify the servo's twin from force and command many times; runs are kept in a folder, and found again."""
+    found = np.array(list(judge_seeds("studies.servo:judge", range(seed, seed + runs), {}, out=out)))
     axis = servo_twin(seed=seed)
     problem = _problem(axis)
     names = [p.name for p in problem.free_joint]
@@ -119,6 +112,13 @@ def accuracy(runs: int, seed: int = 1, progress: Progress = silent) -> Accuracy:
         _by_name(names, _foretold(problem, axis.noise) / np.abs(truth)),
         _by_name(names, (found.mean(axis=0) - truth) / spread),
     )
+
+
+def judge(seed: int) -> list[float]:
+    """Return the joint's parameters by least squares that begins at the truth."""
+    problem = _problem(servo_twin(seed=seed))
+    x, _ = refined_least_squares(problem, _truth(problem), _ENOUGH)
+    return [float(one) for one in x[: len(problem.free_joint)]]
 
 
 def _foretold(problem: ClosedLoopProblem, noise: float) -> FloatArray:

@@ -15,12 +15,12 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
-from jointid.common.messages import Progress, silent
 from jointid.common.text import aligned, number
 from jointid.diagnostics.check_loop import check_loop
 from jointid.estimation.identify import identify
@@ -35,6 +35,7 @@ from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from jointid.tuning.margins import joint_set
 from jointid.uncertainty.position_dependent_error import uncertainty
+from studies.seeds import judge_seeds, parse_seeds
 
 PLAIN, INVISIBLE = 0.03, 0.5  # predicted deviations of K12: below, it must be reported; above, it must not
 SLOW = 80.0  # Hz: bounds are counted for modes below it apart
@@ -170,20 +171,17 @@ def _median(found: Sequence[float]) -> float:
 
 
 def stiffness_bounds(
-    seeds: Sequence[int] = range(200), progress: Progress = silent, *, loop_checks: bool = True
+    seeds: Sequence[int] = range(200), out: Path | None = None, *, loop_checks: bool = True
 ) -> BoundStudy:
     """Identify random plants, and set what is said of their springs beside the truth.
 
     Args:
         seeds: of the plants.
-        progress: is told every run.
+        out: folder in which runs are kept, and found again.
         loop_checks: whether the loop is checked, too, where a value is given: it is as declared.
     """
-    found = []
-    for seed in seeds:
-        found.append(identify_plant(seed, loop_checks=loop_checks))
-        progress(str(found[-1]))
-    return BoundStudy(tuple(found))
+    found = judge_seeds("studies.stiffness_bounds:identify_plant", seeds, {"loop_checks": loop_checks}, out=out)
+    return BoundStudy(tuple(BoundRun(**run) for run in found))
 
 
 def identify_plant(seed: int, *, loop_checks: bool = True) -> BoundRun:
@@ -332,13 +330,9 @@ def _controller(rng: np.random.Generator, inertia: float, crossover: float) -> C
 
 def _main() -> None:
     """Show the shares: ``python -m studies.stiffness_bounds [FIRST AFTER_LAST]``, seeds 0 to 199 unless told."""
-    first, last = ([int(word) for word in sys.argv[1:]] or [0, 200])[:2]
-
-    def told(said: str) -> None:
-        sys.stderr.write(f"{said}\n")
-
-    study = stiffness_bounds(range(first, last), told)
-    sys.stdout.write(f"{study}\n")
+    given = parse_seeds(_main.__doc__, 200)
+    study = stiffness_bounds(given.seeds, given.out)
+    sys.stdout.write("".join(f"{run}\n" for run in study.runs) + f"{study}\n")
 
 
 if __name__ == "__main__":

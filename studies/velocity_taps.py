@@ -12,12 +12,12 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
-from jointid.common.messages import Progress, silent
 from jointid.controller_id.learn import learn_loop
 from jointid.controller_id.learned_loop import LearnedLoop
 from jointid.controller_id.loop_record import prepare_loop_record
@@ -27,6 +27,7 @@ from jointid.models.controllers import PD, Controller
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Channel, Record, Timing
 from jointid.simulation.excitation import trapezoids
+from studies.seeds import judge_seeds, parse_seeds
 
 _PERIOD = 1e-3
 _SAMPLES = 8_000
@@ -86,26 +87,18 @@ class TapsRun:
         return self.apart < _CLOSE and not self.fed
 
 
-def learn_servos(seeds: Sequence[int] = range(100), progress: Progress = silent) -> tuple[TapsRun, ...]:
+def learn_servos(seeds: Sequence[int] = range(100), out: Path | None = None) -> tuple[TapsRun, ...]:
     """Learn the laws of random servos, and identify their joints under them.
 
     Args:
         seeds: of the servos.
-        progress: is told every run.
+        out: folder in which runs are kept, and found again.
     """
-    runs = []
-    for seed in seeds:
-        one = _learn_servo(seed)
-        runs.append(one)
-        far = {name: f"{z:.1f} {one.off[name]:.1f}" for name, z in one.beside.items()}
-        progress(
-            f"seed {seed}: {one.found}: {'right' if one.right else 'WRONG'}{', FED' if one.fed else ''}, "
-            f"{100 * one.apart:.2g} %, {one.seconds:.1f} s, {far}"
-        )
-    return tuple(runs)
+    return tuple(TapsRun(**run) for run in judge_seeds("studies.velocity_taps:judge", seeds, {}, out=out))
 
 
-def _learn_servo(seed: int) -> TapsRun:
+def judge(seed: int) -> TapsRun:
+    """Learn the law of one servo, and identify its joint under it."""
     twin = taps_twin(seed)
     began = time.perf_counter()
     try:
@@ -255,8 +248,8 @@ def _rings(torque: FloatArray) -> bool:
 
 def _main() -> None:
     """Show the runs of the seeds ``python -m studies.velocity_taps [FIRST AFTER_LAST]``, 0 to 99 unless told."""
-    first, last = map(int, sys.argv[1:3]) if len(sys.argv) > 2 else (0, 100)
-    runs = learn_servos(range(first, last), lambda said: print(said, file=sys.stderr, flush=True))  # noqa: T201
+    given = parse_seeds(_main.__doc__, 100)
+    runs = learn_servos(given.seeds, given.out)
     inside = [abs(z) <= 2.0 for one in runs for z in one.beside.values()]
     covered = [abs(z) <= 2.0 for one in runs for z in one.off.values()]
     sys.stdout.write(
