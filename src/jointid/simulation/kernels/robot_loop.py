@@ -368,7 +368,7 @@ def run(
     a, held, modes, slopes = np.empty(nd), np.empty(nd), np.empty(nd), np.empty((2, nd))
     q1, v1, a1, held1 = np.empty(nd), np.empty(nd), np.empty(nd), np.empty(nd)
     nz, elements = z.shape[1], w.shape[1]
-    new, raw, cut = np.empty(nz), np.zeros(elements), np.zeros(elements)
+    new, out, cut = np.empty(nz), np.zeros(elements), np.zeros(elements)
     for i in range(nd):
         if masses[i, _COULOMB] > 0.0:
             modes[i] = 0.0 if v[i] == 0.0 else math.copysign(1.0, v[i])
@@ -384,9 +384,9 @@ def run(
             law = Feedback(
                 A[j], Bq[j], F[j], C[j], D[j], E[j], limits[j], gates[j], driven[j], outputs[j], taps[j]
             )  # fmt: skip
-            control_any(law, w[j], k, position, z[j], new, raw, cut)
-            command[j, k] = raw[outputs[j]] + cut[outputs[j]]
-            tapped[j, k] = raw[taps[j]] + cut[taps[j]]
+            control_any(law, w[j], k, position, z[j], new, out, cut)
+            command[j, k] = out[outputs[j]]
+            tapped[j, k] = out[taps[j]]
             if cuts.shape[1] > 0:
                 for i in range(elements):
                     cuts[j, k, i] = cut[i] != 0.0
