@@ -30,7 +30,9 @@ from jointid.paper.twin import JOINT_FILE
 from jointid.records.formats import Table
 
 ROOT = Path(__file__).resolve().parents[3]
-EXAMPLES = sorted(path for path in (ROOT / "examples").glob("*/*.toml") if not path.stem.startswith(("campaign", "robot")))
+EXAMPLES = sorted(
+    path for path in (ROOT / "examples").glob("*/*.toml") if not path.stem.startswith(("campaign", "robot"))
+)
 FILLED = {
     "joint.kind": "prismatic",
     "record.channels.torque.column": "i",
