@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import JointFileError, RecordError
-from jointid.config.loading import parse_toml
+from jointid.config.loading import load, parse_toml
 from jointid.config.robot_file import RobotFile, RobotFileTable, is_robot_file, load_robot_file, save_robot_file
 from jointid.models.controllers import PD
 from jointid.models.robots.robot import JointSpring
@@ -136,3 +136,49 @@ def test_every_key_of_its_own_is_on_the_page() -> None:
             assert f"`{key}`" in page, key
     for table in RobotFileTable.model_fields:
         assert f"[{table}]" in page, table
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (
+            'column = "i_{index}"',
+            'column = "i_0"',
+            'joint0, joint1, joint2: all read torque from "i_0"; give each joint',
+        ),
+        (
+            'ratio = 100, side = "load"',
+            'ratio = 100, side = "motor"',
+            'joint1: transmission.side is "motor"; all numbers',
+        ),
+        ("base = [0.0, 1.5707963267948966, 0.0]", "base = [0, 90, 0]", r"robot\.base is .*, beyond a turn; expected"),
+        ('name = "joint2"', 'name = "joint1"', "joints lists joint1 twice"),
+        (
+            "[[joints]]",
+            '[method]\nestimator = "ols"\nname = "didim"\n[[joints]]',
+            "a setting of another method than didim",
+        ),
+    ],
+)
+def test_what_would_be_another_robot_is_refused(folder: Path, old: str, new: str, said: str) -> None:
+    (folder / "robot.toml").write_text(TEXT.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(JointFileError, match=said.replace("joint0, joint1, joint2: all", "all")):
+        load_robot_file(folder / "robot.toml")
+
+
+def test_a_base_that_hangs_by_rounded_numbers_hangs(folder: Path) -> None:
+    text = TEXT.replace("base = [0.0, 1.5707963267948966, 0.0]", "base = [3.1416, 0.0, 0.0]")
+    (folder / "robot.toml").write_text(text, encoding="utf-8")
+    x, y, z = load_robot_file(folder / "robot.toml").robot.gravity
+    assert (x, y) == (0.0, 0.0) and z == pytest.approx(9.81, rel=1e-9)
+
+
+def test_a_feed_forward_that_was_logged_is_there(folder: Path) -> None:
+    (folder / "robot.toml").write_text(TEXT.replace('"gravity"', '"logged"'), encoding="utf-8")
+    with pytest.raises(RecordError, match="not every joint has an injected channel; declare one for each"):
+        load_robot_file(folder / "robot.toml").driven(logged=False)
+
+
+def test_other_commands_say_that_it_is_a_robot_file(folder: Path) -> None:
+    with pytest.raises(JointFileError, match="This is a robot file, as it has the table"):
+        load(folder / "robot.toml")

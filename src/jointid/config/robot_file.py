@@ -8,6 +8,7 @@ joint's name, ``{axis}`` for its place in the file from 1, ``{index}`` for one l
 from __future__ import annotations
 
 import copy
+import math
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -38,6 +39,9 @@ from jointid.records.signals.filtering import Filtering
 from jointid.records.writing import write_columns
 from jointid.simulation.robots import RobotLoop, add_feed_forward
 
+_UPRIGHT = 1e-3  # rad, that a base is off the upright and yet upright
+_TURNS = 2 * math.pi  # rad
+
 FeedForward: TypeAlias = Literal["none", "gravity", "inverse-model", "logged"]
 Angles = Annotated[list[Number], Field(min_length=3, max_length=3), Says("a list of three numbers")]
 Couplings = Annotated[dict[str, Number], Says("a table of numbers by the joints' names")]
@@ -53,6 +57,11 @@ class RobotTable(Table):
         description="roll, pitch and yaw of its base: about the fixed axes x, y and z of a world with z upwards [rad]",
     )
     feed_forward: FeedForward = Field("none", description="what the drives are given beside the controllers' torque")
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield angles beyond a turn, which are degrees."""
+        if any(abs(float(angle)) > _TURNS for angle in self.base):
+            yield "base", f" is {self.base}, beyond a turn; expected roll, pitch and yaw in rad: convert the degrees."
 
 
 @keys_from(JointSpring)
@@ -96,19 +105,18 @@ class RobotMethodTable(Table):
         "where [record.channels] or a joint has a motor_position",
     )
 
-    def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield keys of the other method, where one is named."""
-        if self.name is not None:
-            other = RobotDIDIM if self.name == "idim" else RobotIDIM
-            for one in settings_of(other):
-                if one.name in self.model_fields_set:
-                    yield one.name, f" is a setting of another method than {self.name}; leave it out."
-
     def method(self, measured: bool) -> RobotIDIM | RobotDIDIM:
-        """Return the method that is named, or, of records with motor positions or without, the one they are for."""
+        """Return the method that is named, or, of records with motor positions or without, the one they are for.
+
+        Raises:
+            JointFileError: a key is of the other method.
+        """
         name = self.name or ("idim" if measured else "didim")
-        own = RobotIDIM if name == "idim" else RobotDIDIM
+        own, other = (RobotIDIM, RobotDIDIM) if name == "idim" else (RobotDIDIM, RobotIDIM)
         given = self.settings("name")
+        for one in settings_of(other):
+            if one.name in given:
+                raise JointFileError(f"method.{one.name} is a setting of another method than {name}; leave it out.")
         return own(**{one.name: given[one.name] for one in settings_of(own) if one.name in given})
 
 
@@ -189,14 +197,16 @@ class RobotFile:
         return self._of_each(lambda file: file.record(path))
 
     def _of_each(self, read: Callable[[JointFile], Record]) -> tuple[Record, ...]:
-        found, faults = list[Record](), list[str]()
+        found, faults = list[Record](), dict[str, list[str]]()
         for file in self.joints:
             try:
                 found.append(read(file))
             except RecordError as error:
-                faults += [f"{file.name}: {fault}" for fault in error.faults]
+                for fault in error.faults:
+                    faults.setdefault(fault, []).append(str(file.name))
         if faults:
-            raise RecordError(faults)
+            whole = len(self.joints)
+            raise RecordError([f if len(names) == whole else f"{', '.join(names)}: {f}" for f, names in faults.items()])
         return tuple(found)
 
     @property
@@ -226,6 +236,19 @@ class RobotFile:
             MethodError: the feed-forward needs references of one rate.
         """
         found = self.records(path) if logged else self._of_each(lambda file: file.driving(path))
+        injected = [
+            str(file.name) for file, record in zip(self.joints, found, strict=True) if record.injected is not None
+        ]
+        if self.feed_forward == "logged" and len(injected) < len(found):
+            raise RecordError(
+                'robot.feed_forward is "logged", and not every joint has an injected channel; declare one for each in '
+                "[record.channels]."
+            )
+        if self.feed_forward in ("gravity", "inverse-model") and injected:
+            raise RecordError(
+                f'robot.feed_forward is "{self.feed_forward}", and {", ".join(injected)} has an injected channel too; '
+                'expected one of both: leave the channel out, or take "logged".'
+            )
         if self.feed_forward in ("gravity", "inverse-model"):
             return add_feed_forward(self.loop, found, self.feed_forward)
         return found
@@ -289,6 +312,9 @@ def _robot(said: RobotFileTable, folder: Path) -> Robot:
     unknown = [
         f"joints.{k + 1}.name{messages.no_choice(n, model.names)}" for k, n in enumerate(names) if n not in model.names
     ]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        unknown.append(f"joints lists {', '.join(twice)} twice; expected every joint once: leave one out.")
     missing = [name for name in model.names if name not in names]
     if missing and not unknown:
         unknown = [
@@ -305,6 +331,8 @@ def _robot(said: RobotFileTable, folder: Path) -> Robot:
     try:
         joints = tuple(table.joint(joint) for table, joint in zip(said.joints, ordered.joints, strict=True))
         turned = _base(said.robot.base).T @ ordered.gravity
+        # A base that is written as 3.1416 hangs upside down: a trace of gravity sideways would be told by no record.
+        turned = np.where(np.abs(turned) < _UPRIGHT * np.linalg.norm(turned), 0.0, turned)
         return replace(ordered, joints=joints, gravity=turned, name=said.robot.name or ordered.name)
     except JointidError as error:
         raise JointFileError(f"joints: {error}") from error
@@ -326,10 +354,26 @@ def _joint_files(raw: Mapping[str, Any], robot: Robot, path: Path, method: str) 
         except JointFileError as error:
             for fault in error.faults:
                 faults.setdefault(fault, []).append(table["name"])
+    for file in files:
+        if file.joint.transmission is not None and file.joint.transmission.side == "motor":
+            fault = 'transmission.side is "motor"; all numbers of a robot are behind its gears: leave side out.'
+            faults.setdefault(fault, []).append(str(file.name))
+    for name, joints in _shared_columns(files).items():
+        faults.setdefault(f"all read {name}; give each joint a column of its own, as with {{axis}}.", []).extend(joints)
     if faults:
         shared = {fault: len(names) == len(robot) for fault, names in faults.items()}
         raise JointFileError([one if shared[one] else f"{', '.join(names)}: {one}" for one, names in faults.items()])
     return tuple(files)
+
+
+def _shared_columns(files: Sequence[JointFile]) -> dict[str, list[str]]:
+    """Return which channels are one column of several joints, and of which."""
+    found: dict[str, list[str]] = {}
+    for file in files:
+        for channel, column in file.columns.items():
+            if column.column and file.drive.traces is None:
+                found.setdefault(f'{channel} from "{column.column}"', []).append(str(file.name))
+    return {name: joints for name, joints in found.items() if len(joints) > 1}
 
 
 def _has_positions(raw: Mapping[str, Any]) -> bool:

@@ -86,6 +86,8 @@ def test_six_rigid_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "DIDIM of a robot, from torques and references alone" in printed
     answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.robot_torque_estimate/1" and answer["converged"]
+    units = {name: row["unit"] for name, row in answer["parameters"].items()}
+    assert units["link6.mx"] == "kg m" and units["link6.Ixx"] == "kg m2"
     for one_joint in truth:
         for word in ("viscous", "coulomb"):
             row = answer["parameters"][f"{one_joint.name}.{word}"]

@@ -65,6 +65,7 @@ class SpringVerdict:
         shown: whether they do.
         stiffness: N m/rad or N/m; None where it is refused. deviation: of it, one standard deviation.
         at_least: the stiffness that it has at least, two standard deviations of its compliance away.
+        unit: of these, N m/rad or N/m.
     """
 
     joint: str
@@ -72,11 +73,13 @@ class SpringVerdict:
     stiffness: float | None
     deviation: float | None
     at_least: float
+    unit: str = "N m/rad"
 
     def __str__(self) -> str:
         if self.stiffness is None or self.deviation is None:
-            return f"{self.joint}: the records do not show a spring; one is at least {self.at_least:.3g} stiff"
-        return f"{self.joint}: stiffness {self.stiffness:.5g} +- {_TWO * self.deviation:.2g}"
+            least = f"{self.at_least:.3g} {self.unit}"
+            return f"{self.joint}: the records do not show a spring; its stiffness is at least {least}"
+        return f"{self.joint}: stiffness {self.stiffness:.5g} +- {_TWO * self.deviation:.2g} {self.unit}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,7 +158,9 @@ def identify_flexible_robot(
     if run.outcome is not RobotOutcome.FINISHED:
         raise MethodError(f"The search led to where the robot cannot be simulated: {run.outcome.value}.")
     fit = conclude(problem, x, run, made, ends[-1].converged, _least(problem), by_slopes=True)
-    springs = tuple(_judge(fit, problem, name) for name in flexible)
+    kinds = dict(zip(robot.names, (link.kind for link in robot.links), strict=True))
+    units = {name: "N/m" if kinds[name] == "prismatic" else "N m/rad" for name in flexible}
+    springs = tuple(_judge(fit, problem, name, units[name]) for name in flexible)
     return FlexibleRobotFit(fit, springs, rigid, made, ends[-1].message)
 
 
@@ -300,11 +305,11 @@ def _bounded(problem: RobotProblem, start: _Start) -> RobotProblem:
     return replace(problem, parameters=replace(problem.parameters, parameters=free))
 
 
-def _judge(fit: RobotFit, problem: RobotProblem, joint: str) -> SpringVerdict:
+def _judge(fit: RobotFit, problem: RobotProblem, joint: str, unit: str) -> SpringVerdict:
     """Return whether the records show a joint's spring."""
     stiffness, deviation = fit.value(f"{joint}.stiffness")
     compliance, spread = 1.0 / stiffness, deviation / stiffness**2
     bound = problem.free[fit.names.index(f"{joint}.stiffness")].upper
     shown = compliance > _SHOWN * spread and math.log(stiffness) < bound - 1e-3
     at_least = 1.0 / (compliance + _TWO * spread)
-    return SpringVerdict(joint, shown, stiffness if shown else None, deviation if shown else None, at_least)
+    return SpringVerdict(joint, shown, stiffness if shown else None, deviation if shown else None, at_least, unit)

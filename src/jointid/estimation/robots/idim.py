@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.document import Document, Documented, Facts, Heading, Listing, Table
+from jointid.common.document import Document, Documented, Facts, Heading, Listing, Paragraph, Table
 from jointid.common.errors import MethodError
 from jointid.common.settings import check_settings, documented, setting
 from jointid.common.text import interval, number
@@ -112,6 +112,22 @@ class RobotEstimate(Documented):
         keys = ("value", "std", "unit", "nominal", "formula")
         return {name: dict(zip(keys, row, strict=True)) for name, *row in zip(self.names, *columns, strict=True)}
 
+    @property
+    def objections(self) -> tuple[str, ...]:
+        """Sentences on what no robot can be: friction that drives, by more than two deviations."""
+        value, two = self.params, dict(zip(self.names, 2 * self.covariance.std, strict=True))
+        joints = [
+            name
+            for k, name in enumerate(self.robot.names, 1)
+            if any(value[f"{word}{k}"] < -two[f"{word}{k}"] for word in ("Fv", "Fc"))
+        ]
+        if not joints:
+            return ()
+        return (
+            f"The friction of {', '.join(joints)} comes out negative, as no robot's is: check the signs of torque, "
+            "motor position and gear.",
+        )
+
     def friction(self, symbol: str) -> FloatArray:
         """Return one number of each joint's friction, (n,): "Fv", "Fc" or "offset"."""
         return np.array([self.params[f"{symbol}{k}"] for k in range(1, len(self.robot) + 1)])
@@ -145,6 +161,7 @@ class RobotEstimate(Documented):
         return Document(
             f"{self.robot.name}: {len(self.base)} base parameters of {len(self.robot)} joints",
             (
+                *(Paragraph(one, lead=True, tone="bad") for one in self.objections),
                 Facts((("method", f"IDIM of a robot, {_WORDS[self.settings.estimator]}"),)),
                 errors_table(self.robot, errors, "of the record it was identified from"),
                 Table(("parameter", "value, 2 sigma", "unit", "sigma, %", "nominal"), rows, caption, (0, 1, 2)),

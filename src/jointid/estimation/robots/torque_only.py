@@ -1,13 +1,13 @@
 """A robot identified by DIDIM, as an answer: from torques and references alone, its joints rigid or flexible.
 
 It is held against another record as it was identified, by simulating the robot under its controllers, and beside the
-robot that one had before: the model's own masses, and the friction and rotors that the robot file says.
+robot that one had before: the masses, rotors and springs of model and robot file, with the friction that was found.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -148,7 +148,7 @@ def parameter_units(robot: Robot, parameters: RobotParameters) -> dict[str, str]
         owner, _, what = name.rpartition(".")
         what = what.removeprefix("link_")
         if (owner in links and owner not in kinds) or what not in _UNITS["revolute"]:
-            found[name] = "kg" if what.startswith("m") and len(what) < 3 else ("kg m" if what[0] == "m" else "kg m2")
+            found[name] = "kg" if what == "m" else ("kg m" if what[0] == "m" else "kg m2")
         else:
             found[name] = _UNITS[kinds[owner]][what]
     return found
@@ -197,7 +197,8 @@ def identify_robot_from_torques(
         fit = identify_rigid_robot(
             loop, records, filtering, offsets=settings.offsets, iterations=settings.iterations, progress=progress
         )
-    nominal, resolved = _errors(loop, records, filtering, RobotNumbers.of(loop.robot))
+    found_numbers = fit.parameters.numbers(fit.values)
+    nominal, resolved = _errors(loop, records, filtering, _nominal(loop.robot, found_numbers))
     return RobotTorqueEstimate(loop, fit, nominal, springs, settings, resolved)
 
 
@@ -212,10 +213,18 @@ def validate_robot_torques(estimate: RobotTorqueEstimate, records: Sequence[Reco
         MethodError: the estimate cannot be simulated along that record.
     """
     mine, _ = _errors(estimate.loop, records, estimate.filtering, estimate.numbers())
-    nominal, _ = _errors(estimate.loop, records, estimate.filtering, RobotNumbers.of(estimate.robot))
+    nominal, _ = _errors(estimate.loop, records, estimate.filtering, _nominal(estimate.robot, estimate.numbers()))
     if not np.all(np.isfinite(mine)):
         raise MethodError("The robot that was identified cannot be simulated along this record; check its references.")
-    return RobotValidation(estimate.robot, mine, nominal)
+    return RobotValidation(estimate.robot, mine, nominal, settled=estimate.fit.converged)
+
+
+def _nominal(robot: Robot, found: RobotNumbers) -> RobotNumbers:
+    """Return the robot that one had before, with the friction that was found: one without friction is no opponent."""
+    numbers = RobotNumbers.of(robot)
+    masses = numbers.masses.copy()
+    masses[:, 1:] = found.masses[:, 1:]
+    return replace(numbers, masses=masses)
 
 
 def _errors(

@@ -31,12 +31,14 @@ class RobotValidation(Documented):
         nominal_errors: (n,) what the nominal masses leave, with friction fitted to the estimate's record.
         body_errors: (n,) what bodies near the nominal ones leave, which fit the estimate; None where the model has no
             masses to be near.
+        settled: whether the search for the estimate had.
     """
 
     robot: Robot
     joint_errors: FloatArray
     nominal_errors: FloatArray
     body_errors: FloatArray | None = None
+    settled: bool = True
 
     @property
     def better(self) -> bool:
@@ -57,6 +59,8 @@ class RobotValidation(Documented):
             columns["nominal"] = self.nominal_errors
         if not self.robot.has_masses:
             said = f"The estimate leaves {mine} of this record; the model says no masses to compare it with."
+        elif not np.all(np.isfinite(self.nominal_errors)):
+            said = f"The estimate leaves {mine} of this record; the nominal model runs away along it."
         elif self.better:
             said = f"The estimate predicts this record better than the nominal model: {mine} against {nominal}."
         else:
@@ -64,6 +68,8 @@ class RobotValidation(Documented):
                 f"The estimate predicts this record worse than the nominal model, {mine} against {nominal}: do not use "
                 "it in its place."
             )
+        if not self.settled:
+            said += " Its search did not settle: do not rely on it."
         if self.body_errors is not None:
             columns["bodies"] = self.body_errors
             than = "better" if self.bodies_better else "worse"
@@ -71,7 +77,7 @@ class RobotValidation(Documented):
                 f" Bodies near the nominal ones that fit the estimate predict {than} than these: "
                 f"{_percent(self.body_errors)}."
             )
-        useful = self.better or self.bodies_better
+        useful = self.settled and (self.better or self.bodies_better)
         return Document(
             f"{self.robot.name}: torque on a record that the estimate has not seen",
             (
