@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,26 @@ from jointid.models.robots.inertial import MassProperties, mass_properties
 from jointid.models.robots.robot import Link, Robot, RobotJoint
 
 Array = NDArray[np.float64]
+
+
+def _is_old() -> bool:
+    """True of MuJoCo before 4."""
+    try:
+        return int(version("mujoco").split(".")[0]) < 4
+    except PackageNotFoundError:
+        return False
+
+
+def by_mujoco(asked: float) -> float:
+    """Return the difference that is allowed: MuJoCo before 4 takes inertias to their axes within some 1e-9."""
+    return max(asked, 1e-7) if _is_old() else asked
+
+
+def full_mass_matrix(mujoco: Any, model: Any, data: Any) -> Array:
+    """Return MuJoCo's mass matrix, (n, n); before 4 it was made of its sparse one."""
+    full = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, *((full, data.qM) if _is_old() else (data, full)))
+    return full
 
 
 def random_body(random: np.random.Generator) -> Array:
