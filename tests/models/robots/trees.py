@@ -26,7 +26,7 @@ def _is_old() -> bool:
 
 def by_mujoco(asked: float) -> float:
     """Return the difference that is allowed: MuJoCo before 4 takes inertias to their axes within some 1e-9."""
-    return max(asked, 1e-7) if _is_old() else asked
+    return max(asked, 1e-6) if _is_old() else asked
 
 
 def full_mass_matrix(mujoco: Any, model: Any, data: Any) -> Array:
