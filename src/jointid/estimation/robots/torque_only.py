@@ -15,6 +15,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented, Facts, Paragraph, Table
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, silent
+from jointid.common.parameters import TORQUE_UNIT, unit_of
 from jointid.common.settings import check_settings, documented, setting
 from jointid.common.text import interval, number
 from jointid.common.units import Kind
@@ -24,6 +25,7 @@ from jointid.estimation.robots.idim import errors_table
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
 from jointid.estimation.robots.problem import robot_problem
 from jointid.estimation.robots.validation import RobotValidation
+from jointid.models.robots.inertial import SYMBOLS, UNITS
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -140,30 +142,16 @@ class RobotTorqueEstimate(Documented):
 
 
 def parameter_units(robot: Robot, parameters: RobotParameters) -> dict[str, str]:
-    """Return the unit of each parameter by its name: of a joint's numbers those of its kind, of a link's in kg, m."""
+    """Return the unit of each parameter by its name."""
     kinds: dict[str, Kind] = {joint.name: link.kind for joint, link in zip(robot.joints, robot.links, strict=True)}
-    links = {link.name for link in robot.links}
     found = {}
-    for name in parameters.names:
-        owner, _, what = name.rpartition(".")
-        what = what.removeprefix("link_")
-        if (owner in links and owner not in kinds) or what not in _UNITS["revolute"]:
-            found[name] = "kg" if what == "m" else ("kg m" if what[0] == "m" else "kg m2")
+    for one in parameters.parameters:
+        if one.symbol in SYMBOLS:
+            found[one.name] = UNITS[SYMBOLS.index(one.symbol)]
         else:
-            found[name] = _UNITS[kinds[owner]][what]
+            kind = kinds[one.name.rpartition(".")[0]]
+            found[one.name] = unit_of(one.quantity, kind, TORQUE_UNIT[kind])
     return found
-
-
-_UNITS: Mapping[str, Mapping[str, str]] = {
-    "revolute": {
-        "rotor_inertia": "kg m2", "viscous": "N m s/rad", "coulomb": "N m", "offset": "N m", "stiffness": "N m/rad",
-        "damping": "N m s/rad",
-    },
-    "prismatic": {
-        "rotor_inertia": "kg", "viscous": "N s/m", "coulomb": "N", "offset": "N", "stiffness": "N/m",
-        "damping": "N s/m",
-    },
-}  # fmt: skip
 
 
 def identify_robot_from_torques(
