@@ -92,6 +92,14 @@ def test_six_rigid_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
         for word in ("viscous", "coulomb"):
             row = answer["parameters"][f"{one_joint.name}.{word}"]
             assert abs(row["value"] - getattr(one_joint, word)) < 4 * row["std"], (one_joint.name, word)
+    # A model without friction is no opponent: it has the friction that was found.
+    lines = joint.read_text(encoding="utf-8").splitlines()
+    lines = [line for line in lines if not line.startswith(("viscous", "coulomb"))]
+    bare = tmp_path / "bare.toml"
+    bare.write_text("\n".join(lines), encoding="utf-8")
+    run("identify", bare, "--record", one, "--json", tmp_path / "bare.json")
+    bare_answer = json.loads((tmp_path / "bare.json").read_text(encoding="utf-8"))
+    assert bare_answer["nominal_left"] == pytest.approx(answer["nominal_left"], rel=1e-3)
     run("validate", joint, "--set", 'record.file="one.csv"', "--record", two_)
     assert "The estimate predicts this record better than the nominal model" in capsys.readouterr().out
 
