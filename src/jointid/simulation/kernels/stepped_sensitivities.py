@@ -401,12 +401,12 @@ def follow_steps(
                         du[:] = np.inf
                         return
                     h /= pieces
-                    for _ in range(pieces):
+                    for piece in range(pieces):
                         fill_series(p, b, places, m, known, y, time, torque, h, c, turns)
                         _tangent(q, past, p, b, places, dplaces, m, time, h, c, turns)
                         known = Known(0, 0, 0, 0)
                         time += h
-                        for i in range(STATES):
+                        for i in range(STATES if piece + 1 < pieces else 0):
                             y[i] = series_value(c, i, 1.0)
                 mass = int(tape[row, 17])
                 if mass >= 0:
