@@ -10,7 +10,7 @@ remaining faults are tested again.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
@@ -32,8 +32,16 @@ from jointid.diagnostics.fault_tests import (
 )
 from jointid.diagnostics.find_causes import explain_misfit
 from jointid.diagnostics.intervals import rebuild_problem
+from jointid.diagnostics.lack_of_fit import widen_for_faults, widen_for_rest
 from jointid.diagnostics.loop_findings import Finding, LoopCheck, ParameterShift
-from jointid.diagnostics.mechanics_faults import BACKLASH, CUBIC_SPRING, MECHANICS
+from jointid.diagnostics.mechanics_faults import (
+    BACKLASH,
+    CUBIC_SPRING,
+    MECHANICS,
+    SECOND_MODE,
+    search_second_mode,
+    solve_with_fault,
+)
 from jointid.diagnostics.other_laws import (
     MEASURED_VELOCITY,
     PERIOD,
@@ -73,6 +81,7 @@ _AT_LEAST = 0.6  # of what half of the log's period changes, by one step: less s
 _REACH = 2.0  # times the same is what any faster drive changes
 _MATTERS = 1.5  # deviations: a faster drive that moves no parameter so far by one step is not looked for
 _TIMES_UNDECIDED = (2, 8)  # where the evidence is for none: further ones move nothing much further
+_WORTH_A_SEARCH = 1.5  # deviations of a load that swings as tried
 _FORCES = 16  # pairs of opposite ones: the deviation of what they show is known to an eighth
 _TOLERANCE = 1e-6  # of the refinement with a fault corrected: far below a deviation
 
@@ -190,12 +199,15 @@ def add_loop_check(
     elif short is not None:
         verdict = Verdict(Subject.LOOP, Status.FAILED, (short,))
     verdicts = (*estimate.checks.verdicts, verdict)
+    if causes is None and check is not None:
+        estimate = widen_for_faults(estimate, check)
     if causes is None and rest is not None and rest.follows:
         follows = rest.verdict
         before = next((one for one in verdicts if one.subject is follows.subject), None)
         kept = before.reasons if before is not None and before.status is Status.FAILED else ()
         others = tuple(one for one in verdicts if one is not before)
         verdicts = (*others[:-1], replace(follows, reasons=(*follows.reasons, *kept)), others[-1])
+        estimate = widen_for_rest(estimate, state.problem, state.x, rest)
     return estimate.amended(checks={"verdicts": verdicts}), check
 
 
@@ -203,13 +215,15 @@ def add_loop_check(
 class _State:
     """A solved problem between two tests.
 
-    `corrected` are faults taken off the torque, for which the problem has no parameter; `named` are not tested again.
+    `corrected` are faults taken off the torque, for which the problem has no parameter; `named` are not tested again;
+    `identified` are the parameters, by name, as they are beside the last fault, where that has its own law.
     """
 
     problem: ClosedLoopProblem
     x: FloatArray
     corrected: tuple[FaultSignature, ...] = ()
     named: tuple[str, ...] = ()
+    identified: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -266,7 +280,7 @@ def _find(
     first: _TestResults | None = None
     first_law: _OtherLawTest | None = None
     while len(findings) < settings.most:
-        found = _run_tests(state, settings)
+        found = _look_for_second_mode(state, _run_tests(state, settings), settings)
         if np.linalg.norm(found.residual) <= _ROUNDING * np.linalg.norm(problem.filtered(problem.measured)):
             first, others = first or found, []
             break
@@ -350,6 +364,20 @@ def _run_tests(state: _State, settings: LoopTests) -> _TestResults:
     where, by_forces = cache(lambda: _assign_cells(state)), cache(lambda: _simulate_forces(state))
     tests = score_signatures(residual, _stack_columns(state, own), signatures, declared, where, by_forces)
     return _TestResults(residual, own, signatures, tests, where, by_forces)
+
+
+def _look_for_second_mode(state: _State, found: _TestResults, settings: LoopTests) -> _TestResults:
+    """Return the tests with that of a load that swings by a search, where the modes that were tried hint at it."""
+    test = next((one for one in found.tests if one.name == SECOND_MODE), None)
+    if test is None or test.p_value <= settings.level or test.strength < _WORTH_A_SEARCH:
+        return found
+    ends = tuple(search_second_mode(state.problem, state.x))
+    if not ends:
+        return found
+    better = _test_signature(state, found, *ends)
+    others = (one for one in found.tests if one is not test)
+    tests = tuple(sorted((better, *others), key=lambda one: (one.p_value > settings.level, -one.strength)))
+    return replace(found, signatures=(*found.signatures, *ends), tests=tests)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -468,10 +496,10 @@ def _may_matter(
     return any(_REACH * abs(by[k]) > _MATTERS * known.get(name, float(std[k])) for k, name in enumerate(names))
 
 
-def _test_signature(state: _State, found: _TestResults, signature: FaultSignature) -> FaultTest:
-    """Return the test of what another law changes, beside those of the faults."""
-    own, signatures = _stack_columns(state, found.own), [*found.signatures, signature]
-    declared = {signature.name: 0.0}
+def _test_signature(state: _State, found: _TestResults, *of_law: FaultSignature) -> FaultTest:
+    """Return the test of what another law changes, in one shape or several, beside those of the faults."""
+    own, signatures = _stack_columns(state, found.own), [*found.signatures, *of_law]
+    declared = {of_law[0].name: 0.0}
     test = score_signatures(found.residual, own, signatures, declared, found.where, found.by_forces)[0]
     return replace(test, p_value=min((len(found.tests) + 1) * test.p_value, 1.0))
 
@@ -557,6 +585,10 @@ def _accept_fault(state: _State, found: _TestResults) -> _State:
     signature = next(a for a in found.signatures if (a.name, a.shape) == (suspect.name, suspect.shape))
     alternatives = next((group for group in _ALTERNATIVES if suspect.name in group), ())
     named = (*state.named, suspect.name, *suspect.alike, *alternatives)
+    if suspect.name in MECHANICS and (end := solve_with_fault(problem, state.x, suspect.name, suspect.shape)):
+        problem = replace(problem, measured=problem.measured - end.change)
+        corrected = (*state.corrected, signature)
+        return _State(problem, _solve(problem, state.x), corrected, named, end.values)
     if signature.raw is not None:
         problem = replace(problem, measured=problem.measured - suspect.size * signature.raw)
         return _State(problem, _solve(problem, state.x), (*state.corrected, signature), named)
@@ -608,7 +640,7 @@ def _make_finding(
     least = suspect.strength**2 - _RIVAL
     rivals = tuple(s.label for s in found.tests[1:] if s.p_value <= level and s.strength**2 > least)
     values = after.problem.values(after.x)
-    changes = _changes(state, values, found, known)
+    changes = _changes(state, {**values, **after.identified}, found, known)
     free = [p.name for p in after.problem.free]
     if len(after.corrected) > len(state.corrected) or suspect.name not in free:
         return Finding(suspect, None, rivals, changes)

@@ -17,6 +17,7 @@ from jointid.diagnostics.mechanics_faults import (
     CUBIC_SPRING,
     LOAD_DEPENDENT_FRICTION,
     MECHANICS,
+    SECOND_MODE,
 )
 from jointid.diagnostics.number_words import call, show_times_beside, tell_difference, tell_difference_in_drive
 from jointid.diagnostics.other_laws import PERIOD, OtherLaw
@@ -28,7 +29,7 @@ from jointid.models.friction import (
     PreslidingFriction,
     StribeckFriction,
 )
-from jointid.models.springs import Backlash, CubicSpring, ThreePieceSpring
+from jointid.models.springs import Backlash, CubicSpring, ElasticLoad, ThreePieceSpring
 from jointid.uncertainty.verdict import Reason, Status
 
 _NAMES = {
@@ -38,17 +39,18 @@ _NAMES = {
     BACKLASH: "a backlash",
     LOAD_DEPENDENT_FRICTION: "a friction that grows with the load's torque",
     CHANGING_FRICTION: "a friction that changes over the record",
+    SECOND_MODE: "a load that swings in itself",
 }
 _SMALLEST_SHIFT = 0.5  # of a deviation: a smaller change of a parameter is not listed
 _MICROSECOND = 1e-6  # s: a shorter time is not said in ms
 _LISTED = 3  # parameters in a sentence, at most
 _RATIOS = ("log_gain", INJECTED_GAIN)
-_SPRINGS = (CUBIC_SPRING, BACKLASH)
+_SPRINGS = (CUBIC_SPRING, BACKLASH, SECOND_MODE)  # laws of which the joint file declares as springs
 _AT_LOW_SPEED = (StribeckFriction.name, AsymmetricStribeckFriction.name)
 _LAWS = {  # that have what a test found
     CUBIC_SPRING: (ThreePieceSpring.name, CubicSpring.name), BACKLASH: (Backlash.name,), STRIBECK: _AT_LOW_SPEED,
     PRESLIDING: (PreslidingFriction.name, *_AT_LOW_SPEED), LOAD_DEPENDENT_FRICTION: (LoadDependentFriction.name,),
-    CHANGING_FRICTION: (DriftingFriction.name,),
+    CHANGING_FRICTION: (DriftingFriction.name,), SECOND_MODE: (ElasticLoad.name,),
 }  # fmt: skip
 
 
@@ -194,7 +196,8 @@ class LoopCheck(Documented):
         clause = self._describe_fault(finding, spread=False)
         clause += f", {self._also(s, alike)}" if s.alike else ""
         code = Reason.FRICTION_NOT_AS_MODELLED if s.name in MECHANICS else Reason.LOOP_NOT_AS_DECLARED
-        code = Reason.SPRING_NOT_LINEAR if s.name in _SPRINGS else code
+        code = Reason.SPRING_NOT_LINEAR if s.name in (CUBIC_SPRING, BACKLASH) else code
+        code = Reason.LOAD_NOT_RIGID if s.name == SECOND_MODE else code
         return Message(code, said, values, clause)
 
     def _say_what_to_declare(self, finding: Finding) -> str:
@@ -286,6 +289,8 @@ def _describe_mechanics(s: FaultTest, unit: str, *, spread: bool) -> str:
         return f"the spring is not linear: {by}{sense} at the largest torque than near none"
     if s.name == BACKLASH:
         return f"the transmission has a backlash of some {number(2 * s.size * (s.shape or 0.0), 2)} {unit} or more"
+    if s.name == SECOND_MODE:
+        return f"a part of the load swings on a spring of its own, somewhere about {number(s.shape, 2)} Hz"
     if s.name == LOAD_DEPENDENT_FRICTION:
         return f"the load's friction grows with its torque{f', by {percent}of it'.rstrip() if percent else ''}"
     kind, sense = "Coulomb" if s.shape == COULOMB else "viscous", "falls" if s.size > 0 else "rises"

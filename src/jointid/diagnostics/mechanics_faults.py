@@ -1,129 +1,207 @@
 """Signatures of what a flexible joint has and its model has not: in the spring, behind the load, in the friction.
 
-Each is a pair of forces that the simulated motion would draw out, on the motor and on the load, per unit of its size:
+Each is the change of the torque where the joint has another law of its spring or friction, as large as a search for it
+begins with, per unit of its size:
 
-- ``cubic_spring``: the spring is stiffer by this share at the largest wind-up ``d``, as the square of it:
-  ``K d (d / d_max)^2``;
-- ``backlash``: the spring pushes only behind a gap, whose half is a share of the largest wind-up that is tried; the
-  size says how many such gaps;
+- ``cubic_spring``: the spring is stiffer by this share at the largest wind-up than near none, smoothly or in pieces;
+- ``backlash``: the spring pushes only behind a gap; the size says how many gaps of a width that is tried;
+- ``second_mode``: this share of the load swings on a spring of its own, at a few times the first mode;
 - ``load_dependent_friction``: the load's friction grows by this share of the torque that drives it;
 - ``changing_friction``: this share of the viscous, or of the Coulomb, friction is lost between the first sample and the
   last.
 
-The load is a filter of the force on it: where it slides, a force pair ``(f1, f2)`` moves the motor as the force
-``f1 + G f2`` on the motor alone, with ``G = (F12 s + K12) / (M2 s^2 + (F12 + Fv2) s + K12)``. It is that force that the
-loop is simulated with, small, so that no mechanism is simulated anew. While the load rests it is not exact. How a large
-fault moves the motion, and the parameters that make up for it, is of second order: the test is as sharp as those of the
-loop, but of a gap a fourth to all was told in seven drives, of a spring 38 % stiffer 11 %.
+A fault that large moves the motion by more than its first order says, and is partly made up for by the joint's
+parameters: a joint of one mode, as stiff as both springs of one that has two, leaves of the second mode what no
+derivative at it shows. So each is simulated as it is, beside the same joint without it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
+from jointid.common.errors import JointidError
+from jointid.common.messages import silent
 from jointid.diagnostics.fault_signature import FaultSignature
+from jointid.estimation.methods.search import History, least_squares
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.models.friction import LoadDependentFriction, Part
-from jointid.models.joints import FlexibleJoint
-from jointid.records.record import Tap
-from jointid.simulation.closed_loop import Simulation
-from jointid.simulation.loop_input import as_logged
+from jointid.models.friction import PARTS, DriftingFriction, LoadDependentFriction, SymmetricFriction
+from jointid.models.joints import FlexibleJoint, frictions_beside, springs_beside
+from jointid.models.springs import Backlash, CubicSpring, ElasticLoad, ThreePieceSpring
+from jointid.simulation.closed_loop import Simulation, in_threads
 
-CUBIC_SPRING, BACKLASH = "cubic_spring", "backlash"
+CUBIC_SPRING, BACKLASH, SECOND_MODE = "cubic_spring", "backlash", "second_mode"
 LOAD_DEPENDENT_FRICTION, CHANGING_FRICTION = "load_dependent_friction", "changing_friction"
-MECHANICS = (CUBIC_SPRING, BACKLASH, LOAD_DEPENDENT_FRICTION, CHANGING_FRICTION)
-ONE_SIDED = (BACKLASH, LOAD_DEPENDENT_FRICTION)  # their size can only be positive
+MECHANICS = (CUBIC_SPRING, BACKLASH, SECOND_MODE, LOAD_DEPENDENT_FRICTION, CHANGING_FRICTION)
+ONE_SIDED = (BACKLASH, SECOND_MODE, LOAD_DEPENDENT_FRICTION)  # their size can only be positive
 
 VISCOUS, COULOMB = 1.0, 0.0  # shapes of a friction that changes
 
-_SIDES = ("motor", "load")
-_GAPS = (0.1, 0.3)  # of the largest wind-up, to each side
-_FORCE = 1e-3  # of the largest torque: small enough for the friction to answer it linearly
+_SHARE, _MODES = 0.25, (1.4, 1.8, 2.3, 3.0, 4.0)  # of the load that swings, at times the first mode
+_WILD = 10.0  # times the torque: a loop that is unstable with a fault so large is not that of the record
+_LOSS, _LOST = 0.03, 0.2  # of the load's torque, and of a friction at the end
+_LEAST = 0.05  # of the load: a smaller part rings at any frequency that the noise has, and moves no other parameter
+_ROUGHLY, _FEW = 1e-4, 20  # tolerance and evaluations of a search that only has to show whether there is something
+_SIDES = ("motor_", "load_")
+
+
+@dataclass(frozen=True, slots=True)
+class _Trial:
+    """A fault of some size: the joint that has it, and its values where they are others than without it.
+
+    `without` are its values under the same law where there is none, if that is not the joint's own law; `shape` tells a
+    trial from the others of that fault.
+    """
+
+    name: str
+    joint: FlexibleJoint
+    values: Mapping[str, float]
+    size: float
+    shape: float | None = None
+    without: Mapping[str, float] | None = None
 
 
 def vary_mechanics(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultSignature]:
     """Yield the signatures of a flexible joint's mechanics; none of a rigid one."""
+    joint = problem.joint
+    if not isinstance(joint, FlexibleJoint):
+        return
     run, values = problem.simulate(x), problem.values(x)
-    if run.load_position is None or run.torque.size != problem.experiment.after_limit.size:
-        return  # a force at the controller's instants needs the motion there
+    wild = _WILD * float(np.max(np.abs(run.torque)))
+
+    def simulate(trial: _Trial) -> FloatArray | None:
+        try:
+            other = with_joint(problem, trial.joint)
+            raw = other.torque(other.vector({**values, **trial.values}))
+            raw = raw - (
+                run.torque if trial.without is None else other.torque(other.vector({**values, **trial.without}))
+            )
+        except JointidError:  # a loop that is unstable with it is not that of the record
+            return None
+        return raw / trial.size if np.all(np.abs(raw) < wild) else None
+
+    trials = _list_trials(problem, x)
+    for trial, raw in zip(trials, in_threads(simulate, trials), strict=True):
+        if raw is not None:
+            yield FaultSignature(trial.name, problem.filtered(raw), trial.shape, raw)
+
+
+def search_second_mode(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultSignature]:
+    """Yield the signatures of a load that swings, where searches for it end at one.
+
+    The modes that are tried are few, and what swings moves all the rest: from three of them a search of some steps
+    finds what a small part of it shows.
+
+    Args:
+        problem: of a joint with a linear spring, solved.
+        x: (free,) its parameters.
+    """
+    trials = [one for one in _list_trials(problem, x) if one.name == SECOND_MODE][::2]
     joint = problem.joint
     assert isinstance(joint, FlexibleJoint)
-    base, largest = problem.torque(x), float(np.max(np.abs(problem.measured)))
-    viscous = sum(weight * values[name] for name, weight in joint.friction.mean("viscous", "load_").items())
-    for name, shape, on_motor, on_load in _forces(run, values, joint):
-        force = on_motor + _through_the_spring(on_load, values, viscous, problem.sample_time)
-        small = _FORCE * largest / float(np.max(np.abs(force), initial=np.finfo(float).tiny))
-        raw = (_with_force(problem, x, small * force) - base) / small
-        if problem.experiment.tap is Tap.MEASURED:
-            raw = raw - as_logged(problem.experiment, force)  # the force itself is not logged
-        yield FaultSignature(name, problem.filtered(raw), shape, raw)
+    for end in in_threads(lambda trial: _search(problem, x, trial), trials):
+        if end is not None and (share := end.values["swinging_share"]) > _LEAST:
+            raw, mode = end.change / share, joint.frequencies(end.values)["second_free_free"]
+            yield FaultSignature(SECOND_MODE, problem.filtered(raw), mode, raw)
 
 
-def _forces(
-    run: Simulation, values: Mapping[str, float], joint: FlexibleJoint
-) -> Iterator[tuple[str, float | None, FloatArray, FloatArray]]:
-    """Yield name, shape, and the forces on motor and load, (samples,) each, per unit of every fault's size."""
-    assert run.load_position is not None and run.load_velocity is not None
-    windup, spring = run.motor_position - run.load_position, joint.spring
-    torque, largest = spring.torque(values, windup, np.zeros_like(windup)), float(np.max(np.abs(windup)))
-    if not (largest > 0 and values["stiffness"] > 0 and values["load_inertia"] > 0):
-        return
-    by_cube = torque * (windup / largest) ** 2
-    if spring.linear:
-        yield CUBIC_SPRING, None, -by_cube, by_cube
-    for share in _GAPS if spring.linear else ():
-        missing = values["stiffness"] * np.clip(windup, -share * largest, share * largest)
-        yield BACKLASH, share * largest, missing, -missing
-    if not isinstance(joint.friction, LoadDependentFriction):
-        yield LOAD_DEPENDENT_FRICTION, None, np.zeros_like(torque), -np.abs(torque) * np.sign(run.load_velocity)
-    if joint.friction.follows_time:
-        return
-    late, speeds = run.time / run.time[-1], (run.motor_velocity, run.load_velocity)
-    shapes: dict[Part, float] = {"viscous": VISCOUS, "coulomb": COULOMB}
-    for part, shape in shapes.items():
-        motor, load = (
-            late * _friction(joint, values, f"{side}_", part, speed) for side, speed in zip(_SIDES, speeds, strict=True)
-        )
-        yield CHANGING_FRICTION, shape, motor, load
+def solve_with_fault(problem: ClosedLoopProblem, x: FloatArray, name: str, shape: float | None) -> FaultFit | None:
+    """Return the joint with a fault, identified; None where the search for it fails.
 
-
-def _friction(
-    joint: FlexibleJoint, values: Mapping[str, float], prefix: str, part: Part, velocity: FloatArray
-) -> FloatArray:
-    """Return the viscous or the Coulomb friction of one side, (samples,), without what it has at low speed alone."""
-    coefficients, columns = joint.friction.coefficients, joint.friction.columns(velocity)
-    own = [values[prefix + c.name] if c.part == part else 0.0 for c in coefficients]
-    return np.asarray(columns @ np.array(own))
-
-
-def _through_the_spring(
-    force: FloatArray, values: Mapping[str, float], viscous: float, sample_time: float
-) -> FloatArray:
-    """Return what of a force on a sliding load, (samples,), the motor feels."""
-    from scipy.signal import bilinear, lfilter
-
-    k, c = values["stiffness"], values["damping"]
-    load, passed = np.array([values["load_inertia"], c + viscous, k]), np.array([c, k])
-    share = values.get("swinging_share", 0.0)
-    if share > 0.0:  # a part of the load follows the rest through a spring of its own
-        second = [values["swinging_damping"], values["swinging_stiffness"]]
-        swings = [share * values["load_inertia"], *second]
-        rest = load - [share * values["load_inertia"], 0.0, 0.0]
-        load = np.polyadd(np.polymul(rest, swings), np.polymul([swings[0], 0.0, 0.0], second))
-        passed = np.polymul(passed, swings)
-    return np.asarray(lfilter(*bilinear(passed, load, 1.0 / sample_time), force))
-
-
-def _with_force(problem: ClosedLoopProblem, x: FloatArray, force: FloatArray) -> FloatArray:
-    """Return the torque with a force on the motor, (samples,), which acts when the motion draws it out.
-
-    It is held over each period, at its mean there, and is not delayed as the controller's torque is.
+    Args:
+        problem: of the joint without it, solved.
+        x: (free,) its parameters.
+        name: of the fault.
+        shape: of it: the search begins with what was tried next to that.
     """
-    early = int(np.min(problem.experiment.lags))
-    later = np.concatenate([force[early:], np.full(early + 1, force[-1])])
-    mean = 0.5 * (later[:-1] + later[1:])
-    return problem.torque(x, lambda e: replace(e, after_limit=e.after_limit + mean))
+    trials = [one for one in _list_trials(problem, x) if one.name == name]
+    trials = [one for one in trials if one.without is None]  # another law than the joint's own changes more than that
+    nearest = min(trials, key=lambda one: abs((one.shape or 0.0) - (shape or 0.0)), default=None)
+    return None if nearest is None else _search(problem, x, nearest)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FaultFit:
+    """A joint with a fault, identified.
+
+    Attributes:
+        values: of its parameters, by name.
+        change: (samples,) of the torque, by the fault and by what the other parameters become with it.
+    """
+
+    values: Mapping[str, float]
+    change: FloatArray
+
+
+def _search(problem: ClosedLoopProblem, x: FloatArray, trial: _Trial) -> FaultFit | None:
+    """Return where a search of some steps from a trial ends; None where it fails."""
+    other = with_joint(problem, trial.joint)
+    rough = replace(least_squares(other, _ROUGHLY), evaluations=_FEW)
+    try:
+        end = History(silent).solve(other, rough, other.vector({**problem.values(x), **trial.values})).solution.x
+        return FaultFit(other.values(end), other.torque(end) - problem.torque(x))
+    except (JointidError, np.linalg.LinAlgError):
+        return None
+
+
+def with_joint(problem: ClosedLoopProblem, joint: FlexibleJoint) -> ClosedLoopProblem:
+    """Return the problem of a joint with another law: what both have is as it was, what it adds is free."""
+    given = {p.name: p for p in problem.parameters}
+    own = tuple(given.get(p.name, p) for p in joint.parameters)
+    beside = problem.parameters[len(problem.joint.parameters) :]
+    return replace(problem, loop=replace(problem.loop, joint=joint), parameters=(*own, *beside))
+
+
+def _list_trials(problem: ClosedLoopProblem, x: FloatArray) -> list[_Trial]:
+    """Return the faults that are tried of a flexible joint."""
+    joint, run, values = problem.joint, problem.simulate(x), problem.values(x)
+    assert isinstance(joint, FlexibleJoint)
+    return [*_try_springs(joint, run, values), *_try_frictions(joint, run, values)]
+
+
+def _try_springs(joint: FlexibleJoint, run: Simulation, values: Mapping[str, float]) -> Iterator[_Trial]:
+    """Yield what may be instead of a linear spring, and behind it."""
+    assert run.load_position is not None
+    windup, stiffness = float(np.max(np.abs(run.motor_position - run.load_position))), values["stiffness"]
+    if not (joint.spring.linear and windup > 0.0 and stiffness > 0.0 and values["load_inertia"] > 0.0):
+        return
+    for law in springs_beside(joint):
+        other = replace(joint, spring=law)
+        if isinstance(law, CubicSpring | ThreePieceSpring):
+            for start in law.starts(values, windup):
+                torque = law.torque({**values, **start}, np.array([windup]), np.zeros(1))
+                more = float(torque[0]) / (start["stiffness"] * windup) - 1.0
+                yield _Trial(CUBIC_SPRING, other, start, more, more)
+        elif isinstance(law, Backlash):
+            for start in law.starts(values, windup):
+                yield _Trial(BACKLASH, other, start, 1.0, 0.5 * start["gap"])
+        elif isinstance(law, ElasticLoad):
+            first = joint.frequencies(values)["free_free"]
+            for times in _MODES:
+                yield _Trial(SECOND_MODE, other, law.start(values, _SHARE, times), _SHARE, times * first)
+
+
+def _try_frictions(joint: FlexibleJoint, run: Simulation, values: Mapping[str, float]) -> Iterator[_Trial]:
+    """Yield what may be instead of a friction of lines; of one with lines for each direction beside their means."""
+    if not joint.friction.linear:
+        return
+    duration, plain = run.sample_time * run.torque.size, joint.friction == SymmetricFriction()
+    mean = {
+        f"{side}{part}": sum(by * values[name] for name, by in joint.friction.mean(part, side).items())
+        for part, side in product(PARTS, _SIDES)
+    }
+    for law in frictions_beside(joint):
+        other = replace(joint, friction=law)
+        still = mean | {p.name: 0.0 for p in other.parameters if p.name.endswith(("_drift", "_per_torque"))}
+        without = None if plain else still
+        if isinstance(law, LoadDependentFriction):
+            grows = still | {"load_friction_per_torque": _LOSS}
+            yield _Trial(LOAD_DEPENDENT_FRICTION, other, grows, _LOSS, without=without)
+        elif isinstance(law, DriftingFriction):
+            for part, shape in zip(PARTS, (VISCOUS, COULOMB), strict=True):
+                falls = {f"{side}{part}_drift": -_LOST * mean[f"{side}{part}"] / duration for side in _SIDES}
+                yield _Trial(CHANGING_FRICTION, other, still | falls, _LOST, shape, without)

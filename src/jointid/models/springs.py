@@ -372,15 +372,19 @@ class ElasticLoad(_SteppedSpring):
         return {f"swing_{word}": values[f"swinging_{word}"] for word in ("share", "stiffness", "damping")}
 
     def starts(self, linear: Mapping[str, float], windup: float) -> Iterator[dict[str, float]]:
-        """Yield parts of the load that swing at a few times the first mode, damped as that; both springs as stiff."""
+        """Yield parts of the load that swing at a few times the first mode."""
+        for share, times in product(_PARTS, _TIMES):
+            yield self.start(linear, share, times)
+
+    def start(self, linear: Mapping[str, float], share: float, times: float) -> dict[str, float]:
+        """Return a part of the load that swings at some times the first mode, damped as that; both springs as stiff."""
         stiffness, load = linear["stiffness"], linear["load_inertia"]
         first = stiffness * (1 / linear["motor_inertia"] + 1 / load)  # rad2/s2
-        for share, times in product(_PARTS, _TIMES):
-            second = share * (1 - share) * load * times**2 * first
-            left = 1 / stiffness - share**2 / second
-            damping = linear["damping"] * second / stiffness
-            swings = {"swinging_share": share, "swinging_stiffness": second, "swinging_damping": damping}
-            yield {"stiffness": 1 / left if left > 0.0 else _STIFFER * stiffness} | swings
+        second = share * (1 - share) * load * times**2 * first
+        left = 1 / stiffness - share**2 / second
+        swings = {"swinging_share": share, "swinging_stiffness": second}
+        swings["swinging_damping"] = linear["damping"] * second / stiffness
+        return {"stiffness": 1 / left if left > 0.0 else _STIFFER * stiffness} | swings
 
     def describe(self, shown: Mapping[str, str]) -> str:
         """Return the stiffness, and what part of the load is on which second one."""

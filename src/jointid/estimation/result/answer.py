@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from jointid.estimation.result.parts import EstimatedParameter
 
 _ASKED = ("stiffness", "inertia", "load_inertia", "motor_inertia")  # the first of them that is free is the answer
-_OF_MECHANICS = (Reason.SPRING_NOT_LINEAR, Reason.FRICTION_NOT_AS_MODELLED)
+_OF_MECHANICS = (Reason.SPRING_NOT_LINEAR, Reason.LOAD_NOT_RIGID, Reason.FRICTION_NOT_AS_MODELLED)
 _OF_SPRING = ("stiffness", "damping")  # what the difference of both encoders tells
 _WIDE = 0.5  # of the value: a wider 2-sigma interval says its order of magnitude only
 

@@ -1,0 +1,61 @@
+"""Intervals of an estimate whose model lacks something: as wide as what it lacks can move each parameter."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.diagnostics.loop_findings import LoopCheck
+from jointid.diagnostics.mechanics_faults import MECHANICS
+from jointid.diagnostics.unmodelled_motion import PredictedResidual
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.result.estimate import Estimate
+
+
+def widen_for_faults(estimate: Estimate, check: LoopCheck) -> Estimate:
+    """Return an estimate with intervals as wide as its parameters move where the joint has the faults that were found.
+
+    Args:
+        estimate: of a joint without them.
+        check: of it. Faults of loop and log widen nothing: they are corrected, or not.
+    """
+    found = [one for one in check.findings if one.test.name in MECHANICS]
+    moved: dict[str, float] = {}
+    for finding in found:
+        for name, change in finding.changes.items():
+            moved[name] = math.hypot(moved.get(name, 0.0), change.by)
+    return _widened(estimate, moved, "what the joint has and its model has not") if found else estimate
+
+
+def widen_for_rest(estimate: Estimate, problem: ClosedLoopProblem, x: FloatArray, rest: PredictedResidual) -> Estimate:
+    """Return an estimate with intervals as wide as a residual that follows the motion can move its parameters.
+
+    A part of the torque as large as the one that is seen, but of the shape that moves a parameter most, moves it by the
+    norm of that part times its deviation under a noise of one (the inequality of Cauchy and Schwarz). What is seen is
+    what no parameter has made up for; what they have made up for is taken to be as large.
+
+    Args:
+        estimate: with that residual.
+        problem: solved, with the faults that were found corrected.
+        x: (free,) its parameters.
+        rest: see `predict_residual`.
+    """
+    slopes = problem.linearised(x)[1]
+    spread = np.sqrt(np.diag(np.linalg.pinv(slopes.T @ slopes)))
+    names = [p.name for p in problem.free]
+    # The whole way that it can move a parameter is two deviations.
+    moved = {name: 0.5 * rest.share * problem.size * float(by) for name, by in zip(names, spread, strict=True)}
+    return _widened(estimate, moved, "a part of the torque that follows the motion and is not in the model")
+
+
+def _widened(estimate: Estimate, moved: Mapping[str, float], why: str) -> Estimate:
+    """Return an estimate with standard errors wide enough for what its parameters, by name, may be moved by."""
+    rows = tuple(
+        replace(row, stderr=math.hypot(row.stderr, moved.get(row.name, 0.0))) if row.stderr else row
+        for row in estimate.params
+    )
+    return estimate.amended(params={"rows": rows, "basis": f"{estimate.params.basis}, and for {why}"})
