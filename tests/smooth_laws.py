@@ -14,7 +14,16 @@ from jointid.simulation.closed_loop import simulate
 from jointid.simulation.loop_input import prepare
 from tests.plants import Case
 
-LAWS = ("presliding", "load-dependent", "drifting", "cubic", "hysteretic", "elastic-load", "ripple")
+LAWS = (
+    "presliding",
+    "load-dependent",
+    "presliding-load-dependent",
+    "drifting",
+    "cubic",
+    "hysteretic",
+    "elastic-load",
+    "ripple",
+)
 
 
 def with_law(case: Case, law: str) -> tuple[ClosedLoop, dict[str, float]]:
@@ -29,6 +38,10 @@ def with_law(case: Case, law: str) -> tuple[ClosedLoop, dict[str, float]]:
     more = {
         "presliding": {"motor_presliding_distance": 3e-3 * travel, "load_presliding_distance": 2e-3 * travel},
         "load-dependent": {"load_friction_per_torque": 0.15},
+        "presliding-load-dependent": {
+            "motor_presliding_distance": 3e-3 * travel, "load_presliding_distance": 2e-3 * travel,
+            "load_friction_per_torque": 0.15,
+        },
         "drifting": {
             "motor_viscous_drift": -0.4 * case.truth["motor_viscous"] / duration,
             "load_viscous_drift": -0.4 * case.truth["load_viscous"] / duration,

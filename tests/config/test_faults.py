@@ -92,7 +92,7 @@ FAULTS = [
     (
         SMALLEST.replace('"prismatic"', '"prismatic"\nfriction = "dahl"'),
         'joint.friction: Friction "dahl" is not known; use symmetric, asymmetric, stribeck, asymmetric-stribeck, '
-        "presliding, load-dependent, drifting.",
+        "presliding, load-dependent, presliding-load-dependent, drifting.",
     ),
     (
         SMALLEST.replace('"prismatic"', '"prismatic"\nfriction = "load-dependent"'),

@@ -643,7 +643,8 @@ def _make_finding(
     changes = _changes(state, {**values, **after.identified}, found, known)
     free = [p.name for p in after.problem.free]
     if len(after.corrected) > len(state.corrected) or suspect.name not in free:
-        return Finding(suspect, None, rivals, changes)
+        whole = float(np.linalg.norm(after.problem.residual(after.x))) / after.problem.size
+        return Finding(suspect, None, rivals, changes, left=whole if after.identified else None)
     value = values[suspect.name]
     if suspect.name == LIMIT:
         return Finding(suspect, value * _torque_per_unit(state.problem), rivals, changes)

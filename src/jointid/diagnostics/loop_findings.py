@@ -72,7 +72,7 @@ class Finding:
         rivals: faults that are at most 20 times less likely.
         changes: of the joint's parameters, by name, when it is corrected.
         law: that the drive runs instead of the declared one, where that is the fault.
-        left: share of the filtered torque that is left under that law.
+        left: share of the filtered torque that is left under that law, or where the joint has that fault.
         alike: laws that explain as much as that one, the likeliest first.
     """
 

@@ -408,6 +408,47 @@ class LoadDependentFriction(_SteppedFriction):
 
 
 @dataclass(frozen=True, slots=True)
+class WoundLoadDependentFriction(PreslidingFriction):
+    """Friction of both kinds: ``(Fc + mu |T12|) z`` on the load side, where z winds up over a displacement.
+
+    The efficiency of a gear in P. R. Dahl's form: what is lost of the torque builds up behind a reversal as friction
+    does. Of such an efficiency that differs by the direction of power the difference, ``mu' T12 z^2``, is a torque in
+    proportion to the spring's wherever the load slides: as a load of other inertia and friction, from which no torque
+    tells it.
+    """
+
+    name = "presliding-load-dependent"
+    label = "the same, more under load, wound up at reversals"
+    adds = f"{PreslidingFriction.adds}, and {LoadDependentFriction.adds}"
+    instead = f"{PreslidingFriction.instead}, {LoadDependentFriction.instead}"
+
+    @property
+    def of_whole(self) -> Friction:
+        """What winds up: without a spring nothing says which torque passes through the gear."""
+        return PreslidingFriction()
+
+    def parameters(self, prefix: str = "", index: str = "") -> tuple[Parameter, ...]:
+        """Return Fv, Fc and the displacement over which it winds up, on the load side then the share of the torque."""
+        own = Friction.parameters(self, prefix, index)
+        wound, loaded = PreslidingFriction(), LoadDependentFriction()
+        return (*wound.parameters(prefix, index), *loaded.parameters(prefix, index)[len(own) :])
+
+    def beyond(self, values: Mapping[str, float], prefix: str = "") -> dict[str, float]:
+        """Return the displacement and, on the load side, the share."""
+        return PreslidingFriction().beyond(values, prefix) | LoadDependentFriction().beyond(values, prefix)
+
+    def drag(self, values: Mapping[str, float], velocity: float, load: float, prefix: str = "") -> float:
+        """Return the friction where it is wound up, as of `LoadDependentFriction`."""
+        return LoadDependentFriction().drag(values, velocity, load, prefix)
+
+    def starts(self, motion: MotionSize, prefix: str = "") -> Iterator[dict[str, float]]:
+        """Yield a few parts of the travel, each with a small share."""
+        for wound in PreslidingFriction().starts(motion, prefix):
+            for loaded in LoadDependentFriction().starts(motion, prefix):
+                yield wound | loaded
+
+
+@dataclass(frozen=True, slots=True)
 class DriftingFriction(_SteppedFriction):
     """Symmetric friction that changes steadily with time, as oil grows warm: ``(Fv + dFv t) v + (Fc + dFc t) sign(v)``.
 
@@ -439,7 +480,7 @@ FRICTIONS: Mapping[str, type[Friction]] = {
     law.name: law
     for law in (
         SymmetricFriction, AsymmetricFriction, StribeckFriction, AsymmetricStribeckFriction, PreslidingFriction,
-        LoadDependentFriction, DriftingFriction,
+        LoadDependentFriction, WoundLoadDependentFriction, DriftingFriction,
     )
 }  # fmt: skip
 """Every friction law by its name in the joint file."""

@@ -116,7 +116,17 @@ def test_a_spring_in_pieces_gives_our_torque(spring: Spring) -> None:
 
 
 @pytest.mark.parametrize(
-    "law", ["cubic", "hysteretic", "presliding", "load-dependent", "drifting", "elastic-load", "ripple"]
+    "law",
+    [
+        "cubic",
+        "hysteretic",
+        "presliding",
+        "load-dependent",
+        "presliding-load-dependent",
+        "drifting",
+        "elastic-load",
+        "ripple",
+    ],
 )
 def test_a_smooth_law_gives_our_torque(law: str) -> None:
     whole = ji.FlexibleJoint()

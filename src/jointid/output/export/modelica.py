@@ -18,6 +18,7 @@ from jointid.models.friction import (
     LoadDependentFriction,
     PreslidingFriction,
     StribeckFriction,
+    WoundLoadDependentFriction,
 )
 from jointid.models.springs import CubicSpring, ElasticLoad, HystereticSpring
 from jointid.output.export.joint_model import JointModel, effects_left_out, identifier, interval, number, remarks
@@ -159,7 +160,7 @@ def _friction(model: JointModel, prefix: str) -> tuple[tuple[str, str], tuple[st
     viscous, coulomb = "{}", "{}"
     if isinstance(law, DriftingFriction):
         viscous, coulomb = (f"({{}} + {prefix}{part}_drift * time)" for part in PARTS)
-    if isinstance(law, LoadDependentFriction) and prefix != "motor_":
+    if isinstance(law, LoadDependentFriction | WoundLoadDependentFriction) and prefix != "motor_":
         coulomb = f"({{}} + {prefix}friction_per_torque * abs(spring))"
     (one, other), (back, behind) = forwards, backwards
     return (viscous.format(one), coulomb.format(other)), (viscous.format(back), coulomb.format(behind))
