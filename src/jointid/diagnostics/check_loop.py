@@ -19,6 +19,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Progress, silent
 from jointid.common.parameters import Quantity, unit_of
+from jointid.diagnostics.cogging import find_cogging
 from jointid.diagnostics.fault_signature import FaultSignature
 from jointid.diagnostics.fault_tests import (
     INJECTED_GAIN,
@@ -28,6 +29,7 @@ from jointid.diagnostics.fault_tests import (
     STRIBECK,
     FaultTest,
     compute_signatures,
+    fit_whitener,
     score_signatures,
 )
 from jointid.diagnostics.find_causes import explain_misfit
@@ -36,6 +38,7 @@ from jointid.diagnostics.lack_of_fit import widen_for_faults, widen_for_rest
 from jointid.diagnostics.loop_findings import Finding, LoopCheck, ParameterShift
 from jointid.diagnostics.mechanics_faults import (
     BACKLASH,
+    COGGING,
     CUBIC_SPRING,
     MECHANICS,
     SECOND_MODE,
@@ -280,7 +283,7 @@ def _find(
     first: _TestResults | None = None
     first_law: _OtherLawTest | None = None
     while len(findings) < settings.most:
-        found = _look_for_second_mode(state, _run_tests(state, settings), settings)
+        found = _look_further(state, _run_tests(state, settings), settings)
         if np.linalg.norm(found.residual) <= _ROUNDING * np.linalg.norm(problem.filtered(problem.measured)):
             first, others = first or found, []
             break
@@ -366,18 +369,35 @@ def _run_tests(state: _State, settings: LoopTests) -> _TestResults:
     return _TestResults(residual, own, signatures, tests, where, by_forces)
 
 
+def _look_further(state: _State, found: _TestResults, settings: LoopTests) -> _TestResults:
+    """Return the tests with those of faults whose shape has to be searched for."""
+    return _look_for_second_mode(state, _look_for_cogging(state, found, settings), settings)
+
+
+def _look_for_cogging(state: _State, found: _TestResults, settings: LoopTests) -> _TestResults:
+    """Return the tests with that of a ripple, of the period that the residual comes back with."""
+    if COGGING in state.named or COGGING not in (settings.faults or (COGGING,)):
+        return found
+    own = _stack_columns(state, found.own)
+    signature = find_cogging(state.problem, state.x, found.residual, own, fit_whitener(found.residual))
+    return found if signature is None else _with_test(state, found, settings, signature)
+
+
+def _with_test(state: _State, found: _TestResults, settings: LoopTests, *signatures: FaultSignature) -> _TestResults:
+    """Return tests with that of a fault in one shape or several, which takes the place of one of that name."""
+    better = _test_signature(state, found, *signatures)
+    others = (one for one in found.tests if one.name != better.name)
+    tests = tuple(sorted((better, *others), key=lambda one: (one.p_value > settings.level, -one.strength)))
+    return replace(found, signatures=(*found.signatures, *signatures), tests=tests)
+
+
 def _look_for_second_mode(state: _State, found: _TestResults, settings: LoopTests) -> _TestResults:
     """Return the tests with that of a load that swings by a search, where the modes that were tried hint at it."""
     test = next((one for one in found.tests if one.name == SECOND_MODE), None)
     if test is None or test.p_value <= settings.level or test.strength < _WORTH_A_SEARCH:
         return found
     ends = tuple(search_second_mode(state.problem, state.x))
-    if not ends:
-        return found
-    better = _test_signature(state, found, *ends)
-    others = (one for one in found.tests if one is not test)
-    tests = tuple(sorted((better, *others), key=lambda one: (one.p_value > settings.level, -one.strength)))
-    return replace(found, signatures=(*found.signatures, *ends), tests=tests)
+    return _with_test(state, found, settings, *ends) if ends else found
 
 
 @dataclass(frozen=True, slots=True, eq=False)

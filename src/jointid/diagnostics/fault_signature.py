@@ -16,6 +16,7 @@ class FaultSignature:
         column: (rows,) derivative of the filtered torque by its size.
         shape: the level of a limit, a Stribeck speed, a gap or a frequency that was tried; None where the fault has
             no shape.
+        tried: how many shapes this one was chosen from.
         raw: (samples,) the column before the filter, where a problem has no parameter for the fault.
     """
 
@@ -23,3 +24,4 @@ class FaultSignature:
     column: FloatArray
     shape: float | None = None
     raw: FloatArray | None = None
+    tried: int = 1

@@ -307,7 +307,7 @@ def _choose_step(shapes: Sequence[FaultSignature], whiten: Filter, basis: FloatA
         # A column in the span of the joint's parameters is not identifiable.
         size = float(alone @ left) / square if square > _COLLINEAR * float(column @ column) else 0.0
         gain = size * size * square if size > 0 or signature.name not in _ONE_SIDED else 0.0
-        steps.append(_Step(signature, len(shapes), size, gain, alone))
+        steps.append(_Step(signature, sum(one.tried for one in shapes), size, gain, alone))
     return max(steps, key=lambda step: step.gain)
 
 

@@ -13,6 +13,7 @@ from jointid.diagnostics.fault_tests import INJECTED_GAIN, LIMIT, OFFSET, PRESLI
 from jointid.diagnostics.mechanics_faults import (
     BACKLASH,
     CHANGING_FRICTION,
+    COGGING,
     COULOMB,
     CUBIC_SPRING,
     LOAD_DEPENDENT_FRICTION,
@@ -40,6 +41,7 @@ _NAMES = {
     LOAD_DEPENDENT_FRICTION: "a friction that grows with the load's torque",
     CHANGING_FRICTION: "a friction that changes over the record",
     SECOND_MODE: "a load that swings in itself",
+    COGGING: "a force that comes back with the position",
 }
 _SMALLEST_SHIFT = 0.5  # of a deviation: a smaller change of a parameter is not listed
 _MICROSECOND = 1e-6  # s: a shorter time is not said in ms
@@ -198,11 +200,14 @@ class LoopCheck(Documented):
         code = Reason.FRICTION_NOT_AS_MODELLED if s.name in MECHANICS else Reason.LOOP_NOT_AS_DECLARED
         code = Reason.SPRING_NOT_LINEAR if s.name in (CUBIC_SPRING, BACKLASH) else code
         code = Reason.LOAD_NOT_RIGID if s.name == SECOND_MODE else code
+        code = Reason.FORCE_FOLLOWS_POSITION if s.name == COGGING else code
         return Message(code, said, values, clause)
 
     def _say_what_to_declare(self, finding: Finding) -> str:
         """Return which law of spring or friction has what was found, as the end of a sentence; "" where none has."""
         test = finding.test
+        if test.name == COGGING:
+            return f"; to identify it, declare it: [ripple] period = {number(test.shape, 4)}"
         key = "spring" if test.name in _SPRINGS else "friction"
         if test.name not in _LAWS:
             return ""
@@ -235,7 +240,7 @@ class LoopCheck(Documented):
             sense = f"{_size(s, self.units['torque'], spread=spread)}{'larger' if s.name == STRIBECK else 'smaller'}"
             said = f"towards standstill, below some {speed}{here}, the friction is {sense} than Coulomb's"
         elif s.name in MECHANICS:
-            said = _describe_mechanics(s, f"{self.units['velocity'].removesuffix('/s')}{here}", spread=spread)
+            said = _describe_mechanics(s, f"{self.units['velocity'].removesuffix('/s')}{here}", torque, spread=spread)
         elif s.name == OFFSET:
             sign = "-" if s.size < 0 else ""
             size = _size(s, torque, spread=spread)
@@ -280,7 +285,7 @@ def _describe_laws(law: OtherLaw, alike: Sequence[OtherLaw]) -> str:
     return said + "".join(f"; or {one}, which this record does not tell apart: {its}" for one, its in more)
 
 
-def _describe_mechanics(s: FaultTest, unit: str, *, spread: bool) -> str:
+def _describe_mechanics(s: FaultTest, unit: str, torque: str, *, spread: bool) -> str:
     """Return what the mechanics have and their model has not; the size of what is large is larger, see the module."""
     percent = _size(s, "%", spread=spread, factor=100.0)
     if s.name == CUBIC_SPRING:
@@ -289,6 +294,9 @@ def _describe_mechanics(s: FaultTest, unit: str, *, spread: bool) -> str:
         return f"the spring is not linear: {by}{sense} at the largest torque than near none"
     if s.name == BACKLASH:
         return f"the transmission has a backlash of some {number(2 * s.size * (s.shape or 0.0), 2)} {unit} or more"
+    if s.name == COGGING:
+        size = f"of {found}" if (found := _size(s, torque, spread=spread)) else ""
+        return f"a force {size}comes back with the motor's position, every {number(s.shape, 3)} {unit}"
     if s.name == SECOND_MODE:
         return f"a part of the load swings on a spring of its own, somewhere about {number(s.shape, 2)} Hz"
     if s.name == LOAD_DEPENDENT_FRICTION:

@@ -8,7 +8,8 @@ begins with, per unit of its size:
 - ``second_mode``: this share of the load swings on a spring of its own, at a few times the first mode;
 - ``load_dependent_friction``: the load's friction grows by this share of the torque that drives it;
 - ``changing_friction``: this share of the viscous, or of the Coulomb, friction is lost between the first sample and the
-  last.
+  last;
+- ``cogging``: a force of this size comes back with the motor's position, of a period that is looked for (`cogging`).
 
 A fault that large moves the motion by more than its first order says, and is partly made up for by the joint's
 parameters: a joint of one mode, as stiff as both springs of one that has two, leaves of the second mode what no
@@ -35,9 +36,10 @@ from jointid.models.springs import Backlash, CubicSpring, ElasticLoad, ThreePiec
 from jointid.simulation.closed_loop import Simulation, in_threads
 
 CUBIC_SPRING, BACKLASH, SECOND_MODE = "cubic_spring", "backlash", "second_mode"
+COGGING = "cogging"
 LOAD_DEPENDENT_FRICTION, CHANGING_FRICTION = "load_dependent_friction", "changing_friction"
-MECHANICS = (CUBIC_SPRING, BACKLASH, SECOND_MODE, LOAD_DEPENDENT_FRICTION, CHANGING_FRICTION)
-ONE_SIDED = (BACKLASH, SECOND_MODE, LOAD_DEPENDENT_FRICTION)  # their size can only be positive
+MECHANICS = (CUBIC_SPRING, BACKLASH, SECOND_MODE, LOAD_DEPENDENT_FRICTION, CHANGING_FRICTION, COGGING)
+ONE_SIDED = (BACKLASH, SECOND_MODE, COGGING, LOAD_DEPENDENT_FRICTION)  # their size can only be positive
 
 VISCOUS, COULOMB = 1.0, 0.0  # shapes of a friction that changes
 

@@ -84,6 +84,7 @@ class Reason(StrEnum):
     LOOP_AS_DECLARED = "loop_as_declared"
     LOOP_NOT_AS_DECLARED = "loop_not_as_declared"
     SPRING_NOT_LINEAR = "spring_not_linear"
+    FORCE_FOLLOWS_POSITION = "force_follows_position"
     LOAD_NOT_RIGID = "load_not_rigid"
     FRICTION_NOT_AS_MODELLED = "friction_not_as_modelled"
     LAW_UNDECIDED = "law_undecided"

@@ -253,7 +253,7 @@ def _scale(test: FaultTest, check: LoopCheck) -> tuple[float, str]:
     """Return the factor and the unit in which the size of a fault is read."""
     if test.name in ("delay", "log_delay"):
         return 1e3, "ms"
-    if test.name in ("stribeck", "presliding", "offset"):
+    if test.name in ("stribeck", "presliding", "offset", "cogging"):
         return 1.0, check.units["torque"]
     if test.name in (
         "log_gain",
@@ -262,6 +262,7 @@ def _scale(test: FaultTest, check: LoopCheck) -> tuple[float, str]:
         "cubic_spring",
         "load_dependent_friction",
         "changing_friction",
+        "second_mode",
     ):
         return 100.0, "%"
     return (100.0 / abs(test.declared), "%") if test.declared else (1.0, "")
