@@ -13,6 +13,7 @@ from jointid.diagnostics.check_loop import check_loop
 from jointid.diagnostics.mechanics_faults import (
     BACKLASH,
     CHANGING_FRICTION,
+    COGGING,
     COULOMB,
     CUBIC_SPRING,
     LOAD_DEPENDENT_FRICTION,
@@ -47,7 +48,7 @@ def test_each_signature_is_what_another_law_changes_per_unit_of_its_size() -> No
     made = problem(where, None, None)
     x, largest = made.vector(where.truth), float(np.max(np.abs(made.measured)))
     found = list(vary_mechanics(made, x))
-    assert {one.name for one in found} == set(MECHANICS)
+    assert {one.name for one in found} == set(MECHANICS) - {COGGING}  # whose period is looked for in the residual
     assert len({(one.name, one.shape) for one in found}) == len(found)  # a test names one of them
     for one in found:
         assert one.raw is not None

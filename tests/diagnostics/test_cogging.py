@@ -1,0 +1,51 @@
+"""A force that comes back with the motor's position: found with its period, and told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import jointid as ji
+from jointid.diagnostics.check_loop import check_loop
+from jointid.diagnostics.mechanics_faults import COGGING
+from jointid.estimation.identify import identify
+from jointid.models.ripple import PositionHarmonics
+from jointid.uncertainty.verdict import Reason
+from studies.mechanics import spoiled
+
+
+@pytest.mark.parametrize("seed", [100, 103])
+def test_the_period_of_a_ripple_is_found(seed: int) -> None:
+    made = spoiled(seed, "cogging", 8.0)
+    assert made is not None
+    check = check_loop(identify(made.record, made.axis.loop), made.record)
+    first = check.findings[0]
+    assert first.test.name == COGGING
+    assert first.test.shape is not None
+    reference = made.record.reference
+    assert reference is not None
+    travel = float(np.ptp(reference.values))
+    assert travel / first.test.shape == pytest.approx(
+        travel / made.truth["pitch"], abs=0.6
+    )  # half a time over the travel
+    assert first.test.size == pytest.approx(made.truth["cogging"], rel=0.3)
+    assert check.reasons[0].code == Reason.FORCE_FOLLOWS_POSITION
+    assert "[ripple] period = " in check.sentences[0]
+
+
+def test_none_is_found_where_there_is_none() -> None:
+    made = spoiled(103, "none", 8.0)
+    assert made is not None
+    tests = check_loop(identify(made.record, made.axis.loop), made.record).tests
+    assert next(one.p_value for one in tests if one.name == COGGING) > 0.05
+
+
+def test_a_joint_that_has_its_ripple_is_asked_for_no_other() -> None:
+    made = spoiled(103, "cogging", 8.0)
+    assert made is not None
+    joint = replace(made.axis.loop.joint, ripple=PositionHarmonics(made.truth["pitch"]))
+    loop = replace(made.axis.loop, joint=joint)
+    check = ji.check_loop(identify(made.record, loop), made.record)
+    assert COGGING not in {one.name for one in check.tests}
