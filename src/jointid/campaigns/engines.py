@@ -6,6 +6,7 @@ Processes of this machine by default. What schedules a cluster is Dask's or SLUR
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import multiprocessing
 import os
 import signal
@@ -22,6 +23,8 @@ from jointid.common.parallel import BLAS_THREADS, THREADS, end_with_parent
 
 _PATIENCE = 10.0  # s that a scheduler has to answer
 _POLL = 0.5  # s between looks for the result of a job of SLURM
+_TRIM, _MMAP = -1, -3  # thresholds of glibc's mallopt: free memory is given back, and a block has a mapping of its own
+_KEPT, _IN_THE_HEAP = 2**28, 2**25  # bytes; the latter is the most that glibc takes
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,3 +204,11 @@ def _begin() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     threading.Thread(target=end_with_parent, daemon=True).start()
+    _keep_freed_memory()
+
+
+def _keep_freed_memory() -> None:
+    """Keep what a case frees for the next: it takes the same again, and to get it anew is an eighth of its time."""
+    if sys.platform == "linux" and hasattr(libc := ctypes.CDLL(None), "mallopt"):  # musl has none
+        libc.mallopt(_MMAP, _IN_THE_HEAP)
+        libc.mallopt(_TRIM, _KEPT)
