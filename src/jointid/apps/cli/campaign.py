@@ -164,7 +164,8 @@ def _engine(workers: int, dask: str | None, executor: str, shared: Path | None, 
     Raises:
         MethodError: what is asked for does not go together.
     """
-    from jointid.campaigns.engines import DaskCluster, LocalProcesses, SlurmJobs
+    from jointid.campaigns.engines import DaskCluster, LocalProcesses
+    from jointid.campaigns.slurm import SlurmJobs
 
     _require_workers(workers)
     if dask is not None and (workers or executor != "local"):
