@@ -311,9 +311,12 @@ def test_a_shard_belongs_to_one_process_and_knows_what_others_finished(tmp_path:
         pass
 
 
-def test_a_job_is_cut_alike_and_has_no_case_that_is_finished() -> None:
-    made = [Case(str(number), "", "", "") for number in range(10)]
-    finished = {case.content_hash for case in (*made[:4], made[5])}
-    waiting = _Waiting(iter(made), lambda content_hash: content_hash in finished)
-    batches = [[case.joint for case in waiting.take(4)] for _ in range(3)]
-    assert batches == [["4", "6", "7"], ["8", "9"], []]
+def test_a_batch_has_no_case_that_is_finished_and_what_was_begun_together_stays_together() -> None:
+    made = [Case(str(number), "", "", "") for number in range(12)]
+    hashes = [case.content_hash for case in made]
+    begun = frozenset((hashes[4], hashes[7], hashes[10]))
+    waiting = _Waiting(iter(made), {hashes[i] for i in (0, 1, 2, 3, 5)}.__contains__)
+    batches = [[case.joint for case in waiting.take(2, dict.fromkeys(begun, begun))] for _ in range(4)]
+    assert batches == [["6", "8"], ["4", "7", "10"], ["9", "11"], []]
+    left = _Waiting(iter(made[:5]), set(hashes[:4]).__contains__)
+    assert [case.joint for case in left.take(2, dict.fromkeys(begun, begun))] == ["4"], "of the others nothing is known"
