@@ -22,7 +22,7 @@ from jointid.campaigns.rows import Outcome, Row
 from jointid.campaigns.run import run_cases
 from jointid.campaigns.slurm import SlurmJobs
 from jointid.campaigns.store import open_database
-from jointid.common.errors import ExtraError
+from jointid.common.errors import ExtraError, RecordError
 from tests.campaigns.work import SLOW, carry, cases, ends
 
 pytest.importorskip("pysqa")
@@ -127,6 +127,17 @@ def test_a_job_that_died_while_nobody_looked_is_made_again(slurm: SlurmJobs, tmp
     with open_database(tmp_path / "out") as database:
         run_cases(lambda: cases(10, log, slow), slurm, database, carry=carry)
     assert read_results(tmp_path / "out").counts()[Outcome.IDENTIFIED] == 10
+
+
+def test_a_job_that_could_not_be_submitted_is_tried_again(slurm: SlurmJobs, tmp_path: Path) -> None:
+    log, path = tmp_path / "log", tmp_path / "bin" / "sbatch"
+    path.write_text("#!/bin/sh\nexit 1\n")
+    with pytest.raises(RecordError, match=r"^The workers gave a case up"), open_database(tmp_path) as database:
+        run_cases(lambda: cases(5, log), slurm, database, carry=carry)
+    path.write_text(SBATCH)
+    with open_database(tmp_path) as database:
+        run_cases(lambda: cases(5, log), slurm, database, carry=carry)
+    assert read_results(tmp_path).counts()[Outcome.IDENTIFIED] == 5
 
 
 def hash_lines(folder: Path) -> list[str]:
