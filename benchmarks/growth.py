@@ -96,9 +96,9 @@ def growth_figure(growth: Growth) -> Figure:
         line = np.full_like(y, y[0]) if flat else y[-1] * x / x[-1]
         axes.plot(x, line, color="0.6", linewidth=1)
         at = 0 if flat else len(x) // 2
+        said, off, va = ("the same for any number", 10, "bottom") if flat else ("in proportion", -6, "top")
         axes.annotate(
-            "the same for any number" if flat else "in proportion", (x[at], line[at]), (8, -6),
-            textcoords="offset points", va="top", fontsize=8, color="0.4",
+            said, (x[at], line[at]), (8, off), textcoords="offset points", va=va, fontsize=8, color="0.4"
         )  # fmt: skip
         axes.plot(x, y, "o-", color=_COLOUR, markersize=6)
         if flat:
