@@ -11,6 +11,7 @@ import signal
 import stat
 import time
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -138,6 +139,11 @@ def test_a_job_that_could_not_be_submitted_is_tried_again(slurm: SlurmJobs, tmp_
     with open_database(tmp_path) as database:
         run_cases(lambda: cases(5, log), slurm, database, carry=carry)
     assert read_results(tmp_path).counts()[Outcome.IDENTIFIED] == 5
+    (script,) = (tmp_path / "shared").glob("*/run_queue.sh")
+    assert "--partition" not in script.read_text(), "an empty one is not the default one"
+    with open_database(tmp_path) as database:
+        run_cases(lambda: cases(6, log), replace(slurm, partition="short"), database, carry=carry)
+    assert any("#SBATCH --partition=short\n" in one.read_text() for one in script.parents[1].glob("*/run_queue.sh"))
 
 
 def hash_lines(folder: Path) -> list[str]:

@@ -26,6 +26,20 @@ from jointid.common.errors import RecordError, extra
 _POLL = 0.5  # s between looks for the result of a job
 _LOOK = 10.0  # s between looks at the queue, for the jobs of an earlier client
 _MISSED = 2  # looks in a row that a job is not in the queue and has no result, after which it has died
+_SCRIPT = """\
+#!/bin/bash
+#SBATCH --output=time.out
+#SBATCH --job-name={{job_name}}
+#SBATCH --chdir={{working_directory}}
+#SBATCH --get-user-env=L
+{%- if partition %}
+#SBATCH --partition={{partition}}
+{%- endif %}
+#SBATCH --ntasks={{cores}}
+
+{{command}}
+"""
+"""Of a job; pysqa's own has an empty partition where none is named, which is not SLURM's default one."""
 _CASES = "cases.txt"  # in the folder of a job, the hashes of its cases
 
 
@@ -62,7 +76,9 @@ class SlurmJobs:
         for module in ("pysqa", "h5py"):  # without which executorlib would quietly run all of it here
             extra(module, "slurm", "SLURM")
         executorlib = extra("executorlib", "slurm", "SLURM")
-        resources = {"cores": 1} | ({"partition": self.partition} if self.partition else {})
+        resources = {"cores": 1, "submission_template": _SCRIPT} | (
+            {"partition": self.partition} if self.partition else {}
+        )
         executor = executorlib.SlurmClusterExecutor(
             cache_directory=str(self.folder), resource_dict=resources, wait=False, refresh_rate=_POLL
         )
