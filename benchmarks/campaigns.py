@@ -1,4 +1,4 @@
-"""Campaigns, measured: `python -m benchmarks.campaigns`; `--runs` and `--simulations` make it shorter or longer.
+"""Campaigns, measured: `python -m benchmarks.campaigns`; `--runs` and `--simulations` shorten it, `--figure` draws.
 
 How many identifications of the twin two workers make against one process that knows no campaign, what handing them out
 costs, whether memory grows, and whether processes, a Dask cluster that loses a worker and gets another, and shards give
@@ -15,6 +15,7 @@ import resource
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
@@ -22,10 +23,12 @@ from pathlib import Path
 os.environ["OPENBLAS_NUM_THREADS"] = os.environ["JOINTID_THREADS"] = "1"
 
 import jointid as ji
+from benchmarks.clocked import clocked, core_seconds
 from benchmarks.dask_cluster import Cluster
+from benchmarks.growth import growth_figure, measure
 from benchmarks.peers import peer
 from benchmarks.peers.c_stick import stick_folder
-from benchmarks.problem import SAMPLES, STICK, candidates, loop_of
+from benchmarks.problem import STICK, candidates, loop_of
 from jointid.campaigns.campaign_file import Campaign, load_campaign
 from jointid.campaigns.cases import Case
 from jointid.campaigns.engines import DaskCluster, Engine, LocalProcesses, on_one_core
@@ -39,6 +42,7 @@ from jointid.campaigns.store import open_database
 from jointid.paper.twin import JOINT_FILE, TABLE_2
 
 _SHARDS, _WORKERS = 4, 2
+_TURNS = 6
 _AT_A_TIME = 500  # simulations whose torques are kept
 
 
@@ -58,21 +62,7 @@ def identifications(folder: Path, runs: int) -> None:
     alone = min(runs, 100)
     on_one_core(run_case, list(islice(campaign.cases(), 1)))  # loads and, the first time, compiles
     carried(folder / "first", LocalProcesses(_WORKERS), list(islice(campaign.cases(), 4)))
-    # By turns, as others use the machine too: what it is to one it is to all.
-    turns = min(4, alone)
-    paces: dict[str, list[float]] = {"no campaign": [], "1 process": [], f"{_WORKERS} processes": []}
-    for turn in range(turns):
-        part = list(islice(campaign.cases(), turn * alone // turns, (turn + 1) * alone // turns))
-        begin = time.perf_counter()
-        on_one_core(run_case, part)
-        paces["no campaign"].append(len(part) / (time.perf_counter() - begin))
-        for name, workers in (("1 process", 1), (f"{_WORKERS} processes", _WORKERS)):
-            seconds = carried(folder / f"{workers}-{turn}", LocalProcesses(workers), part)
-            paces[name].append(len(part) / seconds)
-    one = sum(paces["no campaign"]) / turns
-    for name, found in paces.items():
-        pace = sum(found) / turns
-        print(f"{name:14} {pace:6.2f}/s  {pace / one:5.2f} of no campaign ({alone} identifications, by turns)")
+    compare(folder, list(islice(campaign.cases(), alone)))
     cases, names = list(campaign.cases()), ["processes"]
     print_pace("processes", runs, carried(folder / "processes", LocalProcesses(_WORKERS), cases))
     if find_spec("distributed") is None:
@@ -105,12 +95,50 @@ def identifications(folder: Path, runs: int) -> None:
     print(f"the same {len(next(iter(tables.values())))} bytes by {', '.join(tables)}: {'yes' if same else 'NO'}")
 
 
+def compare(folder: Path, cases: list[Case]) -> None:
+    """Print the pace of one process without a campaign, one of a campaign and two, by turns, and what a case costs.
+
+    Seconds of a core are those of the workers and of the client. Others that use the machine change the pace and much
+    less these.
+    """
+    names = ("no campaign", "1 process", f"{_WORKERS} processes")
+    took, spent = (dict.fromkeys(names, 0.0) for _ in range(2))
+    turns = min(_TURNS, len(cases) // (2 * _WORKERS))
+    for turn in range(turns):
+        part = cases[turn * len(cases) // turns : (turn + 1) * len(cases) // turns]
+        for name in names[turn % len(names) :] + names[: turn % len(names)]:
+            log, begin, own = folder / f"{name}-{turn}.log", time.perf_counter(), time.process_time()
+            if name == names[0]:
+                on_one_core(run_case, part)
+                took[name] += time.perf_counter() - begin
+                spent[name] += time.process_time() - own
+            else:
+                workers = 1 if name == names[1] else _WORKERS
+                took[name] += carried(
+                    folder / f"{name}-{turn}", LocalProcesses(workers), part, carry=partial(clocked, log)
+                )
+                seconds, number = core_seconds(log)
+                spent[name] += len(part) * seconds / number + time.process_time() - own
+    for name in names:
+        print(
+            f"{name:14} {len(cases) / took[name]:6.2f}/s, {took[names[0]] / took[name]:5.2f} of no campaign; "
+            f"{spent[name] / len(cases):.3f} s of a core each, {100 * (spent[name] / spent[names[0]] - 1):+.1f} % "
+            f"({len(cases)} identifications, by turns)"
+        )
+
+
 def print_pace(name: str, runs: int, seconds: float) -> None:
     """Print identifications a second."""
     print(f"{name:14} {runs / seconds:6.2f}/s  {runs} identifications")
 
 
-def carried(folder: Path, engine: Engine, cases: list[Case], midway: Callable[[], None] | None = None) -> float:
+def carried(
+    folder: Path,
+    engine: Engine,
+    cases: list[Case],
+    midway: Callable[[], None] | None = None,
+    carry: Callable[[Case], Row] = run_case,
+) -> float:
     """Carry out cases, and return the seconds it takes when the workers have started.
 
     Args:
@@ -118,6 +146,7 @@ def carried(folder: Path, engine: Engine, cases: list[Case], midway: Callable[[]
         engine: who carries them out.
         cases: one or more.
         midway: is called once, when half of them are done.
+        carry: what a worker does with a case.
     """
     folder.mkdir()
     memory: list[int] = []
@@ -134,7 +163,7 @@ def carried(folder: Path, engine: Engine, cases: list[Case], midway: Callable[[]
                 midway()
 
         database.add = add  # type: ignore[method-assign]
-        run_cases(lambda: cases, engine, database)
+        run_cases(lambda: cases, engine, database, carry=carry)
     if len(memory) > 100:
         quarter = memory[len(memory) // 4]
         print(f"{'':14} memory of the client {memory[-1] / 1024:.0f} MB, {memory[-1] / quarter:.3f} of a quarter's")
@@ -146,7 +175,7 @@ def carried(folder: Path, engine: Engine, cases: list[Case], midway: Callable[[]
 
 
 def simulations(count: int) -> None:
-    """Print simulations of 25 s a second, beside the C stick, and how cost grows."""
+    """Print simulations of 25 s a second, beside the C stick."""
     kinds = ["jointid", *(["c"] if stick_folder() is not None else [])]
     loop = loop_of(STICK)
     made = {key: peer(key)(loop, peer(key).settings[0]) for key in kinds}
@@ -163,21 +192,6 @@ def simulations(count: int) -> None:
     for key in kinds:
         ratio = f", {spent['c'] / spent[key]:.2f} of the stick's" if "c" in kinds else ""
         print(f"{key:14} {total / spent[key]:8.0f} simulations of 25 s a second on {_WORKERS} cores{ratio}")
-    for samples in (SAMPLES // 4, SAMPLES, 4 * SAMPLES):
-        engine = peer("jointid")(loop_of(STICK, samples), peer("jointid").settings[0])
-        engine.batch(every[:20])
-        begin = time.perf_counter()
-        engine.batch(every[:200])
-        print(f"length {samples / 1000:6.1f} s  {1e9 * (time.perf_counter() - begin) / 200 / samples:7.1f} ns a sample")
-    for number in (10, 100, 1000):
-        begin = time.perf_counter()
-        for _ in range(1000 // number):
-            made["jointid"].batch(candidates(number))
-        print(f"candidates {number:5}  {1e3 * (time.perf_counter() - begin) / (1000 // number * number):7.3f} ms each")
-    for workers in (1, 2):
-        begin = time.perf_counter()
-        made["jointid"].batch(every, workers)  # type: ignore[call-arg]
-        print(f"workers {workers}  {_AT_A_TIME / (time.perf_counter() - begin):8.0f} simulations of 25 s a second")
 
 
 def main() -> None:
@@ -185,9 +199,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.campaigns", description=__doc__)
     parser.add_argument("--runs", type=int, default=1000, help="identifications")
     parser.add_argument("--simulations", type=int, default=100_000, help="of 25 s")
+    parser.add_argument("--figure", type=Path, help="draw how the cost of simulations grows, as PNG, SVG or PDF")
     options = parser.parse_args()
     if options.simulations:
         simulations(options.simulations)
+        growth = measure()
+        print(growth)
+        if options.figure is not None:
+            growth_figure(growth).savefig(options.figure, dpi=130)
     if options.runs:
         with tempfile.TemporaryDirectory() as folder:
             identifications(Path(folder), options.runs)

@@ -2,86 +2,160 @@
 
 A first record of the paper's twin is identified, and a test designed from it within the stroke, the time, the peak and
 the root mean square of the force of that record. Then the test is made on many twins whose parameters are drawn from
-the first interval, each with new noise, and identified by least squares.
+the first interval, each with new noise, and identified by least squares. A search for a test ends by the clock, so that
+the one it found is kept beside the runs of it, and found again with them.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import sys
 from collections.abc import Sequence
-from typing import Literal
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 import jointid as ji
+from jointid.campaigns.cases import sha256_of
+from jointid.common.files import write_whole
 from jointid.estimation.methods.flexible import refined_least_squares
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.paper.twin import SAMPLE_TIME, twin
-from jointid.planning.design import Design, plan_from_estimate
+from jointid.planning.design import plan_from_estimate
 from jointid.planning.limits import passed, reached
-from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.loop_input import prepare
+from studies.seeds import judge_seeds
 
 _ENOUGH = 1e-6  # relative: far below a deviation
 
+LoopName: TypeAlias = Literal["L19", "L30"]
+NoiseName: TypeAlias = Literal["white", "disturbance"]
 
-def planned(loop: Literal["L19", "L30"], noise: Literal["white", "disturbance"], goal: str, seconds: float) -> Design:
+
+@dataclass(frozen=True, slots=True)
+class ProposedTest:
+    """A designed test, and what is to be known of it to make it and to judge it.
+
+    Attributes:
+        description: of the test.
+        before, foretold, floor: standard deviation of the goal by the first record, by this test, and the least that
+            any has within the limits, where that is known.
+        weights: of the goal, by parameter.
+        limits: that it keeps.
+        values: of the joint's parameters, found from the first record, by name.
+        covariance: of these, in their order.
+        reference, injected: the test itself, a number for each sample.
+    """
+
+    description: str
+    before: float
+    foretold: float
+    floor: float | None
+    weights: dict[str, float]
+    limits: dict[str, float]
+    values: dict[str, float]
+    covariance: list[list[float]]
+    reference: list[float]
+    injected: list[float] | None
+
+
+def propose(loop: LoopName, noise: NoiseName, goal: str, seconds: float) -> ProposedTest:
     """Return the test that is designed from the twin's first record."""
     axis = twin(loop, noise=noise)
     record = axis.record.without("motor_position", "load_position")
     estimate = ji.identify(record, axis.loop, filtering=ji.Filtering(cutoff=60.0), loop_check=False)
     known = ji.Noise(log=axis.noise) if noise == "white" else ji.Noise(force=axis.noise)
-    return plan_from_estimate(estimate, record, noise=known, goal=goal, seconds=seconds)
+    design = plan_from_estimate(estimate, record, noise=known, goal=goal, seconds=seconds)
+    assert design.present is not None
+    told = design.proposed
+    own = [p.name for p in axis.loop.joint.parameters]
+    rows = [i for i, p in enumerate(q for q in estimate.params if q.free) if p.of_joint]
+    return ProposedTest(
+        design.description, design.present.std_of(design.goal.weights), told.std_of(design.goal.weights), design.floor,
+        dict(design.goal.weights), dict(design.limits), {name: float(estimate.values[name]) for name in own},
+        estimate.params.covariance[np.ix_(rows, rows)].tolist(), told.reference.tolist(),
+        None if told.injected is None else told.injected.tolist(),
+    )  # fmt: skip
 
 
 def made(
-    loop: Literal["L19", "L30"], noise: Literal["white", "disturbance"], goal: str, runs: int, seconds: float
+    loop: LoopName, noise: NoiseName, goal: str, runs: int, seconds: float, out: Path | None = None
 ) -> dict[str, object]:
-    """Design a test, make it many times, and return how far what was foretold is true."""
-    axis = twin(loop, noise=noise)
-    record = axis.record.without("motor_position", "load_position")
-    filtering = ji.Filtering(cutoff=60.0)
-    estimate = ji.identify(record, axis.loop, filtering=filtering, loop_check=False)
-    design = planned(loop, noise, goal, seconds)
-    told, limits = design.proposed, ji.AxisLimits(**design.limits)
-    own = [p.name for p in axis.loop.joint.parameters]
-    rows = [i for i, p in enumerate(q for q in estimate.params if q.free) if p.of_joint]
-    covariance = estimate.params.covariance[np.ix_(rows, rows)]
+    """Design a test, make it many times, and return how far what was foretold is true.
 
-    def one(number: int) -> tuple[list[float], float]:
-        rng = np.random.default_rng([number, 20])
-        drawn = rng.multivariate_normal([estimate.values[name] for name in own], covariance, method="eigh")
-        truth = {n: v if n == "offset" else max(v, 0.0) for n, v in zip(own, map(float, drawn), strict=True)}
-        white = axis.noise * rng.standard_normal(told.reference.size)
-        test = ji.simulated_record(
-            axis.loop, told.reference, truth, sample_time=SAMPLE_TIME, injected=told.injected,
-            torque_noise=white if noise == "white" else None, disturbance=white if noise == "disturbance" else None,
-        )  # fmt: skip
-        assert test.torque is not None
-        experiment = prepare(axis.loop, test)
-        run = ji.simulate(axis.loop, experiment, truth)
-        found = reached(run, told.reference, test.torque.values, SAMPLE_TIME)
-        over = max(passed(limits, found).values(), default=0.0)
-        problem = torque_problem(test, axis.loop, filtering, axis.loop.joint.parameters)
-        problem = problem.keeping({"initial_velocity": 0.0})
-        start = problem.vector({**truth, "initial_position": float(told.reference[0])})
-        x = refined_least_squares(problem, start, _ENOUGH)[0]
-        return [float(x[k]) - truth[name] for k, name in enumerate(own)], over
-
-    found = in_threads(one, range(runs))
-    errors = np.array([error for error, _ in found])
-    w = np.array([design.goal.weights.get(name, 0.0) for name in own])
+    Args:
+        loop: of the twin.
+        noise: of it, too.
+        goal: of the design.
+        runs: how often it is made.
+        seconds: of the search for it.
+        out: folder in which the test and its runs are kept, and found again; one for this call alone when None.
+    """
+    with contextlib.ExitStack() as stack:
+        folder = Path(stack.enter_context(TemporaryDirectory())) if out is None else out
+        own = folder / f"{loop} {noise} {goal}"
+        own.mkdir(parents=True, exist_ok=True)
+        path = own / "test.json"
+        if not path.exists():
+            write_whole(path, json.dumps(asdict(propose(loop, noise, goal, seconds))))
+        text = path.read_text(encoding="utf-8")
+        settings = {"loop": loop, "noise": noise, "test": str(path.resolve()), "sha256": sha256_of(text)}
+        found = list(judge_seeds("studies.designed:judge", range(runs), settings, out=own))
+    test = ProposedTest(**json.loads(text))
+    errors, over = np.array([one["errors"] for one in found]), [one["over"] for one in found]
+    w = np.array([test.weights.get(name, 0.0) for name in test.values])
     scatter = float(np.sqrt(np.mean((errors @ w) ** 2)))
-    assert design.present is not None
-    before = design.present.std_of(design.goal.weights)
+    share = None if test.floor is None else (test.before - scatter) / (test.before - test.floor)
     return {
-        "loop": loop, "noise": noise, "goal": goal, "runs": runs, "test": design.description,
-        "before": before, "foretold": told.std_of(design.goal.weights), "scatter": scatter, "floor": design.floor,
-        "of_what_the_floor_allows": None if design.floor is None else (before - scatter) / (before - design.floor),
-        "passed": sum(over > 0 for _, over in found), "worst": max(over for _, over in found),
+        "loop": loop, "noise": noise, "goal": goal, "runs": runs, "test": test.description, "before": test.before,
+        "foretold": test.foretold, "scatter": scatter, "floor": test.floor,
+        "of_what_the_floor_allows": share, "passed": sum(one > 0 for one in over), "worst": max(over),
     }  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class MadeTest:
+    """Errors of the joint's parameters by one test that was made, and by what it passed a limit, as a share."""
+
+    errors: list[float]
+    over: float
+
+
+@lru_cache(maxsize=1)
+def _test(path: str, sha256: str) -> ProposedTest:
+    text = Path(path).read_text(encoding="utf-8")
+    assert sha256_of(text) == sha256, "another test than the one that was designed"
+    return ProposedTest(**json.loads(text))
+
+
+def judge(seed: int, loop: LoopName, noise: NoiseName, test: str, sha256: str) -> MadeTest:
+    """Make the test once, on a twin that is drawn from the first interval, and identify that by least squares."""
+    axis, asked = twin(loop, noise=noise), _test(test, sha256)
+    reference, own = np.array(asked.reference), list(asked.values)
+    rng = np.random.default_rng([seed, 20])
+    drawn = rng.multivariate_normal(list(asked.values.values()), np.array(asked.covariance), method="eigh")
+    truth = {n: v if n == "offset" else max(v, 0.0) for n, v in zip(own, map(float, drawn), strict=True)}
+    white = axis.noise * rng.standard_normal(reference.size)
+    record = ji.simulated_record(
+        axis.loop, reference, truth, sample_time=SAMPLE_TIME,
+        injected=None if asked.injected is None else np.array(asked.injected),
+        torque_noise=white if noise == "white" else None, disturbance=white if noise == "disturbance" else None,
+    )  # fmt: skip
+    assert record.torque is not None
+    run = ji.simulate(axis.loop, prepare(axis.loop, record), truth)
+    found = reached(run, reference, record.torque.values, SAMPLE_TIME)
+    over = max(passed(ji.AxisLimits(**asked.limits), found).values(), default=0.0)
+    problem = torque_problem(record, axis.loop, ji.Filtering(cutoff=60.0), axis.loop.joint.parameters)
+    problem = problem.keeping({"initial_velocity": 0.0})
+    start = problem.vector({**truth, "initial_position": float(reference[0])})
+    x = refined_least_squares(problem, start, _ENOUGH)[0]
+    return MadeTest([float(x[k]) - truth[name] for k, name in enumerate(own)], float(over))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -91,13 +165,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seconds", type=float, default=90.0)
     parser.add_argument("--loop", action="append", choices=("L19", "L30"))
     parser.add_argument("--noise", action="append", choices=("white", "disturbance"))
+    parser.add_argument("--out", type=Path, help="folder in which tests and runs are kept, and found again")
     given = parser.parse_args(arguments)
-    loops: Sequence[Literal["L19", "L30"]] = given.loop or ("L19",)
-    noises: Sequence[Literal["white", "disturbance"]] = given.noise or ("disturbance", "white")
+    loops: Sequence[LoopName] = given.loop or ("L19",)
+    noises: Sequence[NoiseName] = given.noise or ("disturbance", "white")
     for loop in loops:
         for noise in noises:
             for goal in ("stiffness", "motor_viscous - load_viscous"):
-                sys.stdout.write(json.dumps(made(loop, noise, goal, given.runs, given.seconds)) + "\n")
+                said = made(loop, noise, goal, given.runs, given.seconds, given.out)
+                sys.stdout.write(json.dumps(said) + "\n")
                 sys.stdout.flush()
 
 

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import figures, identification, measuring, page
+from benchmarks import figures, growth, identification, measuring, page
+from benchmarks.clocked import core_seconds
 from benchmarks.peers import PEERS, mujoco_sysid, peer
 from benchmarks.peers.c_stick import CStick, stick_module
 from benchmarks.peers.engine import Engine
@@ -273,3 +274,19 @@ def test_the_page_in_the_docs_is_that_of_its_data() -> None:
     docs = Path(__file__).resolve().parents[1] / "docs"
     assert (docs / "benchmarks.md").read_text(encoding="utf-8") == page.written(load(docs / "benchmarks.json"))
     assert all((docs / "images" / name).is_file() for name in figures.IMAGES)
+
+
+def test_what_a_worker_spends_is_counted_from_its_first_end_to_its_last(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    log.write_text("7 10.0\n8 3.0\n7 10.5\n8 3.25\n7 11.0\n")
+    assert core_seconds(log) == (1.25, 3)
+
+
+def test_the_growth_of_cost_is_drawn_with_units() -> None:
+    drawn = growth.Growth({6.25: 1e-4, 25.0: 3e-4}, {1: 4e-4, 10: 3e-3, 100: 0.03}, {1: 3e-4, 2: 3e-4})
+    figure = growth.growth_figure(drawn)
+    along = [axes.get_xlabel() for axes in figure.axes]
+    assert along == ["length of a simulation [s]", "candidates of 25 s", "workers"]
+    assert all(axes.get_ylabel().endswith("[ms]") for axes in figure.axes)
+    assert "candidates   100    0.300 ms each" in str(drawn)
+    assert "length  25.00 s    12.0 ns a sample" in str(drawn)

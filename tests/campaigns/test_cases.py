@@ -6,7 +6,11 @@ import os
 import pickle
 import subprocess
 import sys
+import threading
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import numpy as np
@@ -16,10 +20,11 @@ import jointid as ji
 from jointid.campaigns import addresses
 from jointid.campaigns.campaign_file import load_campaign
 from jointid.campaigns.cases import Case, Redrawn, Simulated, Started
+from jointid.campaigns.engines import LocalProcesses
 from jointid.campaigns.export import export_rows, table_of
 from jointid.campaigns.folder import read_results
 from jointid.campaigns.rows import Found, Outcome, Row
-from jointid.campaigns.run import _Waiting
+from jointid.campaigns.run import _Waiting, run_cases
 from jointid.campaigns.run_case import run_case
 from jointid.campaigns.shards import Shard, open_shard
 from jointid.campaigns.store import open_database
@@ -197,11 +202,61 @@ def test_a_record_behind_a_url_is_fetched_by_the_worker(place: Path) -> None:
     assert "cannot be fetched (FileNotFoundError" in gone.sentence
 
 
+@pytest.fixture
+def server(place: Path) -> Iterator[str]:
+    """The address of a server of the small fleet's files."""
+
+    class Quiet(SimpleHTTPRequestHandler):
+        def log_message(self, *_: object) -> None:
+            pass
+
+    made = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=place))
+    threading.Thread(target=made.serve_forever, daemon=True).start()
+    yield f"http://127.0.0.1:{made.server_port}"
+    made.shutdown()
+    made.server_close()
+
+
+@pytest.mark.slow
+def test_records_of_a_server_are_read_on_the_worker(place: Path, server: str, tmp_path: Path) -> None:
+    pytest.importorskip("fsspec")
+    pytest.importorskip("aiohttp")
+    near, far = campaign(place, FLEET), campaign(place, FLEET.replace("logs/", f"{server}/logs/"))
+    assert [case.record for case in far] == [
+        f"{server}/{Path(case.record).relative_to(place).as_posix()}" for case in near
+    ]
+    here = run_case(near[0])
+    (place / "logs" / "b" / "2026-11-01.npy").unlink()
+    (tmp_path / "out").mkdir()
+    with open_database(tmp_path / "out") as database:
+        run_cases(lambda: [far[0], far[2]], LocalProcesses(1), database)
+    there, gone = read_results(tmp_path / "out").rows
+    assert (there.found, there.record_sha256) == (here.found, here.record_sha256)
+    assert gone.sentence.startswith(f"{server}/logs/b/2026-11-01.npy cannot be fetched (FileNotFoundError")
+
+
+def test_a_record_of_a_server_that_is_replaced_is_another_case(place: Path, server: str) -> None:
+    pytest.importorskip("fsspec")
+    pytest.importorskip("aiohttp")
+    text, path = FLEET.replace("logs/", f"{server}/logs/"), place / "logs" / "a" / "2026-11-01.npy"
+    before = campaign(place, text)
+    os.utime(path, (1.7e9, 1.7e9))
+    after = campaign(place, text)
+    changed = [one.record for one, other in zip(before, after, strict=True) if one.content_hash != other.content_hash]
+    assert changed == [f"{server}/logs/a/2026-11-01.npy"]
+
+
 def test_a_url_needs_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "fsspec", None)
     row = run_case(Case("a", JOINT, "s3://line/a.csv", ""))
     assert row.sentence == (
         'A record behind a URL needs the package fsspec, which is not there; install it: pip install "jointid[remote]".'
+    )
+    monkeypatch.undo()
+    monkeypatch.setitem(__import__("sys").modules, "gcsfs", None)
+    row = run_case(Case("a", JOINT, "gs://line/a.csv", ""))
+    assert row.sentence.startswith(
+        "gs://line/a.csv needs a package more than the extra remote has (Please install gcsfs"
     )
     with pytest.raises(RecordError, match="expected a path, or one of"):
         addresses.require_known("reference://x")
@@ -311,9 +366,12 @@ def test_a_shard_belongs_to_one_process_and_knows_what_others_finished(tmp_path:
         pass
 
 
-def test_a_job_is_cut_alike_and_has_no_case_that_is_finished() -> None:
-    made = [Case(str(number), "", "", "") for number in range(10)]
-    finished = {case.content_hash for case in (*made[:4], made[5])}
-    waiting = _Waiting(iter(made), lambda content_hash: content_hash in finished)
-    batches = [[case.joint for case in waiting.take(4)] for _ in range(3)]
-    assert batches == [["4", "6", "7"], ["8", "9"], []]
+def test_a_batch_has_no_case_that_is_finished_and_what_was_begun_together_stays_together() -> None:
+    made = [Case(str(number), "", "", "") for number in range(12)]
+    hashes = [case.content_hash for case in made]
+    begun = frozenset((hashes[4], hashes[7], hashes[10]))
+    waiting = _Waiting(iter(made), {hashes[i] for i in (0, 1, 2, 3, 5)}.__contains__)
+    batches = [[case.joint for case in waiting.take(2, dict.fromkeys(begun, begun))] for _ in range(4)]
+    assert batches == [["6", "8"], ["4", "7", "10"], ["9", "11"], []]
+    left = _Waiting(iter(made[:5]), set(hashes[:4]).__contains__)
+    assert [case.joint for case in left.take(2, dict.fromkeys(begun, begun))] == ["4"], "of the others nothing is known"

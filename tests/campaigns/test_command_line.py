@@ -33,6 +33,9 @@ def test_a_campaign_is_run_goes_on_and_is_told(fleet: Path, capsys: pytest.Captu
     assert "4 of 4 cases: 4 identified" in capsys.readouterr().out
     assert run("campaign", "report", "out", "--html", "page.html", "--markdown", "page.md") == 0
     assert "no joint has eight runs" in capsys.readouterr().out
+    assert run("campaign", "report", "out", "--csv", "truth.csv") == 2
+    assert "these runs have none that is known" in capsys.readouterr().err
+    assert not (fleet / "truth.csv").exists()
     assert "<h2" in (fleet / "page.html").read_text()
     assert "| inertia |" in (fleet / "page.md").read_text()
 

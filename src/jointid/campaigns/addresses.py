@@ -18,6 +18,7 @@ from jointid.common.errors import ExtraError, RecordError, extra
 from jointid.common.messages import either
 
 _REMOTE = ("s3", "s3a", "gs", "gcs", "az", "abfs", "adl", "http", "https", "sftp", "smb", "hdfs", "webhdfs", "file")
+_CHANGED = ("ETag", "etag", "LastModified", "Last-Modified", "updated", "mtime")  # what an object store says of it
 _BLOCK = 2**20
 
 
@@ -84,10 +85,12 @@ def listed(pattern: str, folder: Path) -> dict[str, str]:
     try:
         system, path = fsspec.core.url_to_fs(pattern)
         there: Mapping[str, Any] = system.glob(path, detail=True)
+        files = {name: about for name, about in sorted(there.items()) if about.get("type") == "file"}
         return {
-            system.unstrip_protocol(name): _stamp(about) for name, about in sorted(there.items())
-            if about.get("type") == "file"
-        }  # fmt: skip
+            # A page that lists files says their names alone.
+            system.unstrip_protocol(name): _stamp(system.info(name) if about.get("size") is None else about)
+            for name, about in files.items()
+        }
     except Exception as error:
         raise _refusal(pattern, error) from error
 
@@ -132,7 +135,7 @@ def digest(path: Path) -> str:
 
 
 def _stamp(about: Mapping[str, Any]) -> str:
-    changed = next((about[key] for key in ("ETag", "etag", "LastModified", "updated", "mtime") if key in about), "")
+    changed = next((about[key] for key in _CHANGED if key in about), "")
     return f"{about.get('size')} {changed}"
 
 
@@ -144,4 +147,6 @@ def _refusal(address: str, error: Exception) -> RecordError:
     if isinstance(error, ExtraError | RecordError):
         return RecordError(str(error))
     reason = os.linesep.join(str(error).splitlines()[:1]) or "no reason given"
+    if isinstance(error, ImportError):
+        return RecordError(f"{address} needs a package more than the extra remote has ({reason}); install that, too.")
     return RecordError(f"{address} cannot be fetched ({type(error).__name__}: {reason}); check address and rights.")

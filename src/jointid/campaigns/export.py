@@ -58,7 +58,8 @@ def require_ending(path: Path) -> None:
 def table_of(rows: Sequence[Row]) -> dict[str, list[Any]]:
     """Return the columns of results by name: what was asked, the answer, settings, hashes and versions.
 
-    A parameter is two columns, its value and its standard deviation, with the unit in the name.
+    A parameter is two columns, its value and its standard deviation, with the unit in the name; of simulated runs a
+    third has the truth.
     """
     columns: dict[str, list[Any]] = {
         "joint": [row.joint for row in rows],
@@ -79,6 +80,9 @@ def table_of(rows: Sequence[Row]) -> dict[str, list[Any]]:
         found = [one if (one := row.found.get(name)) is not None and one.unit == unit else None for row in rows]
         columns[f"{name} [{unit}]"] = [None if one is None else one.value for one in found]
         columns[f"{name} std [{unit}]"] = [None if one is None else one.std for one in found]
+        truth = [None if one is None else row.truth.get(name) for row, one in zip(rows, found, strict=True)]
+        if any(value is not None for value in truth):
+            columns[f"{name} truth [{unit}]"] = truth
     columns |= {
         "case sha256": [row.content_hash for row in rows],
         "record sha256": [row.record_sha256 for row in rows],

@@ -37,12 +37,16 @@ class Repeated:
         seeds: (runs,) of each.
         values: (runs,) in SI units.
         stds: (runs,) stated standard deviations.
+        unit: of both.
+        truth: where it is known, and of all runs the same.
     """
 
     name: str
     seeds: tuple[int | None, ...]
     values: FloatArray
     stds: FloatArray
+    unit: str = ""
+    truth: float | None = None
 
     @property
     def ratio(self) -> float:
@@ -79,16 +83,21 @@ class Repeated:
 def repeats_of(rows: Sequence[Row]) -> Iterator[Repeated]:
     """Yield every quantity of runs that differ in their seed alone, where there are three or more."""
     groups: dict[tuple[str, tuple[str, ...]], list[tuple[int | None, float, float]]] = {}
+    units, truths = dict[str, str](), dict[tuple[str, tuple[str, ...]], set[float | None]]()
     for row in rows:
         if row.outcome is Outcome.IDENTIFIED:
             for name, one in row.found.items():
                 if one.value is not None and one.std:
                     groups.setdefault((name, row.changes), []).append((row.seed, one.value, one.std))
+                    truths.setdefault((name, row.changes), set()).add(row.truth.get(name))
+                    units[name] = one.unit
     for (name, changes), runs in sorted(groups.items(), key=lambda one: one[0][1]):
         if len(runs) >= _FEWEST:
             seeds, values, stds = zip(*runs, strict=True)
             called = f"{name} ({'; '.join(changes)})" if changes else name
-            yield Repeated(called, seeds, np.array(values), np.array(stds))
+            told = truths[name, changes]
+            truth = next(iter(told)) if len(told) == 1 else None
+            yield Repeated(called, seeds, np.array(values), np.array(stds), units[name], truth)
 
 
 def summarise_repeats(found: Sequence[Repeated], runs: int, what: str) -> tuple[str, bool | None]:

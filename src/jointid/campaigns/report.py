@@ -19,6 +19,7 @@ from jointid.campaigns.repeats import Repeated, repeat_blocks, repeats_of, summa
 from jointid.campaigns.rows import LOGGED, Outcome, Row
 from jointid.campaigns.series import Series, series_of
 from jointid.campaigns.sweeps import sweep_blocks
+from jointid.campaigns.truths import AgainstTruth, against_truth, summarise_truth, truth_blocks
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, Paragraph, Table
 from jointid.common.errors import MethodError
@@ -56,6 +57,11 @@ class CampaignReport(Documented):
         return tuple(repeats_of([row for row in self.results.rows if row.kind in _REPEATED]))
 
     @cached_property
+    def against_truth(self) -> tuple[AgainstTruth, ...]:
+        """Bias, scatter and coverage of every quantity of simulated runs."""
+        return against_truth(self.repeats)
+
+    @cached_property
     def ends(self) -> tuple[tuple[SearchEnd, ...], ...]:
         """Where searches from many starts ended, for each combination of settings."""
         return ends_of([row for row in self.results.rows if row.kind == Started.kind])
@@ -65,7 +71,11 @@ class CampaignReport(Documented):
         """The lead sentence, and whether it is good news; None where nothing can be said yet."""
         kind = self.results.rows[0].kind if self.results.rows else LOGGED
         if kind in _REPEATED:
-            return summarise_repeats(self.repeats, self.results.counts()[Outcome.IDENTIFIED], kind)
+            said, good = summarise_repeats(self.repeats, self.results.counts()[Outcome.IDENTIFIED], kind)
+            if not self.against_truth:
+                return said, good
+            more, true = summarise_truth(self.against_truth)
+            return f"{said} {more}", good and true
         if kind == Started.kind:
             return summarise_ends(self.ends)
         return self._drift_sentence, None if not self.changes else not self.drifted
@@ -108,6 +118,7 @@ class CampaignReport(Documented):
             *end_blocks(self.ends, most),
             *_distributions([row for row in results.rows if row.kind != Started.kind]),
             *sweep_blocks(results.rows, most),
+            *truth_blocks(self.against_truth),
             *repeat_blocks(self.repeats, most),
             *self._scatter_blocks(),
             *self._outlier_blocks(most),

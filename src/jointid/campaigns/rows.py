@@ -59,6 +59,7 @@ class Row:
         versions: of jointid, Python and the libraries that compute, by name.
         settings: as the case has them.
         kind: of the run: logged, simulated, resampled, or a search that is started elsewhere.
+        truth: of a simulated run what is true of each that is found, by name, in its unit.
     """
 
     content_hash: str
@@ -79,6 +80,7 @@ class Row:
     versions: Mapping[str, str] = field(default_factory=dict)
     settings: tuple[str, ...] = ()
     kind: str = LOGGED
+    truth: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
     def of(cls, case: Case, outcome: Outcome, sentence: str, **more: Any) -> Self:
@@ -105,7 +107,8 @@ class Row:
             found = {str(name): Found(_number(one["value"]), _number(one["std"]), str(one["unit"]))
                      for name, one in raw["found"].items()}  # fmt: skip
             raw |= {key: tuple(map(str, raw.get(key, ()))) for key in ("changes", "settings")}
-            raw |= {"found": found, "outcome": Outcome(raw["outcome"])}
+            truth = {str(name): float(value) for name, value in raw.get("truth", {}).items()}
+            raw |= {"found": found, "outcome": Outcome(raw["outcome"]), "truth": truth}
             row = cls(**raw)
         except (TypeError, KeyError, AttributeError, RecursionError) as error:
             raise ValueError(f"no row ({error})") from error

@@ -8,10 +8,9 @@ other is blamed.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from dataclasses import dataclass
-from itertools import islice
 from typing import TypeAlias
 
 from jointid.campaigns.cases import Case
@@ -117,24 +116,29 @@ class _Waiting:
 
     def __init__(self, cases: Iterator[Case], is_finished: Callable[[str], bool]) -> None:
         self._cases, self._is_finished, self._back = cases, is_finished, list[list[Case]]()
+        self._parts: dict[frozenset[str] | None, list[Case]] = {}
 
     @property
     def given_back(self) -> bool:
         """True if a batch was taken in again."""
         return bool(self._back)
 
-    def take(self, count: int) -> list[Case]:
-        """Return the next batch, of so many cases less those that have a result; an empty one at the end.
+    def take(self, count: int, begun: Mapping[str, frozenset[str]]) -> list[Case]:
+        """Return the next batch of cases without a result, an empty one at the end.
 
-        Batches begin at the same cases whatever is finished, and the results of a job come together: so a job of a
-        client that left is found again by the cases it has.
+        What an earlier client handed out together stays together, so that its result is found, however many cases have
+        come between; of the others a batch has so many.
         """
         if self._back:
             return self._back.pop()
-        while batch := list(islice(self._cases, count)):
-            if left := [case for case in batch if not self._is_finished(case.content_hash)]:
-                return left
-        return []
+        for case in self._cases:
+            if not self._is_finished(one := case.content_hash):
+                task = begun.get(one)
+                part = self._parts.setdefault(task, [])
+                part.append(case)
+                if len(part) == (count if task is None else len(task)):
+                    return self._parts.pop(task)
+        return self._parts.popitem()[1] if self._parts else []
 
     def give_back(self, batch: list[Case]) -> None:
         """Take a batch in again that nobody has begun."""
@@ -164,7 +168,7 @@ def _run_together(waiting: _Waiting, engine: Engine, carry: Carry, keep: Keep) -
 def _fill(under_way: _UnderWay, waiting: _Waiting, workers: Workers, carry: Carry) -> None:
     """Hand out cases until there are enough under way."""
     most = workers.ahead * max(workers.capacity(), 1)
-    while len(under_way) < most and (batch := waiting.take(workers.batch)):
+    while len(under_way) < most and (batch := waiting.take(workers.batch, workers.begun)):
         try:
             under_way[workers.executor.submit(on_one_core, carry, batch)] = batch
         except BrokenExecutor:  # the futures that are under way will say so

@@ -21,6 +21,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.config import loads
 from jointid.uncertainty.covariance import bandwidth
+from jointid.uncertainty.identifiability import Known
 from jointid.uncertainty.resampling import BANDWIDTHS
 
 
@@ -130,6 +131,7 @@ def _identify(case: Case, path: Path, record_sha256: str) -> dict[str, Any]:
         "converged": bool(estimate.fit.converged),
         "error_percent": finite(100 * estimate.fit.filtered_error),
         "simulations": int(estimate.fit.simulations),
+        "truth": dict(_truth(estimate, case.varied)) if isinstance(case.varied, Simulated) else {},
     }
 
 
@@ -160,8 +162,25 @@ def _found(estimate: Estimate) -> Iterator[tuple[str, Found]]:
     for p in estimate.params:
         if p.of_joint:
             yield p.name, Found(finite(p.value), finite(p.stderr) if p.free else None, p.unit)
+    for name, one in _totals(estimate):
+        yield name, Found(finite(one.value), finite(one.std), one.combination.unit)
+
+
+def _truth(estimate: Estimate, asked: Simulated) -> Iterator[tuple[str, float]]:
+    """Yield what is true of each quantity that is found; one of another model than the simulated has no truth."""
+    values = dict(asked.values)
+    for p in estimate.params:
+        if p.of_joint and p.name in values:
+            yield p.name, values[p.name]
+    for name, one in _totals(estimate):
+        weights = one.combination.weights
+        if weights.keys() <= values.keys():
+            yield name, sum(weight * values[each] for each, weight in weights.items())
+
+
+def _totals(estimate: Estimate) -> Iterator[tuple[str, Known]]:
+    """Yield the sums of both sides, which are known where their parts are not."""
     known = estimate.checks.known
     for one in () if known is None else known.physical:
-        name = one.combination.name
-        if name.startswith("total "):
-            yield name.replace(" ", "_"), Found(finite(one.value), finite(one.std), one.combination.unit)
+        if one.combination.name.startswith("total "):
+            yield one.combination.name.replace(" ", "_"), one

@@ -208,7 +208,7 @@ def test_a_full_device_is_refused_before_anything_runs() -> None:
 
 OUTPUTS: dict[str, tuple[str, dict[str, str]]] = {
     "campaign export": ("results", {"--out": "x.csv"}),
-    "campaign report": ("results", {"--html": "x.html", "--markdown": "x.md"}),
+    "campaign report": ("results", {"--html": "x.html", "--markdown": "x.md", "--csv": "x.csv"}),
     "campaign run": ("campaign.toml", {"--out": "x"}),
     "campaign status": ("results", {}),
     "campaign work": ("campaign.toml --shard 1/2", {"--out": "x"}),

@@ -106,6 +106,7 @@ def report(
     details: Flag = False,
     html: Path | None = None,
     markdown: Path | None = None,
+    csv: Path | None = None,
 ) -> None:
     """Say what came of a campaign, while it runs and after: joints that drifted, distributions, outliers, scatter.
 
@@ -115,21 +116,26 @@ def report(
         details: all rows of every table, rather than a screen of them.
         html: also write all of it as one HTML page.
         markdown: also write all of it as Markdown.
+        csv: also write bias, scatter and coverage against the truth of simulated runs as a table.
     """
     from jointid.campaigns.report import report_of
+    from jointid.campaigns.truths import truth_csv
     from jointid.common.files import write_whole
     from jointid.output.report.page import page, require_extra
 
-    Outputs({"--html": html, "--markdown": markdown})
+    Outputs({"--html": html, "--markdown": markdown, "--csv": csv})
     if html is not None:
         require_extra(plots=False)
     found = report_of(results, false_alarm)
+    table = None if csv is None else truth_csv(found.against_truth)
     whole = found.document(details=True)
     show(found, details=details)
     if html is not None:
         write_whole(html, page(whole))
     if markdown is not None:
         write_whole(markdown, whole.markdown())
+    if csv is not None and table is not None:
+        write_whole(csv, table)
 
 
 def export(results: Path, /, *, out: Path) -> None:
@@ -164,7 +170,8 @@ def _engine(workers: int, dask: str | None, executor: str, shared: Path | None, 
     Raises:
         MethodError: what is asked for does not go together.
     """
-    from jointid.campaigns.engines import DaskCluster, LocalProcesses, SlurmJobs
+    from jointid.campaigns.engines import DaskCluster, LocalProcesses
+    from jointid.campaigns.slurm import SlurmJobs
 
     _require_workers(workers)
     if dask is not None and (workers or executor != "local"):
