@@ -19,6 +19,7 @@ from jointid.diagnostics.mechanics_faults import (
     LOAD_DEPENDENT_FRICTION,
     MECHANICS,
     SECOND_MODE,
+    WINDING_FRICTION,
 )
 from jointid.diagnostics.number_words import call, show_times_beside, tell_difference, tell_difference_in_drive
 from jointid.diagnostics.other_laws import PERIOD, OtherLaw
@@ -40,6 +41,7 @@ _NAMES = {
     BACKLASH: "a backlash",
     LOAD_DEPENDENT_FRICTION: "a friction that grows with the load's torque",
     CHANGING_FRICTION: "a friction that changes over the record",
+    WINDING_FRICTION: "a friction that winds up behind each reversal",
     SECOND_MODE: "a load that swings in itself",
     COGGING: "a force that comes back with the position",
 }
@@ -53,6 +55,7 @@ _LAWS = {  # that have what a test found
     CUBIC_SPRING: (ThreePieceSpring.name, CubicSpring.name), BACKLASH: (Backlash.name,), STRIBECK: _AT_LOW_SPEED,
     PRESLIDING: (PreslidingFriction.name, *_AT_LOW_SPEED), LOAD_DEPENDENT_FRICTION: (LoadDependentFriction.name,),
     CHANGING_FRICTION: (DriftingFriction.name,), SECOND_MODE: (ElasticLoad.name,),
+    WINDING_FRICTION: (PreslidingFriction.name,),
 }  # fmt: skip
 
 
@@ -287,22 +290,20 @@ def _describe_laws(law: OtherLaw, alike: Sequence[OtherLaw]) -> str:
 
 def _describe_mechanics(s: FaultTest, unit: str, torque: str, *, spread: bool) -> str:
     """Return what the mechanics have and their model has not; the size of what is large is larger, see the module."""
-    percent = _size(s, "%", spread=spread, factor=100.0)
-    if s.name == CUBIC_SPRING:
-        sense = "stiffer" if s.size > 0 else "softer"
-        by = f"{percent}or more " if percent else ""
-        return f"the spring is not linear: {by}{sense} at the largest torque than near none"
-    if s.name == BACKLASH:
-        return f"the transmission has a backlash of some {number(2 * s.size * (s.shape or 0.0), 2)} {unit} or more"
-    if s.name == COGGING:
-        size = f"of {found}" if (found := _size(s, torque, spread=spread)) else ""
-        return f"a force {size}comes back with the motor's position, every {number(s.shape, 3)} {unit}"
-    if s.name == SECOND_MODE:
-        return f"a part of the load swings on a spring of its own, somewhere about {number(s.shape, 2)} Hz"
-    if s.name == LOAD_DEPENDENT_FRICTION:
-        return f"the load's friction grows with its torque{f', by {percent}of it'.rstrip() if percent else ''}"
-    kind, sense = "Coulomb" if s.shape == COULOMB else "viscous", "falls" if s.size > 0 else "rises"
-    return f"the {kind} friction {sense} over the record{f', by {percent}'.rstrip() if percent else ''}"
+    percent, size = _size(s, "%", spread=spread, factor=100.0), _size(s, torque, spread=spread)
+    sense = "stiffer" if s.size > 0 else "softer"
+    more = f"{percent}or more " if percent else ""
+    kind, way = "Coulomb" if s.shape == COULOMB else "viscous", "falls" if s.size > 0 else "rises"
+    return {
+        CUBIC_SPRING: f"the spring is not linear: {more}{sense} at the largest torque than near none",
+        BACKLASH: f"the transmission has a backlash of some {number(2 * s.size * (s.shape or 0.0), 2)} {unit} or more",
+        SECOND_MODE: f"a part of the load swings on a spring of its own, somewhere about {number(s.shape, 2)} Hz",
+        LOAD_DEPENDENT_FRICTION: "the load's friction grows with its torque" + (f", by {percent}of it" * bool(percent)),
+        WINDING_FRICTION: f"friction winds up behind each reversal, over some {number(s.shape, 2)} {unit}",
+        CHANGING_FRICTION: f"the {kind} friction {way} over the record" + (f", by {percent.rstrip()}" * bool(percent)),
+        COGGING: f"a force {f'of {size}' * bool(size)}comes back with the motor's position, every "
+        f"{number(s.shape, 3)} {unit}",
+    }[s.name]
 
 
 def _size(s: FaultTest, unit: str, *, spread: bool, factor: float = 1.0) -> str:

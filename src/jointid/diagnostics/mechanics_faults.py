@@ -7,6 +7,7 @@ begins with, per unit of its size:
 - ``backlash``: the spring pushes only behind a gap; the size says how many gaps of a width that is tried;
 - ``second_mode``: this share of the load swings on a spring of its own, at a few times the first mode;
 - ``load_dependent_friction``: the load's friction grows by this share of the torque that drives it;
+- ``winding_friction``: Coulomb friction winds up behind each reversal, over a displacement that is tried;
 - ``changing_friction``: this share of the viscous, or of the Coulomb, friction is lost between the first sample and the
   last;
 - ``cogging``: a force of this size comes back with the motor's position, of a period that is looked for (`cogging`).
@@ -30,7 +31,13 @@ from jointid.common.messages import silent
 from jointid.diagnostics.fault_signature import FaultSignature
 from jointid.estimation.methods.search import History, least_squares
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.models.friction import PARTS, DriftingFriction, LoadDependentFriction, SymmetricFriction
+from jointid.models.friction import (
+    PARTS,
+    DriftingFriction,
+    LoadDependentFriction,
+    PreslidingFriction,
+    SymmetricFriction,
+)
 from jointid.models.joints import FlexibleJoint, frictions_beside, springs_beside
 from jointid.models.springs import Backlash, CubicSpring, ElasticLoad, ThreePieceSpring
 from jointid.simulation.closed_loop import Simulation, in_threads
@@ -38,13 +45,23 @@ from jointid.simulation.closed_loop import Simulation, in_threads
 CUBIC_SPRING, BACKLASH, SECOND_MODE = "cubic_spring", "backlash", "second_mode"
 COGGING = "cogging"
 LOAD_DEPENDENT_FRICTION, CHANGING_FRICTION = "load_dependent_friction", "changing_friction"
-MECHANICS = (CUBIC_SPRING, BACKLASH, SECOND_MODE, LOAD_DEPENDENT_FRICTION, CHANGING_FRICTION, COGGING)
-ONE_SIDED = (BACKLASH, SECOND_MODE, COGGING, LOAD_DEPENDENT_FRICTION)  # their size can only be positive
+WINDING_FRICTION = "winding_friction"
+MECHANICS = (
+    CUBIC_SPRING, BACKLASH, SECOND_MODE, LOAD_DEPENDENT_FRICTION, WINDING_FRICTION, CHANGING_FRICTION, COGGING,
+)  # fmt: skip
+ONE_SIDED = (
+    BACKLASH,
+    SECOND_MODE,
+    COGGING,
+    LOAD_DEPENDENT_FRICTION,
+    WINDING_FRICTION,
+)  # their size can only be positive
 
 VISCOUS, COULOMB = 1.0, 0.0  # shapes of a friction that changes
 
 _SHARE, _MODES = 0.25, (1.4, 1.8, 2.3, 3.0, 4.0)  # of the load that swings, at times the first mode
 _WILD = 10.0  # times the torque: a loop that is unstable with a fault so large is not that of the record
+_DISTANCES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)  # of the travel, over which friction winds up
 _LOSS, _LOST = 0.03, 0.2  # of the load's torque, and of a friction at the end
 _LEAST = 0.05  # of the load: a smaller part rings at any frequency that the noise has, and moves no other parameter
 _ROUGHLY, _FEW = 1e-4, 20  # tolerance and evaluations of a search that only has to show whether there is something
@@ -203,6 +220,11 @@ def _try_frictions(joint: FlexibleJoint, run: Simulation, values: Mapping[str, f
         if isinstance(law, LoadDependentFriction):
             grows = still | {"load_friction_per_torque": _LOSS}
             yield _Trial(LOAD_DEPENDENT_FRICTION, other, grows, _LOSS, without=without)
+        elif law == PreslidingFriction() and plain:
+            travel = float(np.ptp(run.motor_position))
+            for share in _DISTANCES:
+                distances = {f"{side}presliding_distance": share * travel for side in _SIDES}
+                yield _Trial(WINDING_FRICTION, other, still | distances, 1.0, share * travel)
         elif isinstance(law, DriftingFriction):
             for part, shape in zip(PARTS, (VISCOUS, COULOMB), strict=True):
                 falls = {f"{side}{part}_drift": -_LOST * mean[f"{side}{part}"] / duration for side in _SIDES}

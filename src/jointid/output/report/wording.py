@@ -14,6 +14,7 @@ _SUSPECTS = {
     "cubic_spring": "spring that is not linear",
     "load_dependent_friction": "friction that grows with the load's torque",
     "changing_friction": "friction that falls over the record",
+    "winding_friction": "friction that winds up behind each reversal",
     "second_mode": "load that swings in itself",
     "cogging": "force that comes back with the position",
     "limit": "limit of the controller's output",
