@@ -40,6 +40,12 @@ FAULTS = (
     "none", "cubic spring", "backlash", "load-dependent friction", "changing friction", "presliding", "cogging",
     "second mode", "spring in pieces", "stribeck",
 )  # fmt: skip
+RIGHT = {  # what the check should call them
+    "cubic spring": ("cubic_spring",), "spring in pieces": ("cubic_spring",), "backlash": ("backlash",),
+    "load-dependent friction": ("load_dependent_friction",), "changing friction": ("changing_friction",),
+    "presliding": ("winding_friction", "presliding"), "cogging": ("cogging",), "second mode": ("second_mode",),
+    "stribeck": ("stribeck", "presliding"),
+}  # fmt: skip
 _STEP = 1e-5  # s
 
 # What the simulation reads, by its place in a row: the drive, then what is wrong with it.
@@ -353,7 +359,7 @@ def summarise(runs: Sequence[Said]) -> str:
     """Return a row for each fault: how far stiffnesses are off, how many are silent, and what is named first."""
     lines = [
         "fault, drives, given; off by %, median and 90 %; deviations, the same; relied on, silent; residuals that "
-        "follow the motion; named first"
+        "follow the motion; named right first, else and more than 2 deviations off; named first"
     ]
     for fault in dict.fromkeys(run.fault for run in runs):
         here = [run for run in runs if run.fault == fault]
@@ -362,10 +368,13 @@ def summarise(runs: Sequence[Said]) -> str:
         z = np.abs([run.z for run in given if run.z is not None])
         sizes = [f"{np.median(a):.2g} {np.quantile(a, 0.9):.2g}" for a in (off, z) if a.size]
         relied = sum(run.trust.startswith("reliable") for run in given)
+        right = [bool(run.named) and run.named[0] in RIGHT.get(fault, ()) for run in here]
+        missed = sum(not named and run.z is not None and abs(run.z) > 2 for run, named in zip(here, right, strict=True))
         named = Counter(run.named[0] if run.named else "nothing" for run in here).most_common()
         lines.append(
             f"{fault}, {len(here)}, {len(given)}; {'; '.join(sizes)}; {relied}, {sum(run.silent for run in given)}; "
-            f"{sum(run.follows for run in given)}; " + ", ".join(f"{name} {count}" for name, count in named)
+            f"{sum(run.follows for run in given)}; {sum(right)}, {missed}; "
+            + ", ".join(f"{name} {count}" for name, count in named)
         )
     return "\n".join(lines)
 
