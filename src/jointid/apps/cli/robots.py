@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from jointid.config.robot_file import RobotFile
     from jointid.estimation.robots.idim import RobotEstimate
     from jointid.estimation.robots.torque_only import RobotTorqueEstimate
+    from jointid.records.record import Record
 
 
 def is_robot(path: Path) -> bool:
@@ -42,7 +43,7 @@ def identify_robot_file(
     """Identify all joints of a robot file from one record."""
     if len(records) > 1:
         raise MethodError(f"A robot is identified from one record; received {len(records)}: name one.")
-    _, estimate = _identified(path, changes, outputs, progress, records[0] if records else None)
+    _, _, estimate = _identified(path, changes, outputs, progress, records[0] if records else None)
     deliver(estimate, json, details=details)
 
 
@@ -79,11 +80,27 @@ def validate_robot_file(path: Path, options: Options, outputs: Outputs) -> None:
             "A robot's estimate is held against a record that it has not seen; expected --record OTHER, beside the "
             "record that the robot file names."
         )
-    file, estimate = _identified(path, options.changes, outputs, options.progress)
+    file, _, estimate = _identified(path, options.changes, outputs, options.progress)
     if isinstance(estimate, RobotEstimate):
         found = validate_robot(estimate, file.records(options.record))
     else:
         found = validate_robot_torques(estimate, file.driven(options.record))
+    deliver(found, options.json)
+
+
+def diagnose_robot_file(path: Path, options: Options) -> None:
+    """Identify a robot, and say what its record tells of each joint and whether its loops are as declared."""
+    from jointid.diagnostics.robots.diagnose import diagnose_robot
+
+    outputs = options.outputs
+    outputs.spare("JOINT", path)
+    if not is_robot(path):
+        raise MethodError(
+            f"{path} is no robot file, which has the table [robot]; of a joint file one question is asked: jointid "
+            "diagnose --help lists them."
+        )
+    file, records, estimate = _identified(path, options.changes, outputs, options.progress, options.record)
+    found = diagnose_robot(estimate, records, [one.controller for one in file.joints], feed_forward=file.feed_forward)
     deliver(found, options.json)
 
 
@@ -94,7 +111,7 @@ def export_robot_file(path: Path, changes: Sequence[str], out: Path) -> None:
     from jointid.estimation.robots.idim import RobotEstimate
     from jointid.output.export.robot_model import write_robot
 
-    _, estimate = _identified(path, changes, Outputs({"--out": out}), silent)
+    _, _, estimate = _identified(path, changes, Outputs({"--out": out}), silent)
     if not isinstance(estimate, RobotEstimate):
         raise MethodError(
             "Bodies are fitted to an estimate by IDIM, of motor positions, and this robot file asks for DIDIM; add "
@@ -125,14 +142,15 @@ def _loaded(path: Path, changes: Sequence[str], outputs: Outputs, record: Path |
 
 def _identified(
     path: Path, changes: Sequence[str], outputs: Outputs, progress: Progress, record: Path | None = None
-) -> tuple[RobotFile, RobotEstimate | RobotTorqueEstimate]:
+) -> tuple[RobotFile, tuple[Record, ...], RobotEstimate | RobotTorqueEstimate]:
+    """Identify a robot as its file says; return what the file says, and the record, too."""
     from jointid.estimation.robots.idim import RobotIDIM, identify_robot
     from jointid.estimation.robots.torque_only import identify_robot_from_torques
 
     file = _loaded(path, changes, outputs, record)
     if isinstance(file.method, RobotIDIM):
-        return file, identify_robot(file.robot, file.records(record), file.method, filtering=file.filtering)
-    found = identify_robot_from_torques(
-        file.loop, file.driven(record), file.method, filtering=file.filtering, progress=progress
-    )
-    return file, found
+        records = file.records(record)
+        return file, records, identify_robot(file.robot, records, file.method, filtering=file.filtering)
+    records = file.driven(record)
+    found = identify_robot_from_torques(file.loop, records, file.method, filtering=file.filtering, progress=progress)
+    return file, records, found

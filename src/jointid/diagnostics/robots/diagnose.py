@@ -87,7 +87,7 @@ class JointDiagnosis:
             return None
         found = self.law
         in_time = found.late == 0.0 and abs(found.gain - 1.0) < _GAIN
-        return found.left < _OF_LAW or (found.left < _BEYOND_NOISE * found.noise and in_time)
+        return in_time and found.left < max(_OF_LAW, _BEYOND_NOISE * found.noise)
 
     @property
     def _one_thing(self) -> bool:
@@ -248,27 +248,25 @@ class RobotDiagnosis(Documented):
         Args:
             details: whether the parameters that are not told are listed in full.
         """
-        rows = tuple(_row(self.robot, k, one) for k, one in enumerate(self.joints))
-        header: tuple[str, ...] = (
-            "joint",
-            "left, %",
-            "white",
-            "told",
-            "roughly",
-            "not told",
-            "travel",
-            "peak speed",
-            "moving, %",
-        )
-        if self.as_declared is not None:
+        header: tuple[str, ...] = ("joint", "left, %", "white", "told", "roughly", "not told")
+        if any(one.law for one in self.joints):
             header = (*header, "controller leaves, %", "any law, %")
-        else:
-            rows = tuple(row[:-2] for row in rows)
-        caption = "left of each joint's filtered torque; parameters by how well the record tells them"
+        rows = tuple(_row(one)[: len(header)] for one in self.joints)
+        caption = "left of each joint's filtered torque, and parameters by how well the record tells them"
+        motion = tuple(
+            (
+                one.name,
+                f"{number(one.travel, 3)} {self.robot.position_unit(k)}",
+                f"{number(one.speed, 3)} {self.robot.position_unit(k)}/s",
+                f"{100 * one.moving:.0f}",
+            )
+            for k, one in enumerate(self.joints)
+        )
         good = self.explained and self.as_declared is not False
         blocks: list[Block] = [
             Paragraph(self.answer, lead=True, tone="good" if good else "bad"),
-            Table(header, rows, caption, (0, 2, 6, 7)),
+            Table(header, rows, caption, (0, 2)),
+            Table(("joint", "travel", "peak speed", "moving, %"), motion, "motion of the motors, behind their gears"),
             *((Heading("What to do"), Listing(self.sentences)) if self.sentences else ()),
         ]
         if details:
@@ -338,18 +336,11 @@ def _percent(share: float) -> str:
     return f"{100 * share:.3g} %"
 
 
-def _row(robot: Robot, k: int, one: JointDiagnosis) -> tuple[str, ...]:
-    unit = robot.position_unit(k)
+def _row(one: JointDiagnosis) -> tuple[str, ...]:
     white = "-" if one.whiteness is None else "yes" if one.whiteness.white else "no"
     law = ("-", "-") if one.law is None else (f"{100 * one.law.left:.3g}", f"{100 * one.law.noise:.2g}")
-    counts = (
-        str(len(one.names(Known.TOLD))), str(len(one.names(Known.ROUGHLY))),
-        str(len(one.names(Known.NOT, Known.REFUSED))),
-    )  # fmt: skip
-    return (
-        one.name, f"{100 * one.left:.3g}", white, *counts, f"{number(one.travel, 3)} {unit}",
-        f"{number(one.speed, 3)} {unit}/s", f"{100 * one.moving:.0f}", *law,
-    )  # fmt: skip
+    told = (one.names(Known.TOLD), one.names(Known.ROUGHLY), one.names(Known.NOT, Known.REFUSED))
+    return (one.name, f"{100 * one.left:.3g}", white, *(str(len(names)) for names in told), *law)
 
 
 def _followed(torques: RobotTorques, joint: int) -> tuple[str, Coupling] | None:

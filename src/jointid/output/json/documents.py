@@ -340,6 +340,22 @@ SHAPES: Mapping[str, Shape] = {
         "nominal_left": "nominal_errors",
         "bodies_left": "body_errors",
     },
+    "RobotDiagnosis": {
+        "schema": always("jointid.robot_diagnosis/1"),
+        "robot": "robot.name",
+        **same("method", "answer", "explained", "as_declared", "feed_forward", "sentences", "joints"),
+    },
+    "JointDiagnosis": {
+        **same("name", "left", "explained"),
+        "white": "whiteness.white",
+        "follows": lambda joint: None if joint.follows is None else joint.follows[0],
+        "follows_share": lambda joint: None if joint.follows is None else joint.follows[1].explained,
+        **same("travel", "speed", "moving", "law_holds"),
+        "law": "law",
+        "parameters": lambda joint: {one.name: one for one in joint.parameters},
+    },
+    "ParameterOfJoint": same("value", "std", "unit", "nominal", "formula", "known", "at_least"),
+    "LawOnPosition": same("left", "gain", "late", "left_in_time", "noise"),
     # Files and reports
     "Inspection": {
         "schema": always("jointid.inspection/1"),
