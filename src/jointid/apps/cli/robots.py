@@ -1,4 +1,4 @@
-"""What the commands do with a robot file, which has the table [robot]: identify, validate and export all joints."""
+"""What the commands do with a robot file, which has the table [robot]."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from jointid.config.robot_file import RobotFile
     from jointid.estimation.robots.idim import RobotEstimate
     from jointid.estimation.robots.torque_only import RobotTorqueEstimate
+    from jointid.estimation.robots.validation import RobotValidation
     from jointid.records.record import Record
 
 
@@ -71,21 +72,36 @@ def simulate_robot_file(path: Path, options: Options, out: Path | None, outputs:
 
 def validate_robot_file(path: Path, options: Options, outputs: Outputs) -> None:
     """Identify a robot from the record that its file names, and hold the estimate against another one."""
-    from jointid.estimation.robots.idim import RobotEstimate
-    from jointid.estimation.robots.torque_only import validate_robot_torques
-    from jointid.estimation.robots.validation import validate_robot
-
     if options.record is None:
         raise MethodError(
             "A robot's estimate is held against a record that it has not seen; expected --record OTHER, beside the "
             "record that the robot file names."
         )
     file, _, estimate = _identified(path, options.changes, outputs, options.progress)
+    source = Path(file.joints[0].record_path())
+    deliver(_held_out(file, estimate, source, options.record), options.json)
+
+
+def _held_out(
+    file: RobotFile, estimate: RobotEstimate | RobotTorqueEstimate, source: Path, other: Path
+) -> RobotValidation:
+    """Hold an estimate against another record than its own.
+
+    Raises:
+        MethodError: it is its own.
+    """
+    from jointid.estimation.robots.idim import RobotEstimate
+    from jointid.estimation.robots.torque_only import validate_robot_torques
+    from jointid.estimation.robots.validation import validate_robot
+
+    if other.exists() and source.exists() and (source.samefile(other) or source.read_bytes() == other.read_bytes()):
+        raise MethodError(
+            f"{other.name} is the record that the estimate is from, or a copy of it; expected one that it has not "
+            "seen, since any estimate predicts its own: give another."
+        )
     if isinstance(estimate, RobotEstimate):
-        found = validate_robot(estimate, file.records(options.record))
-    else:
-        found = validate_robot_torques(estimate, file.driven(options.record))
-    deliver(found, options.json)
+        return validate_robot(estimate, file.records(other))
+    return validate_robot_torques(estimate, file.driven(other))
 
 
 def diagnose_robot_file(path: Path, options: Options) -> None:
@@ -102,6 +118,36 @@ def diagnose_robot_file(path: Path, options: Options) -> None:
     file, records, estimate = _identified(path, options.changes, outputs, options.progress, options.record)
     found = diagnose_robot(estimate, records, [one.controller for one in file.joints], feed_forward=file.feed_forward)
     deliver(found, options.json)
+
+
+def report_robot_file(
+    path: Path, options: Options, page: Path | None, markdown: Path | None, figures: Path | None, held_out: Path | None,
+    outputs: Outputs,
+) -> None:  # fmt: skip
+    """Identify a robot, and report it as one page, held against another record where one is given."""
+    from jointid.output.report import repetition
+    from jointid.output.report.robots import RobotReport
+
+    outputs.spare("--held-out", held_out)
+    file, records, estimate = _identified(path, options.changes, outputs, options.progress, options.record)
+    source = Path(file.joints[0].record_path(options.record))
+    found = None if held_out is None else _held_out(file, estimate, source, held_out)
+    html = "report.html" if page is None else page.name
+    again = repetition(path, source, {"held_out": held_out and held_out.name}, options.changes, html)
+    told = RobotReport.of(
+        estimate, records, [one.controller for one in file.joints], found, feed_forward=file.feed_forward,
+        repetition=again,
+    )  # fmt: skip
+    written = [] if page is None else [told.save(page)]
+    written += [] if markdown is None else [told.save_markdown(markdown)[0]]
+    written += [] if figures is None else [*told.save_figures(figures)]
+    written += [] if options.json is None else [options.json]
+    deliver(told.estimate if found is None else found, None)
+    if options.json is not None:
+        from jointid.common.files import write_whole
+
+        write_whole(options.json, told.answer())
+    show("\nWritten: " + ", ".join(map(str, written)))
 
 
 def export_robot_file(path: Path, changes: Sequence[str], out: Path) -> None:

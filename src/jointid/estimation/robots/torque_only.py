@@ -80,24 +80,29 @@ class RobotTorqueEstimate(Documented):
 
     @property
     def params(self) -> Mapping[str, float]:
-        """The values by their names; without stiffnesses that are refused."""
-        refused = {f"{one.joint}.stiffness" for one in self.springs if not one.shown}
-        values = zip(self.fit.names, self.fit.values, strict=True)
+        """The values by their names; without the springs that are refused."""
+        values, refused = zip(self.fit.names, self.fit.values, strict=True), self._refused
         return {name: float(value) for name, value in values if name not in refused}
 
     @property
     def rows(self) -> Mapping[str, Mapping[str, float | str | None]]:
-        """Value, deviation and unit of each parameter, by its name; a stiffness that is refused has its bound."""
+        """Value, deviation and unit of each parameter, by its name; of a spring that is refused a bound at most."""
         found: dict[str, Mapping[str, float | str | None]] = {}
-        units = parameter_units(self.robot, self.fit.parameters)
-        least = {f"{one.joint}.stiffness": one.at_least for one in self.springs if not one.shown}
+        units, refused = parameter_units(self.robot, self.fit.parameters), self._refused
         for name, value, std in zip(self.fit.names, self.fit.values, self.fit.covariance.std, strict=True):
             unit = units[name]
-            if name in least:
-                found[name] = {"value": None, "std": None, "unit": unit, "at_least": float(least[name])}
+            if name in refused:
+                found[name] = {"value": None, "std": None, "unit": unit, "at_least": refused[name]}
             else:
                 found[name] = {"value": float(value), "std": float(std), "unit": unit, "at_least": None}
         return found
+
+    @property
+    def _refused(self) -> dict[str, float | None]:
+        """Bound of each parameter that is refused, by its name; the damping of a spring that is not shown has none."""
+        joints = [one for one in self.springs if not one.shown]
+        bounds: dict[str, float | None] = {f"{one.joint}.stiffness": float(one.at_least) for one in joints}
+        return bounds | {f"{one.joint}.damping": None for one in joints}
 
     def numbers(self) -> RobotNumbers:
         """Return the robot that was identified, as it is simulated."""
@@ -115,12 +120,12 @@ class RobotTorqueEstimate(Documented):
             ("method", f"DIDIM of a robot, from torques and references alone, {kind}"),
             ("search", f"{settled} after {self.fit.iterations} {'simulations' if self.springs else 'iterations'}"),
         )
-        rows, units = [], parameter_units(self.robot, self.fit.parameters)
-        least = {f"{one.joint}.stiffness": one.at_least for one in self.springs if not one.shown}
+        rows, units, refused = [], parameter_units(self.robot, self.fit.parameters), self._refused
         for name, value, std in zip(self.fit.names, self.fit.values, self.fit.covariance.std, strict=True):
             share = std / max(abs(value), 1e-300)
-            if name in least:
-                rows.append((name, f"at least {number(least[name], 3)}", units[name], ""))
+            if name in refused:
+                if (least := refused[name]) is not None:
+                    rows.append((name, f"at least {number(least, 3)}", units[name], ""))
             elif details or share < _TOLD:
                 shown = interval(float(value), _TWO * float(std))
                 rows.append((name, shown, units[name], f"{100 * share:.2g}"))
