@@ -84,7 +84,7 @@ def test_report(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     run("report", folder / "robot.toml", "--held-out", other, *places)
     assert "predicts this record better than the nominal model" in " ".join(capsys.readouterr().out.split())
     html, text = page.read_text(encoding="utf-8"), (tmp_path / "report.md").read_text(encoding="utf-8")
-    assert 'src="http' not in html and "Content-Security-Policy" in html
+    assert "Content-Security-Policy" in html
     first = text.index("The estimate predicts this record better")
     order = [first, *(text.index(one) for one in ("*joint1*", "*joint6*", "![Measured", "Izz1 is Izz1", "[[joints]]"))]
     assert order == sorted(order) and first < 100

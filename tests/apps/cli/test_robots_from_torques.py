@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jointid.apps.cli.app import app
-from jointid.common.errors import JointFileError, MethodError
+from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.output.export.robot_model import robot_mjcf
 from tests.robots_plants import Twin, six, two
 
@@ -119,6 +119,27 @@ def test_two_flexible_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str])
         row = answer["parameters"][f"{one.name}.stiffness"]
         assert row["unit"] == "N m/rad"
         assert abs(row["value"] - one.spring.stiffness) < 4 * row["std"] < 0.2 * one.spring.stiffness
+
+
+def test_a_test_is_planned_and_played(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_files(tmp_path, two(), 3.0)
+    joint, out = tmp_path / "robot.toml", tmp_path / "test"
+    with pytest.raises(RecordError, match="torque"):  # no limits, so that a first record is asked, which has no torque
+        run("design", joint, "--seconds", "1")
+    limits = "limits = { lower = -1.0, upper = 1.0, speed = 2.0, torque = 60.0 }\n"
+    text = joint.read_text(encoding="utf-8").replace("[[joints]]\n", f"[[joints]]\n{limits}")
+    joint.write_text(text, encoding="utf-8")
+    run("design", joint, "--seconds", "1", "--duration", "4", "--out", out, "--json", tmp_path / "a.json")
+    assert "13 parameters to a tenth" in capsys.readouterr().out
+    answer = json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))
+    assert answer["schema"] == "jointid.robot_design/1" and answer["samples"] == 4000 and not answer["of_record"]
+    assert answer["reached"][0]["upper"] < 1.0 and not answer["passed"]
+    run("simulate", joint, "--record", out / "motion.csv", "--out", tmp_path / "log.csv")
+    run("design", joint, "--seconds", "1", "--record", tmp_path / "log.csv")
+    assert "of the present motion's on the geometric mean" in " ".join(capsys.readouterr().out.split())
+    run("design", joint, "--motion", out / "motion.csv")
+    with pytest.raises(MethodError, match="--stroke is for a joint file"):
+        run("design", joint, "--stroke", "1")
 
 
 def test_what_is_refused(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jointid.apps.cli.console import Options, deliver, show
+from jointid.apps.cli.console import Options, deliver, make_folder, show
 from jointid.apps.cli.places import Outputs
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, silent
@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from jointid.estimation.robots.torque_only import RobotTorqueEstimate
     from jointid.estimation.robots.validation import RobotValidation
     from jointid.records.record import Record
+
+
+_SAMPLE_TIME, _DURATION = 1e-3, 10.0  # s, of a test where no file and no record says them
 
 
 def is_robot(path: Path) -> bool:
@@ -173,6 +176,47 @@ def export_robot_file(path: Path, changes: Sequence[str], out: Path) -> None:
     for one in lost:
         show(f"Left out: {one}.")
     show(f"Written: {out}")
+
+
+def design_robot_file(
+    path: Path, options: Options, duration: float | None, seconds: float, motion: Path | None, out: Path | None,
+    figure: Path | None, outputs: Outputs,
+) -> None:  # fmt: skip
+    """Plan the motion that tells most of a robot, beside that of a first record where there is one."""
+    import numpy as np
+
+    from jointid import figures
+    from jointid.common.files import write_whole
+    from jointid.estimation.robots.idim import RobotIDIM
+    from jointid.planning.robots.design import design_robot_test
+    from jointid.planning.robots.first_record import first_record
+
+    outputs.spare("--motion", motion)
+    file = _loaded(path, options.changes, outputs, options.record)
+    first = own = None
+    sample_time = file.joints[0].source.sample_time or _SAMPLE_TIME
+    if motion is not None:
+        played = [record.reference for record in file.driven(motion, logged=False)]
+        given = [one for one in played if one is not None]
+        own = np.column_stack([one.values for one in given]) @ np.linalg.inv(file.robot.coupling).T
+        sample_time = given[0].sample_time
+        duration = len(own) * sample_time
+    elif options.record is not None or not all(one.complete for one in file.limits):
+        _, records, estimate = _identified(path, options.changes, outputs, options.progress, options.record)
+        first = first_record(estimate, records)
+        sample_time = first.sample_time
+    found = design_robot_test(
+        file.robot, file.limits, duration=duration or (_DURATION if first is None else first.duration),
+        sample_time=sample_time, loop=None if isinstance(file.method, RobotIDIM) else file.loop,
+        noise=None if first is None else first.noise, present=None if first is None else first.motion, motion=own,
+        filtering=file.filtering, seconds=seconds, progress=options.progress,
+    )  # fmt: skip
+    deliver(found, options.json, (figure, figures.draw))
+    if out is not None:
+        make_folder(out, "--out")
+        file.write(found.records(), out / "motion.csv")
+        write_whole(out / "design.md", found.document().markdown())
+        show(f"\nWritten to {out}: motion.csv, design.md")
 
 
 def _loaded(path: Path, changes: Sequence[str], outputs: Outputs, record: Path | None = None) -> RobotFile:

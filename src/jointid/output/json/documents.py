@@ -356,6 +356,24 @@ SHAPES: Mapping[str, Shape] = {
     },
     "ParameterOfJoint": same("value", "std", "unit", "nominal", "formula", "known", "at_least"),
     "LawOnPosition": same("left", "gain", "late", "left_in_time", "noise"),
+    "RobotDesign": {
+        "schema": always("jointid.robot_design/1"),
+        "robot": "robot.name",
+        "joints": "robot.names",
+        **same("sentence", "sample_time"),
+        "samples": lambda design: len(design.reference),
+        "parameters": lambda design: {
+            name: {
+                "about": float(design.values[i]),
+                "std": float(design.std[i]),
+                "present_std": None if design.present_std is None else float(design.present_std[i]),
+                "unit": design.units[i],
+            }
+            for i, name in enumerate(design.names)
+        },
+        **same("noise", "of_record", "limits", "reached", "passed", "modes", "tried"),
+    },
+    "JointLimits": same("lower", "upper", "speed", "acceleration", "torque"),
     # Files and reports
     "Inspection": {
         "schema": always("jointid.inspection/1"),
