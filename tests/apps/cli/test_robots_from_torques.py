@@ -121,6 +121,24 @@ def test_two_flexible_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str])
         assert abs(row["value"] - one.spring.stiffness) < 4 * row["std"] < 0.2 * one.spring.stiffness
 
 
+def test_a_joint_without_gains_falls_and_that_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_files(tmp_path, two(), 2.0)
+    joint, found = tmp_path / "robot.toml", tmp_path / "found.json"
+    run("simulate", joint, "--json", found)
+    assert "does not follow" not in capsys.readouterr().out
+    answer = json.loads(found.read_text(encoding="utf-8"))
+    assert answer["schema"] == "jointid.robot_simulation/1" and answer["outcome"] == "finished"
+    assert answer["samples"] == 2000 and len(answer["peak_torque"]) == 2 and answer["strays"] == {}
+    lines = joint.read_text(encoding="utf-8").splitlines()
+    first = next(i for i, line in enumerate(lines) if line.startswith("position_gain"))
+    last = next(i for i, line in enumerate(lines) if i > first and line.startswith("position_gain"))
+    lines[last : last + 2] = ["position_gain = 0.0", "derivative_gain = 0.0"]
+    joint.write_text("\n".join(lines), encoding="utf-8")
+    run("simulate", joint, "--json", found)
+    assert "joint2 does not follow its reference: it gets " in capsys.readouterr().out
+    assert list(json.loads(found.read_text(encoding="utf-8"))["strays"]) == ["joint2"]
+
+
 def test_a_test_is_planned_and_played(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_files(tmp_path, two(), 3.0)
     joint, out = tmp_path / "robot.toml", tmp_path / "test"

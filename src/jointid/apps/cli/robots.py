@@ -53,7 +53,9 @@ def identify_robot_file(
 
 def simulate_robot_file(path: Path, options: Options, out: Path | None, outputs: Outputs) -> None:
     """Simulate a robot under its controllers along the references of a record, and write what its drives would log."""
-    from jointid.simulation.robots import RobotOutcome, robot_records, simulate_robot
+    from jointid.output.json import documents
+    from jointid.output.json import write as write_answer
+    from jointid.simulation.robots import RobotOutcome, robot_records, simulate_robot, strays
 
     file = _loaded(path, options.changes, outputs, options.record)
     loop, records = file.loop, file.driven(options.record, logged=False)
@@ -68,9 +70,17 @@ def simulate_robot_file(path: Path, options: Options, out: Path | None, outputs:
         f"{len(found.torque)} samples of {found.sample_time:g} s, {found.events} reversals, stops and starts; peak "
         f"torques: {peaks}"
     )
+    astray = strays(records, found)
+    for k, off in astray.items():
+        show(
+            f"{file.robot.names[k]} does not follow its reference: it gets {off:.3g} {file.robot.position_unit(k)} off "
+            "it; check its controller's gains and limit, and its signs."
+        )
     if out is not None:
         file.write(robot_records(loop, records, found), out)
         show(f"Written: {out}")
+    if options.json is not None:
+        write_answer(documents.robot_simulation_answer(file.robot, found, astray), options.json)
 
 
 def validate_robot_file(path: Path, options: Options, outputs: Outputs) -> None:
