@@ -338,6 +338,13 @@ def _robot(said: RobotFileTable, folder: Path) -> Robot:
             f"joints lists {', '.join(names)}; expected each joint after the one that carries it: write them as "
             f"{', '.join(ordered.names)}."
         )
+    down = -np.linalg.norm(ordered.gravity) * np.array([0.0, 0.0, 1.0])
+    if any(said.robot.base) and np.linalg.norm(ordered.gravity - down) > _UPRIGHT * np.linalg.norm(down):
+        raise JointFileError(
+            f"robot.base turns the model, whose own gravity is turned already ({_three(ordered.gravity)} m/s2), as in "
+            "an export of a robot on a turned base; expected one of both: leave base out, or set the model's gravity "
+            "to 0 0 -9.81."
+        )
     try:
         joints = tuple(table.joint(joint) for table, joint in zip(said.joints, ordered.joints, strict=True))
         turned = _base(said.robot.base).T @ ordered.gravity
@@ -346,6 +353,10 @@ def _robot(said: RobotFileTable, folder: Path) -> Robot:
         return replace(ordered, joints=joints, gravity=turned, name=said.robot.name or ordered.name)
     except JointidError as error:
         raise JointFileError(f"joints: {error}") from error
+
+
+def _three(values: FloatArray) -> str:
+    return " ".join(f"{value:.4g}" for value in values)
 
 
 def _base(angles: list[float]) -> FloatArray:

@@ -31,6 +31,10 @@ from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.robots import RobotLoop, RobotNumbers, RobotOutcome, run_robot
 
+_WITHOUT = (
+    "No joint shows a spring in this record: leave the springs out of the robot file and identify it as rigid, or "
+    "excite the modes. How friction and inertia are split between motors and links below is not to be used."
+)
 _TWO = 2.0  # standard deviations of an interval
 _TOLD = 1.0  # relative deviation: a parameter that is known worse is not told from 0
 
@@ -104,6 +108,11 @@ class RobotTorqueEstimate(Documented):
         bounds: dict[str, float | None] = {f"{one.joint}.stiffness": float(one.at_least) for one in joints}
         return bounds | {f"{one.joint}.damping": None for one in joints}
 
+    @property
+    def _no_spring(self) -> bool:
+        """Whether springs were looked for, and none was found."""
+        return bool(self.springs) and not any(one.shown for one in self.springs)
+
     def numbers(self) -> RobotNumbers:
         """Return the robot that was identified, as it is simulated."""
         return self.fit.parameters.numbers(self.fit.values)
@@ -134,6 +143,7 @@ class RobotTorqueEstimate(Documented):
         return Document(
             f"{self.robot.name}: {len(self.fit.names)} parameters of {len(self.robot)} joints",
             (
+                *((Paragraph(_WITHOUT, lead=True, tone="bad"),) if self._no_spring else ()),
                 *(Paragraph(f"{one}.", lead=True, tone="good" if one.shown else "open") for one in self.springs),
                 Facts(facts),
                 errors_table(
