@@ -10,7 +10,7 @@ import pytest
 
 from jointid.common.arrays import FloatArray
 from jointid.diagnostics.robots.diagnose import RobotDiagnosis, diagnose_robot
-from jointid.diagnostics.robots.parameters import Known, parameters_by_joint
+from jointid.diagnostics.robots.parameters import Told, parameters_by_joint
 from jointid.diagnostics.robots.torques import FRICTION
 from jointid.estimation.robots.didim import identify_rigid_robot
 from jointid.estimation.robots.idim import identify_robot
@@ -53,7 +53,7 @@ def test_a_model_that_holds_leaves_noise() -> None:
     assert found.as_declared is None
     assert "Whether the controllers are as declared is not asked" in found.answer
     assert all(one.whiteness is not None and one.whiteness.white for one in found.joints)
-    told = [name for one in found.joints for name in one.names(Known.TOLD)]
+    told = [name for one in found.joints for name in one.names(Told.TOLD)]
     assert len(told) > 30
     assert any("does not tell from 0" in one for one in found.sentences)
 
@@ -122,4 +122,4 @@ def test_the_sums_of_didim_are_those_of_its_parameters() -> None:
     assert [one.joint for one in rows] == sorted(one.joint for one in rows)
     own = {one.name: one for one in rows}
     assert own["joint2.coulomb"].joint == 1 and own["joint2.coulomb"].nominal == pytest.approx(1.5)
-    assert own["joint2.coulomb"].known is Known.TOLD
+    assert own["joint2.coulomb"].known is Told.TOLD

@@ -19,7 +19,7 @@ from jointid.common.document import Block, Document, Documented, Heading, Listin
 from jointid.common.errors import JointidError
 from jointid.common.text import listed, number
 from jointid.diagnostics.law_on_position import LawOnPosition, compare_law
-from jointid.diagnostics.robots.parameters import Known, ParameterOfJoint, parameters_by_joint
+from jointid.diagnostics.robots.parameters import ParameterOfJoint, Told, parameters_by_joint
 from jointid.diagnostics.robots.torques import RobotTorques, torques_of
 from jointid.estimation.robots.idim import RobotEstimate
 from jointid.estimation.robots.torque_only import RobotTorqueEstimate
@@ -70,7 +70,7 @@ class JointDiagnosis:
     parameters: tuple[ParameterOfJoint, ...]
     law: LawOnPosition | None
 
-    def names(self, *known: Known) -> tuple[str, ...]:
+    def names(self, *known: Told) -> tuple[str, ...]:
         """Return the names of the parameters that are known so."""
         return tuple(one.name for one in self.parameters if one.known in known)
 
@@ -108,7 +108,7 @@ class JointDiagnosis:
             f"{self.name}: its spring is refused, at least {number(one.at_least, 3)} {one.unit}; make it rigid in the "
             "robot file, or excite its mode, as with a multisine on top of the motion."
             for one in self.parameters
-            if one.known is Known.REFUSED and one.at_least is not None
+            if one.known is Told.REFUSED and one.at_least is not None
         ]
         return tuple(found)
 
@@ -182,7 +182,7 @@ class RobotDiagnosis(Documented):
         else:
             found += [one.law_sentence for one in self.joints if one.law_sentence]
         found += [*self._other_laws(), *(one for joint in self.joints for one in joint.sentences)]
-        unknown = [f"of {one.name} {_some(one.names(Known.NOT))}" for one in self.joints if one.names(Known.NOT)]
+        unknown = [f"of {one.name} {_some(one.names(Told.NOT))}" for one in self.joints if one.names(Told.NOT)]
         if unknown:
             found.append(
                 f"The record does not tell from 0: {'; '.join(unknown)}. On motions like this one 0 does as well; for "
@@ -239,7 +239,7 @@ class RobotDiagnosis(Documented):
             wrong = [one.name for one in self.joints if one.law_holds is False]
             second = f"The declared controller of {listed(wrong)} does not make the logged torque: no DIDIM with it."
         count = sum(len(one.parameters) for one in self.joints)
-        told = sum(len(one.names(Known.TOLD)) for one in self.joints)
+        told = sum(len(one.names(Told.TOLD)) for one in self.joints)
         return f"{first} {second} The record tells {told} of {count} parameters to a tenth."
 
     def document(self, *, details: bool = False) -> Document:
@@ -271,7 +271,7 @@ class RobotDiagnosis(Documented):
         ]
         if details:
             unknown = tuple(
-                f"{one.name}: {', '.join(one.names(Known.NOT))}" for one in self.joints if one.names(Known.NOT)
+                f"{one.name}: {', '.join(one.names(Told.NOT))}" for one in self.joints if one.names(Told.NOT)
             )
             blocks += [Heading("Not told from 0"), Listing(unknown)] if unknown else []
         return Document(f"{self.robot.name}: what the record tells of {len(self.joints)} joints", tuple(blocks))
@@ -339,7 +339,7 @@ def _percent(share: float) -> str:
 def _row(one: JointDiagnosis) -> tuple[str, ...]:
     white = "-" if one.whiteness is None else "yes" if one.whiteness.white else "no"
     law = ("-", "-") if one.law is None else (f"{100 * one.law.left:.3g}", f"{100 * one.law.noise:.2g}")
-    told = (one.names(Known.TOLD), one.names(Known.ROUGHLY), one.names(Known.NOT, Known.REFUSED))
+    told = (one.names(Told.TOLD), one.names(Told.ROUGHLY), one.names(Told.NOT, Told.REFUSED))
     return (one.name, f"{100 * one.left:.3g}", white, *(str(len(names)) for names in told), *law)
 
 

@@ -20,7 +20,7 @@ from jointid.simulation.robots import RobotNumbers
 _TOLD, _ROUGHLY = 0.1, 1.0  # relative deviations
 
 
-class Known(StrEnum):
+class Told(StrEnum):
     """How well a record tells a parameter."""
 
     TOLD = "told"
@@ -51,7 +51,7 @@ class ParameterOfJoint:
     unit: str
     nominal: float
     formula: str
-    known: Known
+    known: Told
     at_least: float | None = None
 
 
@@ -67,10 +67,10 @@ def parameters_by_joint(estimate: RobotEstimate | RobotTorqueEstimate) -> tuple[
         number = value if isinstance(value, float) else None
         spread = std if isinstance(std, float) else None
         bound = least if isinstance(least, float) else None
-        known = Known.REFUSED
+        known = Told.REFUSED
         if number is not None and spread is not None:
             share = spread / abs(number) if number else math.inf
-            known = Known.TOLD if share < _TOLD else Known.ROUGHLY if share < _ROUGHLY else Known.NOT
+            known = Told.TOLD if share < _TOLD else Told.ROUGHLY if share < _ROUGHLY else Told.NOT
         found.append(ParameterOfJoint(joint, name, number, spread, str(row["unit"]), before, formula, known, bound))
     return tuple(sorted(found, key=lambda one: one.joint))
 

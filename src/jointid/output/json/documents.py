@@ -363,16 +363,7 @@ SHAPES: Mapping[str, Shape] = {
         "joints": "robot.names",
         **same("sentence", "sample_time"),
         "samples": lambda design: len(design.reference),
-        "parameters": lambda design: {
-            name: {
-                "about": float(design.values[i]),
-                "std": float(design.std[i]),
-                "present_std": None if design.present_std is None else float(design.present_std[i]),
-                "unit": design.units[i],
-            }
-            for i, name in enumerate(design.names)
-        },
-        **same("noise", "of_record", "limits", "reached", "passed", "modes", "tried"),
+        **same("parameters", "noise", "of_record", "limits", "reached", "passed", "modes", "tried"),
     },
     "RobotSimulation": {
         "samples": lambda simulation: len(simulation.torque),

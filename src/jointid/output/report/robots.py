@@ -14,7 +14,7 @@ from jointid.common.text import interval, number
 from jointid.common.typography import typeset_block
 from jointid.diagnostics.report_data import estimate_spectra
 from jointid.diagnostics.robots.diagnose import FeedForwardName, RobotDiagnosis, diagnose_robot
-from jointid.diagnostics.robots.parameters import Known, ParameterOfJoint
+from jointid.diagnostics.robots.parameters import ParameterOfJoint, Told
 from jointid.diagnostics.robots.torques import RobotTorques
 from jointid.estimation.robots.idim import RobotEstimate
 from jointid.estimation.robots.torque_only import RobotTorqueEstimate
@@ -178,7 +178,7 @@ class RobotReport(Pages):
 
 def _parameters(found: RobotDiagnosis) -> Iterator[Block]:
     """Yield a table of each joint's parameters."""
-    told = sum(one.known is Known.TOLD for joint in found.joints for one in joint.parameters)
+    told = sum(one.known is Told.TOLD for joint in found.joints for one in joint.parameters)
     whole = sum(len(joint.parameters) for joint in found.joints)
     yield Paragraph(f"{told} of {whole} are known to a tenth, 1 sigma. What is not told from 0 is not to be used.")
     header = ("parameter", "value, 2 sigma", "unit", "sigma, %", "nominal", "verdict")

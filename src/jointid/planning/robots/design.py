@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -115,6 +115,17 @@ class RobotDesign(Charted, Documented):
     def told(self) -> tuple[str, ...]:
         """Names of the parameters that will be known to a tenth of the nominal value, one standard deviation."""
         return tuple(n for n, v, s in zip(self.names, self.values, self.std, strict=True) if s < 0.1 * abs(v))
+
+    @property
+    def parameters(self) -> Mapping[str, Mapping[str, float | str | None]]:
+        """Nominal value, deviations foretold of this motion and of the present one, and unit of each, by its name."""
+        before = [None] * len(self.names) if self.present_std is None else [float(one) for one in self.present_std]
+        return {
+            name: {"about": float(value), "std": float(std), "present_std": present, "unit": unit}
+            for name, value, std, present, unit in zip(
+                self.names, self.values, self.std, before, self.units, strict=True
+            )
+        }
 
     @property
     def ratio(self) -> float | None:
