@@ -100,6 +100,8 @@ def test_six_rigid_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     run("identify", bare, "--record", one, "--json", tmp_path / "bare.json")
     bare_answer = json.loads((tmp_path / "bare.json").read_text(encoding="utf-8"))
     assert bare_answer["nominal_left"] == pytest.approx(answer["nominal_left"], rel=1e-3)
+    with pytest.raises(MethodError, match="This record is the one that the estimate is from, or a copy of it"):
+        run("validate", joint, "--set", 'record.file="one.csv"', "--record", one)
     run("validate", joint, "--set", 'record.file="one.csv"', "--record", two_)
     assert "The estimate predicts this record better than the nominal model" in capsys.readouterr().out
 

@@ -91,27 +91,15 @@ def validate_robot_file(path: Path, options: Options, outputs: Outputs) -> None:
             "record that the robot file names."
         )
     file, _, estimate = _identified(path, options.changes, outputs, options.progress)
-    source = Path(file.joints[0].record_path())
-    deliver(_held_out(file, estimate, source, options.record), options.json)
+    deliver(_held_out(file, estimate, options.record), options.json)
 
 
-def _held_out(
-    file: RobotFile, estimate: RobotEstimate | RobotTorqueEstimate, source: Path, other: Path
-) -> RobotValidation:
-    """Hold an estimate against another record than its own.
-
-    Raises:
-        MethodError: it is its own.
-    """
+def _held_out(file: RobotFile, estimate: RobotEstimate | RobotTorqueEstimate, other: Path) -> RobotValidation:
+    """Hold an estimate against another record than its own."""
     from jointid.estimation.robots.idim import RobotEstimate
     from jointid.estimation.robots.torque_only import validate_robot_torques
     from jointid.estimation.robots.validation import validate_robot
 
-    if other.exists() and source.exists() and (source.samefile(other) or source.read_bytes() == other.read_bytes()):
-        raise MethodError(
-            f"{other.name} is the record that the estimate is from, or a copy of it; expected one that it has not "
-            "seen, since any estimate predicts its own: give another."
-        )
     if isinstance(estimate, RobotEstimate):
         return validate_robot(estimate, file.records(other))
     return validate_robot_torques(estimate, file.driven(other))
@@ -144,7 +132,7 @@ def report_robot_file(
     outputs.spare("--held-out", held_out)
     file, records, estimate = _identified(path, options.changes, outputs, options.progress, options.record)
     source = Path(file.joints[0].record_path(options.record))
-    found = None if held_out is None else _held_out(file, estimate, source, held_out)
+    found = None if held_out is None else _held_out(file, estimate, held_out)
     html = "report.html" if page is None else page.name
     again = repetition(path, source, {"held_out": held_out and held_out.name}, options.changes, html)
     told = RobotReport.of(

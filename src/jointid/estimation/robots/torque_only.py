@@ -24,7 +24,7 @@ from jointid.estimation.robots.flexible import SpringVerdict, identify_flexible_
 from jointid.estimation.robots.idim import errors_table
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
 from jointid.estimation.robots.problem import robot_problem
-from jointid.estimation.robots.validation import RobotValidation
+from jointid.estimation.robots.validation import RobotValidation, require_unseen
 from jointid.models.robots.inertial import SYMBOLS, UNITS
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
@@ -213,9 +213,10 @@ def validate_robot_torques(estimate: RobotTorqueEstimate, records: Sequence[Reco
         records: of each joint, as `identify_robot_from_torques` takes them.
 
     Raises:
-        MethodError: the estimate cannot be simulated along that record.
+        MethodError: the estimate cannot be simulated along that record, or it is the estimate's own.
     """
     mine, _ = _errors(estimate.loop, records, estimate.filtering, estimate.numbers())
+    require_unseen(mine, estimate.joint_errors)
     nominal, _ = _errors(estimate.loop, records, estimate.filtering, _nominal(estimate.robot, estimate.numbers()))
     if not np.all(np.isfinite(mine)):
         raise MethodError("The robot that was identified cannot be simulated along this record; check its references.")
