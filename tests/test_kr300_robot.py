@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
+from jointid import Cascade
 from jointid.config.robot_file import RobotFile, load_robot_file
+from jointid.diagnostics.robots.diagnose import diagnose_robot
 from jointid.estimation.robots.consistent import mass_matrix_at
 from jointid.estimation.robots.idim import identify_robot
 from jointid.estimation.robots.validation import validate_robot
@@ -83,3 +85,16 @@ def test_the_table_is_what_comes_out(file: RobotFile, data_dir: Path, first: str
 
 def test_both_ways_are_on_the_page() -> None:
     assert [row[:2] for row in ROWS] == [("A", "B"), ("B", "A")]
+
+
+def test_no_law_of_reference_and_position_makes_its_torque(file: RobotFile, data_dir: Path) -> None:
+    """The loops of record A: any linear law leaves a fifth of the torques, so that something else is added to them."""
+    records = file.records(data_dir / "kr300" / "rec_A.mat")
+    laws = [Cascade(position_gain=15.0, velocity_gain=gain) for gain in (3e4, 3e4, 2e4, 2e3, 2e3, 1e3)]
+    found = diagnose_robot(identify_robot(file.robot, records), records, laws)
+    assert found.as_declared is False
+    free = [one.law.noise for one in found.joints if one.law is not None]
+    assert len(free) == 6
+    assert min(free) > 0.15 and max(free) < 0.45
+    assert any("Where no law does, something else is added" in one for one in found.sentences)
+    assert [one.name for one in found.joints if not one.explained] == ["A1", "A4", "A6"]

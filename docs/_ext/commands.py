@@ -30,7 +30,9 @@ def _commands(parent: App, above: tuple[str, ...] = ()) -> Iterator[tuple[str, .
     for name in parent:
         if not name.startswith("-"):
             inner = list(_commands(parent[name], (*above, name)))
-            yield from inner or [(*above, name)]
+            if not inner or parent[name].default_command is not None:
+                yield (*above, name)
+            yield from inner
 
 
 def arguments(name: str) -> list[Argument]:

@@ -3,6 +3,8 @@
 from .common.errors import ExtraError, JointFileError, JointidError, MethodError, RecordError
 from .common.transmission import Transmission
 from .config import JointFile, load
+from .config.robot_file import RobotFile, load_robot_file
+from .config.robot_model import load_robot
 from .controller_id.learn import learn_loop
 from .diagnostics.check_loop import check_loop
 from .diagnostics.compare_estimates import compare_estimates
@@ -12,6 +14,7 @@ from .diagnostics.friction_comparison import compare_frictions
 from .diagnostics.identify import identify
 from .diagnostics.intervals import intervals
 from .diagnostics.method_comparison import compare_methods
+from .diagnostics.robots.diagnose import RobotDiagnosis, diagnose_robot
 from .diagnostics.spring_comparison import compare_springs
 from .diagnostics.validation import Validation, validate
 from .estimation.methods.didim import DIDIM
@@ -21,19 +24,33 @@ from .estimation.methods.prescribed import DriveSideFit, OpenLoopFit
 from .estimation.problems.log_windows import Windowing
 from .estimation.problems.several_records import SeveralRecords
 from .estimation.result.estimate import Estimate
+from .estimation.robots.consistent import consistent_robot
+from .estimation.robots.idim import RobotEstimate, RobotIDIM, identify_robot
+from .estimation.robots.payload import identify_payload
+from .estimation.robots.torque_only import (
+    RobotDIDIM,
+    RobotTorqueEstimate,
+    identify_robot_from_torques,
+    validate_robot_torques,
+)
+from .estimation.robots.validation import RobotValidation, validate_robot
 from .models.controllers import PD, PID, Cascade, StateSpaceController, filters
 from .models.friction import AsymmetricFriction, SymmetricFriction
 from .models.gravity import Counterbalance, Gravity
 from .models.joints import ClosedLoop, FlexibleJoint, RigidJoint
+from .models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from .output import figures
 from .output.export import export, state_space
 from .output.json import read_report
 from .output.json.documents import to_dict
 from .output.report import Report
+from .output.report.robots import RobotReport
 from .paper.twin import twin
 from .planning.design import design_test
 from .planning.foretell import Noise, foretell, planned_record
 from .planning.limits import AxisLimits
+from .planning.robots.design import design_robot_test
+from .planning.robots.motions import JointLimits
 from .records.chunks import Log
 from .records.columns import Column
 from .records.drives import Drive
@@ -46,6 +63,7 @@ from .simulation import excitation
 from .simulation.closed_loop import simulate
 from .simulation.loop_input import prepare
 from .simulation.prescribed import DriveSide, OpenLoop
+from .simulation.robots import RobotLoop, add_feed_forward, robot_records, simulate_robot
 from .simulation.synthesis import simulated_record
 from .tuning.proposals import Tuning
 from .tuning.tune import tune
@@ -74,7 +92,10 @@ __all__ = [
     "Gravity",
     "JointFile",
     "JointFileError",
+    "JointLimits",
+    "JointSpring",
     "JointidError",
+    "Link",
     "Log",
     "MethodError",
     "Noise",
@@ -84,6 +105,17 @@ __all__ = [
     "RecordError",
     "Report",
     "RigidJoint",
+    "Robot",
+    "RobotDIDIM",
+    "RobotDiagnosis",
+    "RobotEstimate",
+    "RobotFile",
+    "RobotIDIM",
+    "RobotJoint",
+    "RobotLoop",
+    "RobotReport",
+    "RobotTorqueEstimate",
+    "RobotValidation",
     "SeveralRecords",
     "StateSpaceController",
     "SymmetricFriction",
@@ -91,15 +123,19 @@ __all__ = [
     "Tuning",
     "Validation",
     "Windowing",
+    "add_feed_forward",
     "advise",
     "check_loop",
     "compare_estimates",
     "compare_frictions",
     "compare_methods",
     "compare_springs",
+    "consistent_robot",
     "convert",
+    "design_robot_test",
     "design_stiffness_test",
     "design_test",
+    "diagnose_robot",
     "examine",
     "excitation",
     "export",
@@ -107,20 +143,29 @@ __all__ = [
     "filters",
     "foretell",
     "identify",
+    "identify_payload",
+    "identify_robot",
+    "identify_robot_from_torques",
     "inspect",
     "intervals",
     "learn_loop",
     "load",
+    "load_robot",
+    "load_robot_file",
     "planned_record",
     "prepare",
     "read",
     "read_report",
+    "robot_records",
     "simulate",
+    "simulate_robot",
     "simulated_record",
     "state_space",
     "to_dict",
     "tune",
     "twin",
     "validate",
+    "validate_robot",
+    "validate_robot_torques",
     "write",
 ]

@@ -19,4 +19,6 @@ def _within(parent: App, above: tuple[str, ...]) -> Iterator[tuple[tuple[str, ..
     for name in parent:
         if not name.startswith("-"):
             inner = list(_within(parent[name], (*above, name)))
-            yield from inner or [((*above, name), parent[name])]
+            if not inner or parent[name].default_command is not None:
+                yield (*above, name), parent[name]
+            yield from inner

@@ -12,6 +12,7 @@ from jointid.config.loading import load, parse_toml
 from jointid.config.robot_file import RobotFile, RobotFileTable, is_robot_file, load_robot_file, save_robot_file
 from jointid.models.controllers import PD
 from jointid.models.robots.robot import JointSpring
+from jointid.output.export.robot_model import robot_mjcf
 from tests.models.robots.trees import as_mjcf, chain
 
 pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
@@ -164,6 +165,18 @@ def test_what_would_be_another_robot_is_refused(folder: Path, old: str, new: str
     (folder / "robot.toml").write_text(TEXT.replace(old, new, 1), encoding="utf-8")
     with pytest.raises(JointFileError, match=said.replace("joint0, joint1, joint2: all", "all")):
         load_robot_file(folder / "robot.toml")
+
+
+@pytest.mark.parametrize("roll", ["3.1415926", "0.5"])
+def test_an_export_of_a_turned_base_is_not_turned_again(roll: str, folder: Path) -> None:
+    text = TEXT.replace("base = [0.0, 1.5707963267948966, 0.0]", f"base = [{roll}, 0.0, 0.0]")
+    (folder / "robot.toml").write_text(text, encoding="utf-8")
+    robot = load_robot_file(folder / "robot.toml").robot
+    (folder / "arm.xml").write_text(robot_mjcf(robot)[0], encoding="utf-8")
+    with pytest.raises(JointFileError, match=r"robot\.base turns the model, whose own gravity is turned already"):
+        load_robot_file(folder / "robot.toml")
+    (folder / "robot.toml").write_text(TEXT.replace("base = [0.0, 1.5707963267948966, 0.0]", ""), encoding="utf-8")
+    assert load_robot_file(folder / "robot.toml").robot.gravity == pytest.approx(robot.gravity, abs=1e-6)
 
 
 def test_a_base_that_hangs_by_rounded_numbers_hangs(folder: Path) -> None:

@@ -42,12 +42,13 @@ class Line:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Dots:
-    """A cloud of points, (points,)."""
+    """A cloud of points, (points,); `size` is that of one beside the usual."""
 
     x: FloatArray
     y: FloatArray
     colour: str
     label: str = ""
+    size: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -154,8 +154,8 @@ def loads(
     tables, changes = parse_toml(text), list(changes)
     if "robot" in tables:
         raise JointFileError(
-            "This is a robot file, as it has the table [robot]; simulate, identify, validate and export take one, all "
-            "else takes a joint file."
+            "This is a robot file, as it has the table [robot]; simulate, identify, validate, diagnose, design, report "
+            "and export take one, all else takes a joint file."
         )
     if method is not None:
         # A change may bring the controller by which the file's own method is known, but not that method's name.

@@ -34,6 +34,7 @@ from jointid.config.table import Number, Positive, Table, Text, keys_from, sente
 from jointid.estimation.robots.idim import RobotIDIM
 from jointid.estimation.robots.torque_only import RobotDIDIM
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
+from jointid.planning.robots.motions import JointLimits
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.records.writing import write_columns
@@ -69,6 +70,11 @@ class JointSpringTable(Table):
     """joints.spring: between motor and link, and the friction beyond it."""
 
 
+@keys_from(JointLimits)
+class JointLimitsTable(Table):
+    """joints.limits: what the joint may do in a test that is planned, behind its gear."""
+
+
 @keys_from(RobotJoint, types={"spring": (JointSpringTable, None), "coupling": (Couplings, dict)})
 class RobotJointTable(Table):
     """[[joints]]: one joint, in the order in which they are reported; what is left out is as the model says it."""
@@ -82,6 +88,7 @@ class RobotJointTable(Table):
     transmission: TransmissionTable | None = Field(None, description="its gear, as [transmission] of a joint file")
     controller: ControllerTable | None = Field(None, description="its law, as [controller] of a joint file")
     channels: ChannelsTable | None = Field(None, description="its channels, where they are not as [record.channels]")
+    limits: JointLimitsTable | None = Field(None, description="what it may do in a test that is planned")
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield nothing: what a joint may not be is seen beside what the model says of it."""
@@ -89,7 +96,7 @@ class RobotJointTable(Table):
 
     def joint(self, joint: RobotJoint) -> RobotJoint:
         """Return a joint of the model with what the table says of it."""
-        given = self.settings("name", "torque_constant", "transmission", "controller", "channels")
+        given = self.settings("name", "torque_constant", "transmission", "controller", "channels", "limits")
         if self.spring is not None:
             given["spring"] = self.spring.build()
         return replace(joint, **given)
@@ -143,6 +150,7 @@ class RobotFile:
         filtering: how signals are filtered.
         method: how the robot is identified: by IDIM, or by DIDIM from torques and references.
         feed_forward: what the drives are given beside the controllers' torque.
+        limits: what each joint may do in a test that is planned.
         path: of the robot file.
         raw: its tables.
     """
@@ -152,6 +160,7 @@ class RobotFile:
     filtering: Filtering
     method: RobotIDIM | RobotDIDIM
     feed_forward: FeedForward
+    limits: tuple[JointLimits, ...]
     path: Path
     raw: Mapping[str, Any] = field(repr=False)
 
@@ -181,6 +190,7 @@ class RobotFile:
             said.filtering.build(),
             method,
             said.robot.feed_forward,
+            tuple(JointLimits() if one.limits is None else one.limits.build() for one in said.joints),
             path,
             raw,
         )
@@ -328,6 +338,13 @@ def _robot(said: RobotFileTable, folder: Path) -> Robot:
             f"joints lists {', '.join(names)}; expected each joint after the one that carries it: write them as "
             f"{', '.join(ordered.names)}."
         )
+    down = -np.linalg.norm(ordered.gravity) * np.array([0.0, 0.0, 1.0])
+    if any(said.robot.base) and np.linalg.norm(ordered.gravity - down) > _UPRIGHT * np.linalg.norm(down):
+        raise JointFileError(
+            f"robot.base turns the model, whose own gravity is turned already ({_three(ordered.gravity)} m/s2), as in "
+            "an export of a robot on a turned base; expected one of both: leave base out, or set the model's gravity "
+            "to 0 0 -9.81."
+        )
     try:
         joints = tuple(table.joint(joint) for table, joint in zip(said.joints, ordered.joints, strict=True))
         turned = _base(said.robot.base).T @ ordered.gravity
@@ -336,6 +353,10 @@ def _robot(said: RobotFileTable, folder: Path) -> Robot:
         return replace(ordered, joints=joints, gravity=turned, name=said.robot.name or ordered.name)
     except JointidError as error:
         raise JointFileError(f"joints: {error}") from error
+
+
+def _three(values: FloatArray) -> str:
+    return " ".join(f"{value:.4g}" for value in values)
 
 
 def _base(angles: list[float]) -> FloatArray:

@@ -33,6 +33,7 @@ _STEPS = 64  # per part of a period, at most
 _POSES = 5  # along the reference, at which the fastest motion is looked for
 _MORE = 2  # pieces per step and part, at most, beside a thousand
 _SETTLING = 200  # of the iterations that find where the robot rests
+_ASTRAY = 0.5, 0.1  # of a reference's travel, and rad or m: a joint that is farther off does not follow
 _AT_REST = 1e-13  # of a position
 
 Bools: TypeAlias = NDArray[np.bool_]
@@ -556,6 +557,22 @@ def add_feed_forward(
         )
         for j, record in enumerate(records)
     )
+
+
+def strays(records: Sequence[Record], run: RobotSimulation) -> dict[int, float]:
+    """Return how far each joint that does not follow its reference gets off it, by its place, rad or m.
+
+    One follows that stays within half of its reference's travel, and 0.1 rad or m: a loop may be slow, and a weight may
+    pull it down, but a joint without gains falls.
+    """
+    at, found = np.arange(len(run.motor_position)) * run.sample_time, {}
+    for j, record in enumerate(records):
+        if record.reference is not None:
+            reference = np.interp(at, record.reference.time, record.reference.values)
+            off = float(np.max(np.abs(run.motor_position[:, j] - reference)))
+            if off > _ASTRAY[0] * np.ptp(reference) + _ASTRAY[1]:
+                found[j] = off
+    return found
 
 
 def robot_records(loop: RobotLoop, records: Sequence[Record], run: RobotSimulation) -> tuple[Record, ...]:

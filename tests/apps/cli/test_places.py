@@ -49,6 +49,7 @@ COMMANDS = (
     "export joint.toml --estimate estimate.json --out estimate.json",
     "simulate joint.toml --out record.csv",
     "simulate joint.toml --estimate estimate.json --json estimate.json",
+    "diagnose joint.toml --json joint.toml",
     "diagnose methods joint.toml --json record.csv",
     "diagnose loop joint.toml --json joint.toml",
     "diagnose sensors joint.toml --json record.csv",
@@ -218,6 +219,7 @@ OUTPUTS: dict[str, tuple[str, dict[str, str]]] = {
     "data inspect": ("record.csv", {"--json": "x.json", "--figure": "x.png"}),
     "demo": ("", {"FOLDER": "x"}),
     "design": ("joint.toml", {"--json": "x.json", "--figure": "x.png", "--out": "x"}),
+    "diagnose": ("joint.toml", {"--json": "x.json"}),
     "diagnose intervals": ("joint.toml", {}),
     "diagnose loop": ("joint.toml", {"--json": "x.json"}),
     "diagnose methods": ("joint.toml", {"--json": "x.json"}),
@@ -250,6 +252,7 @@ _READ = {
     "--record",
     "--estimate",
     "--motion",
+    "--held-out",
 }
 
 

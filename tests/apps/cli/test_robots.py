@@ -67,6 +67,43 @@ def test_validate(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
         run("validate", folder / "robot.toml")
 
 
+def test_diagnose(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run("diagnose", folder / "robot.toml", "--json", tmp_path / "found.json")
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "The model explains the torques of all joints but for noise" in printed
+    answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
+    assert answer["schema"] == "jointid.robot_diagnosis/1" and answer["explained"] and answer["as_declared"] is None
+    assert answer["joints"][1]["parameters"]["Fv2"]["known"] == "told"
+    with pytest.raises(MethodError, match=r"joint\.toml is no robot file.*jointid diagnose --help lists them"):
+        run("diagnose", tmp_path / "joint.toml")
+
+
+def test_report(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page, other = tmp_path / "arm.html", folder / "two.csv"
+    places = ("--html", page, "--markdown", tmp_path, "--json", tmp_path / "found.json")
+    run("report", folder / "robot.toml", "--held-out", other, *places)
+    assert "predicts this record better than the nominal model" in " ".join(capsys.readouterr().out.split())
+    html, text = page.read_text(encoding="utf-8"), (tmp_path / "report.md").read_text(encoding="utf-8")
+    assert "Content-Security-Policy" in html
+    first = text.index("The estimate predicts this record better")
+    order = [first, *(text.index(one) for one in ("*joint1*", "*joint6*", "![Measured", "Izz1 is Izz1", "[[joints]]"))]
+    assert order == sorted(order) and first < 100
+    assert f"--held-out {other.name}" in text and "Its SHA-256" in text
+    assert {"torque.svg", "residual.svg", "spectra.svg"} <= {one.name for one in tmp_path.iterdir()}
+    answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
+    assert answer["schema"] == "jointid.robot_report/1" and answer["validation"]["better_than_nominal"]
+    assert answer["estimate"]["parameters"] and answer["diagnosis"]["joints"] and answer["record_file"] == "one.csv"
+
+
+def test_a_record_is_not_held_against_itself(folder: Path, tmp_path: Path) -> None:
+    copied = tmp_path / "copy.csv"
+    copied.write_bytes((folder / "one.csv").read_bytes())
+    with pytest.raises(MethodError, match="This record is the one that the estimate is from"):
+        run("validate", folder / "robot.toml", "--record", folder / "one.csv")
+    with pytest.raises(MethodError, match="the one that the estimate is from, or a copy of it"):
+        run("report", folder / "robot.toml", "--held-out", copied, "--html", tmp_path / "a.html")
+
+
 def test_export(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run("export", folder / "robot.toml", "--out", tmp_path / "found.xml")
     printed = capsys.readouterr().out

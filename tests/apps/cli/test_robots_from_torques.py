@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jointid.apps.cli.app import app
-from jointid.common.errors import JointFileError, MethodError
+from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.output.export.robot_model import robot_mjcf
 from tests.robots_plants import Twin, six, two
 
@@ -100,6 +100,8 @@ def test_six_rigid_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     run("identify", bare, "--record", one, "--json", tmp_path / "bare.json")
     bare_answer = json.loads((tmp_path / "bare.json").read_text(encoding="utf-8"))
     assert bare_answer["nominal_left"] == pytest.approx(answer["nominal_left"], rel=1e-3)
+    with pytest.raises(MethodError, match="This record is the one that the estimate is from, or a copy of it"):
+        run("validate", joint, "--set", 'record.file="one.csv"', "--record", one)
     run("validate", joint, "--set", 'record.file="one.csv"', "--record", two_)
     assert "The estimate predicts this record better than the nominal model" in capsys.readouterr().out
 
@@ -119,6 +121,45 @@ def test_two_flexible_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str])
         row = answer["parameters"][f"{one.name}.stiffness"]
         assert row["unit"] == "N m/rad"
         assert abs(row["value"] - one.spring.stiffness) < 4 * row["std"] < 0.2 * one.spring.stiffness
+
+
+def test_a_joint_without_gains_falls_and_that_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_files(tmp_path, two(), 2.0)
+    joint, found = tmp_path / "robot.toml", tmp_path / "found.json"
+    run("simulate", joint, "--json", found)
+    assert "does not follow" not in capsys.readouterr().out
+    answer = json.loads(found.read_text(encoding="utf-8"))
+    assert answer["schema"] == "jointid.robot_simulation/1" and answer["outcome"] == "finished"
+    assert answer["samples"] == 2000 and len(answer["peak_torque"]) == 2 and answer["strays"] == {}
+    lines = joint.read_text(encoding="utf-8").splitlines()
+    first = next(i for i, line in enumerate(lines) if line.startswith("position_gain"))
+    last = next(i for i, line in enumerate(lines) if i > first and line.startswith("position_gain"))
+    lines[last : last + 2] = ["position_gain = 0.0", "derivative_gain = 0.0"]
+    joint.write_text("\n".join(lines), encoding="utf-8")
+    run("simulate", joint, "--json", found)
+    assert "joint2 does not follow its reference: it gets " in capsys.readouterr().out
+    assert list(json.loads(found.read_text(encoding="utf-8"))["strays"]) == ["joint2"]
+
+
+def test_a_test_is_planned_and_played(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_files(tmp_path, two(), 3.0)
+    joint, out = tmp_path / "robot.toml", tmp_path / "test"
+    with pytest.raises(RecordError, match="torque"):  # no limits, so that a first record is asked, which has no torque
+        run("design", joint, "--seconds", "1")
+    limits = "limits = { lower = -1.0, upper = 1.0, speed = 2.0, torque = 60.0 }\n"
+    text = joint.read_text(encoding="utf-8").replace("[[joints]]\n", f"[[joints]]\n{limits}")
+    joint.write_text(text, encoding="utf-8")
+    run("design", joint, "--seconds", "1", "--duration", "4", "--out", out, "--json", tmp_path / "a.json")
+    assert "13 parameters to a tenth" in capsys.readouterr().out
+    answer = json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))
+    assert answer["schema"] == "jointid.robot_design/1" and answer["samples"] == 4000 and not answer["of_record"]
+    assert answer["reached"][0]["upper"] < 1.0 and not answer["passed"]
+    run("simulate", joint, "--record", out / "motion.csv", "--out", tmp_path / "log.csv")
+    run("design", joint, "--seconds", "1", "--record", tmp_path / "log.csv")
+    assert "of the present motion's on the geometric mean" in " ".join(capsys.readouterr().out.split())
+    run("design", joint, "--motion", out / "motion.csv")
+    with pytest.raises(MethodError, match="--stroke is for a joint file"):
+        run("design", joint, "--stroke", "1")
 
 
 def test_what_is_refused(tmp_path: Path) -> None:

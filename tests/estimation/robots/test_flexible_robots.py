@@ -9,6 +9,7 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.estimation.robots.flexible import FlexibleRobotFit, identify_flexible_robot
+from jointid.estimation.robots.torque_only import identify_robot_from_torques
 from jointid.models.robots.robot import JointSpring
 from jointid.simulation.robots import RobotLoop, RobotNumbers, simulate_robot
 from tests.estimation.robots.test_rigid_robots import deviations, recorded
@@ -79,6 +80,21 @@ def test_a_spring_that_is_not_shown_is_refused_with_its_bound() -> None:
     assert 0.03 * truth[1] < stiff.at_least < truth[1]
     assert "do not show a spring; its stiffness is at least" in str(stiff)
     assert str(soft).startswith("joint1: stiffness 4")
+
+
+def test_a_rigid_robot_is_told_soon() -> None:
+    """Springs asked of a robot without any: refused after one short search, and no damping stands without them."""
+    twin = two()
+    loop = twin.loop()
+    records, _ = recorded(loop, twin.records(4.0), 0.01)
+    asked = tuple(replace(joint, spring=JointSpring(5e3)) for joint in twin.robot.joints)
+    found = identify_robot_from_torques(RobotLoop(replace(loop.robot, joints=asked), loop.controllers), records)
+    assert not any(one.shown for one in found.springs)
+    assert found.fit.iterations <= 15
+    told = found.summary()
+    assert "leave the springs out of the robot file" in " ".join(told.split())
+    assert "damping" not in told
+    assert not any("damping" in name or "stiffness" in name for name in found.params)
 
 
 @pytest.mark.slow

@@ -25,7 +25,7 @@ from jointid.apps.cli import SIGNALLED, endings, streams
 from jointid.apps.cli import campaign as campaigns
 from jointid.apps.cli.console import clear_bars, tell
 from jointid.apps.cli.data import convert, inspect
-from jointid.apps.cli.diagnose import friction, intervals, loop, methods, sensors, springs
+from jointid.apps.cli.diagnose import friction, intervals, loop, methods, robot, sensors, springs
 from jointid.apps.cli.identify import controller, doctor, identify, tune
 from jointid.apps.cli.plan import design
 from jointid.apps.cli.results import compare, export, report, validate
@@ -48,7 +48,7 @@ app = App(
     suppress_keyboard_interrupt=False,
 )
 data = App(name="data", help="Look into files of records, and convert them.", help_format="plaintext")
-diagnose = App(name="diagnose", help="Ask what an estimate is worth, one question a command.", help_format="plaintext")
+diagnose = App(name="diagnose", help_format="plaintext")
 campaign = App(name="campaign", help="Many joints and many runs, here or on a cluster.", help_format="plaintext")
 for parent, commands in (
     (app, (demo, doctor, identify, validate, report, compare)),
@@ -59,6 +59,7 @@ for parent, commands in (
 ):
     for command in commands:
         parent.command(command)
+diagnose.default(robot)
 
 
 def run(arguments: list[str] | None = None, *, signals: bool = False) -> NoReturn:

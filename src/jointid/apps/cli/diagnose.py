@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
+from jointid.apps.cli import robots
 from jointid.apps.cli.console import (
     DEFAULTS,
     FilteringName,
@@ -16,6 +17,19 @@ from jointid.apps.cli.console import (
     ready,
     show,
 )
+
+
+def robot(joint: Path, /, *, options: Options = DEFAULTS) -> None:
+    """Ask what an estimate is worth: of a joint file one question a command, of a robot file all at once.
+
+    Of a robot: which parameters its record tells, what is left of each joint's torque and what that follows, and
+    whether the declared controllers make the logged torques.
+
+    Args:
+        joint: a robot file, which has the table [robot].
+        options: those that most commands have.
+    """
+    robots.diagnose_robot_file(joint, options)
 
 
 def methods(joint: Path, /, *, options: Options = DEFAULTS, filtering: FilteringName | None = None) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from cyclopts import Parameter
 
+from jointid.apps.cli import robots
 from jointid.apps.cli.console import DEFAULTS, Options, deliver, show
 from jointid.apps.cli.places import Outputs
 from jointid.common.errors import MethodError, RecordError
@@ -163,7 +164,8 @@ def design(
     [parameters], says.
 
     Args:
-        joint: the joint file (TOML); its method is didim.
+        joint: the joint file (TOML), whose method is didim; or a robot file, which has the table [robot]: the motion
+            that tells most of it within the limits of its [[joints]], beside that of --record.
         options: those that most commands have.
         limits: of the axis, in the place of those that [limits] of the joint file states.
         rough: what is known of the joint and of the noise, where it is not identified from a record.
@@ -174,13 +176,20 @@ def design(
         motion: a test of your own, foretold in the place of one that is looked for: a table with the columns t (s),
             reference (m or rad) and, if a signal is added to the torque, injected (N, N m, or the torque's unit); or a
             past record, logged as the joint file says.
-        out: also write the test into this folder: a CSV, a MAT file, and a page on how to run it.
+        out: also write the test into this folder: a CSV, a MAT file, and a page on how to run it; of a robot a CSV as
+            its file reads references, and the page.
         figure: also save reference, torque and spectrum as PNG, SVG or PDF.
     """
     from jointid import figures
     from jointid.planning.design import plan_from_estimate
 
     outputs = Outputs({"--json": options.json}, {"--figure": figure}, {"--out": out})
+    if robots.is_robot(joint):
+        robots.refuse(**{name.replace("_", "-"): getattr(limits, name) for name in limits.__slots__})
+        robots.refuse(**{name.replace("_", "-"): getattr(rough, name) for name in rough.__slots__})
+        robots.refuse(goal=goal != "all")
+        robots.design_robot_file(joint, options, duration, seconds, motion, out, figure, outputs)
+        return
     outputs.spare("--motion", motion)
     outputs.spare("--estimate", rough.estimate)
     file = options.load(joint, outputs, method="didim")

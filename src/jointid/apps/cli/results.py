@@ -43,11 +43,12 @@ def report(
     no_profiles: Flag = False,
     no_tuning: Flag = False,
     plan: str | None = None,
+    held_out: Path | None = None,
 ) -> None:
     """Identify a joint from a record, and report it as one page: result, verdicts, figures, and how to repeat it.
 
     Args:
-        joint: the joint file (TOML).
+        joint: the joint file (TOML), or a robot file, which has the table [robot].
         options: those that most commands have.
         html: the page, one file that opens without a network; report.html where nothing else is asked for.
         markdown: folder for the same as Markdown, report.md, and its figures as SVG.
@@ -58,12 +59,14 @@ def report(
         no_profiles: do not follow the criterion along the parameters where it is no parabola.
         no_tuning: leave out margins and gains, which a controller with a limit otherwise has.
         plan: also plan the next test, for a goal as of design, within [limits] of the joint file; it takes a minute.
+        held_out: another record, that the estimate has not seen, which it is held against; of a robot file.
     """
     from numpy.linalg import LinAlgError
 
     from jointid import Report
-    from jointid.output.report import repetition, require_page, tune_to_limit
+    from jointid.output.report import repetition, tune_to_limit
     from jointid.output.report.page import require_extra
+    from jointid.output.report.pages import require_page
     from jointid.planning.design import plan_from_estimate
 
     page = html if html or markdown or figures else Path("report.html")
@@ -71,6 +74,21 @@ def report(
     if page is not None:
         require_page(page)
         require_extra(plots=True)
+    if robots.is_robot(joint):
+        robots.refuse(
+            method=method,
+            filtering=filtering,
+            friction=friction,
+            no_profiles=no_profiles,
+            no_tuning=no_tuning,
+            plan=plan,
+        )
+        robots.report_robot_file(joint, options, page, markdown, figures, held_out, outputs)
+        return
+    if held_out is not None:
+        raise MethodError(
+            "--held-out is for a robot file; of a joint file jointid validate holds an estimate against another record."
+        )
     choices = {"method": method, "filtering": filtering, "friction": friction}
     file = options.load(joint, outputs, **choices)
     source = Path(file.record_path(options.record))

@@ -1,4 +1,4 @@
-"""What the commands do with a robot file, which has the table [robot]: identify, validate and export all joints."""
+"""What the commands do with a robot file, which has the table [robot]."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jointid.apps.cli.console import Options, deliver, show
+from jointid.apps.cli.console import Options, deliver, make_folder, show
 from jointid.apps.cli.places import Outputs
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, silent
@@ -15,6 +15,11 @@ if TYPE_CHECKING:
     from jointid.config.robot_file import RobotFile
     from jointid.estimation.robots.idim import RobotEstimate
     from jointid.estimation.robots.torque_only import RobotTorqueEstimate
+    from jointid.estimation.robots.validation import RobotValidation
+    from jointid.records.record import Record
+
+
+_SAMPLE_TIME, _DURATION = 1e-3, 10.0  # s, of a test where no file and no record says them
 
 
 def is_robot(path: Path) -> bool:
@@ -42,13 +47,15 @@ def identify_robot_file(
     """Identify all joints of a robot file from one record."""
     if len(records) > 1:
         raise MethodError(f"A robot is identified from one record; received {len(records)}: name one.")
-    _, estimate = _identified(path, changes, outputs, progress, records[0] if records else None)
+    _, _, estimate = _identified(path, changes, outputs, progress, records[0] if records else None)
     deliver(estimate, json, details=details)
 
 
 def simulate_robot_file(path: Path, options: Options, out: Path | None, outputs: Outputs) -> None:
     """Simulate a robot under its controllers along the references of a record, and write what its drives would log."""
-    from jointid.simulation.robots import RobotOutcome, robot_records, simulate_robot
+    from jointid.output.json import documents
+    from jointid.output.json import write as write_answer
+    from jointid.simulation.robots import RobotOutcome, robot_records, simulate_robot, strays
 
     file = _loaded(path, options.changes, outputs, options.record)
     loop, records = file.loop, file.driven(options.record, logged=False)
@@ -63,28 +70,85 @@ def simulate_robot_file(path: Path, options: Options, out: Path | None, outputs:
         f"{len(found.torque)} samples of {found.sample_time:g} s, {found.events} reversals, stops and starts; peak "
         f"torques: {peaks}"
     )
+    astray = strays(records, found)
+    for k, off in astray.items():
+        show(
+            f"{file.robot.names[k]} does not follow its reference: it gets {off:.3g} {file.robot.position_unit(k)} off "
+            "it; check its controller's gains and limit, and its signs."
+        )
     if out is not None:
         file.write(robot_records(loop, records, found), out)
         show(f"Written: {out}")
+    if options.json is not None:
+        write_answer(documents.robot_simulation_answer(file.robot, found, astray), options.json)
 
 
 def validate_robot_file(path: Path, options: Options, outputs: Outputs) -> None:
     """Identify a robot from the record that its file names, and hold the estimate against another one."""
-    from jointid.estimation.robots.idim import RobotEstimate
-    from jointid.estimation.robots.torque_only import validate_robot_torques
-    from jointid.estimation.robots.validation import validate_robot
-
     if options.record is None:
         raise MethodError(
             "A robot's estimate is held against a record that it has not seen; expected --record OTHER, beside the "
             "record that the robot file names."
         )
-    file, estimate = _identified(path, options.changes, outputs, options.progress)
+    file, _, estimate = _identified(path, options.changes, outputs, options.progress)
+    deliver(_held_out(file, estimate, options.record), options.json)
+
+
+def _held_out(file: RobotFile, estimate: RobotEstimate | RobotTorqueEstimate, other: Path) -> RobotValidation:
+    """Hold an estimate against another record than its own."""
+    from jointid.estimation.robots.idim import RobotEstimate
+    from jointid.estimation.robots.torque_only import validate_robot_torques
+    from jointid.estimation.robots.validation import validate_robot
+
     if isinstance(estimate, RobotEstimate):
-        found = validate_robot(estimate, file.records(options.record))
-    else:
-        found = validate_robot_torques(estimate, file.driven(options.record))
+        return validate_robot(estimate, file.records(other))
+    return validate_robot_torques(estimate, file.driven(other))
+
+
+def diagnose_robot_file(path: Path, options: Options) -> None:
+    """Identify a robot, and say what its record tells of each joint and whether its loops are as declared."""
+    from jointid.diagnostics.robots.diagnose import diagnose_robot
+
+    outputs = options.outputs
+    outputs.spare("JOINT", path)
+    if not is_robot(path):
+        raise MethodError(
+            f"{path} is no robot file, which has the table [robot]; of a joint file one question is asked: jointid "
+            "diagnose --help lists them."
+        )
+    file, records, estimate = _identified(path, options.changes, outputs, options.progress, options.record)
+    found = diagnose_robot(estimate, records, [one.controller for one in file.joints], feed_forward=file.feed_forward)
     deliver(found, options.json)
+
+
+def report_robot_file(
+    path: Path, options: Options, page: Path | None, markdown: Path | None, figures: Path | None, held_out: Path | None,
+    outputs: Outputs,
+) -> None:  # fmt: skip
+    """Identify a robot, and report it as one page, held against another record where one is given."""
+    from jointid.output.report import repetition
+    from jointid.output.report.robots import RobotReport
+
+    outputs.spare("--held-out", held_out)
+    file, records, estimate = _identified(path, options.changes, outputs, options.progress, options.record)
+    source = Path(file.joints[0].record_path(options.record))
+    found = None if held_out is None else _held_out(file, estimate, held_out)
+    html = "report.html" if page is None else page.name
+    again = repetition(path, source, {"held_out": held_out and held_out.name}, options.changes, html)
+    told = RobotReport.of(
+        estimate, records, [one.controller for one in file.joints], found, feed_forward=file.feed_forward,
+        repetition=again,
+    )  # fmt: skip
+    written = [] if page is None else [told.save(page)]
+    written += [] if markdown is None else [told.save_markdown(markdown)[0]]
+    written += [] if figures is None else [*told.save_figures(figures)]
+    written += [] if options.json is None else [options.json]
+    deliver(told.estimate if found is None else found, None)
+    if options.json is not None:
+        from jointid.common.files import write_whole
+
+        write_whole(options.json, told.answer())
+    show("\nWritten: " + ", ".join(map(str, written)))
 
 
 def export_robot_file(path: Path, changes: Sequence[str], out: Path) -> None:
@@ -94,7 +158,7 @@ def export_robot_file(path: Path, changes: Sequence[str], out: Path) -> None:
     from jointid.estimation.robots.idim import RobotEstimate
     from jointid.output.export.robot_model import write_robot
 
-    _, estimate = _identified(path, changes, Outputs({"--out": out}), silent)
+    _, _, estimate = _identified(path, changes, Outputs({"--out": out}), silent)
     if not isinstance(estimate, RobotEstimate):
         raise MethodError(
             "Bodies are fitted to an estimate by IDIM, of motor positions, and this robot file asks for DIDIM; add "
@@ -112,6 +176,47 @@ def export_robot_file(path: Path, changes: Sequence[str], out: Path) -> None:
     show(f"Written: {out}")
 
 
+def design_robot_file(
+    path: Path, options: Options, duration: float | None, seconds: float, motion: Path | None, out: Path | None,
+    figure: Path | None, outputs: Outputs,
+) -> None:  # fmt: skip
+    """Plan the motion that tells most of a robot, beside that of a first record where there is one."""
+    import numpy as np
+
+    from jointid import figures
+    from jointid.common.files import write_whole
+    from jointid.estimation.robots.idim import RobotIDIM
+    from jointid.planning.robots.design import design_robot_test
+    from jointid.planning.robots.first_record import first_record
+
+    outputs.spare("--motion", motion)
+    file = _loaded(path, options.changes, outputs, options.record)
+    first = own = None
+    sample_time = file.joints[0].source.sample_time or _SAMPLE_TIME
+    if motion is not None:
+        played = [record.reference for record in file.driven(motion, logged=False)]
+        given = [one for one in played if one is not None]
+        own = np.column_stack([one.values for one in given]) @ np.linalg.inv(file.robot.coupling).T
+        sample_time = given[0].sample_time
+        duration = len(own) * sample_time
+    elif options.record is not None or not all(one.complete for one in file.limits):
+        _, records, estimate = _identified(path, options.changes, outputs, options.progress, options.record)
+        first = first_record(estimate, records)
+        sample_time = first.sample_time
+    found = design_robot_test(
+        file.robot, file.limits, duration=duration or (_DURATION if first is None else first.duration),
+        sample_time=sample_time, loop=None if isinstance(file.method, RobotIDIM) else file.loop,
+        noise=None if first is None else first.noise, present=None if first is None else first.motion, motion=own,
+        filtering=file.filtering, seconds=seconds, progress=options.progress,
+    )  # fmt: skip
+    deliver(found, options.json, (figure, figures.draw))
+    if out is not None:
+        make_folder(out, "--out")
+        file.write(found.records(), out / "motion.csv")
+        write_whole(out / "design.md", found.document().markdown())
+        show(f"\nWritten to {out}: motion.csv, design.md")
+
+
 def _loaded(path: Path, changes: Sequence[str], outputs: Outputs, record: Path | None = None) -> RobotFile:
     """Return a robot file, whose model and record no output may replace."""
     from jointid.config.robot_file import load_robot_file
@@ -125,14 +230,15 @@ def _loaded(path: Path, changes: Sequence[str], outputs: Outputs, record: Path |
 
 def _identified(
     path: Path, changes: Sequence[str], outputs: Outputs, progress: Progress, record: Path | None = None
-) -> tuple[RobotFile, RobotEstimate | RobotTorqueEstimate]:
+) -> tuple[RobotFile, tuple[Record, ...], RobotEstimate | RobotTorqueEstimate]:
+    """Identify a robot as its file says; return what the file says, and the record, too."""
     from jointid.estimation.robots.idim import RobotIDIM, identify_robot
     from jointid.estimation.robots.torque_only import identify_robot_from_torques
 
     file = _loaded(path, changes, outputs, record)
     if isinstance(file.method, RobotIDIM):
-        return file, identify_robot(file.robot, file.records(record), file.method, filtering=file.filtering)
-    found = identify_robot_from_torques(
-        file.loop, file.driven(record), file.method, filtering=file.filtering, progress=progress
-    )
-    return file, found
+        records = file.records(record)
+        return file, records, identify_robot(file.robot, records, file.method, filtering=file.filtering)
+    records = file.driven(record)
+    found = identify_robot_from_torques(file.loop, records, file.method, filtering=file.filtering, progress=progress)
+    return file, records, found

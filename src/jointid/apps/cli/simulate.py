@@ -134,7 +134,7 @@ def simulate(
     elif joint is None:
         raise MethodError("A simulation needs a joint file; name one, or give --twin L19 for the paper's axis.")
     elif robots.is_robot(joint):
-        robots.refuse(estimate=estimate, json=options.json)
+        robots.refuse(estimate=estimate)
         robots.simulate_robot_file(joint, options, out, outputs)
     else:
         _simulate_joint(joint, estimate, out, options, outputs)

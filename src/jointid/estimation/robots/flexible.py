@@ -51,6 +51,7 @@ _ROUGH, _FINE = (
     1e-3,
     1e-5,
 )  # tolerances of the two searches: with first sizes of the joints' errors, and with settled ones
+_FIRST = 12  # evaluations, after which springs are looked for in what was found: with springs most searches are over
 _SHOWN = 4.0  # standard deviations by which a compliance is told from 0
 _TWO = 2.0  # of them: the bound of one that is not
 _EXACT = 1e-6  # of the torques: an error that the simulation itself may have
@@ -147,21 +148,40 @@ def identify_flexible_robot(
     x = parameters.searched(start.values(hertz))
     if problem.run(x, keep=False).outcome is not RobotOutcome.FINISHED:
         raise MethodError("The robot cannot be simulated where its search begins; give other frequencies.")
-    ends: list[Solution] = []
-    for tolerance in (_ROUGH, _FINE):
-        ends.append(_search(problem, x, tolerance, evaluations, progress))
-        x = ends[-1].x
-        error = ends[-1].residual / problem.weights(ends[-1].residual.size)
-        problem = problem.weighted(joint_sizes(problem, error, x.size, _least(problem)))
-    made = sum(end.evaluations for end in ends)
-    run = problem.run(x)
-    if run.outcome is not RobotOutcome.FINISHED:
-        raise MethodError(f"The search led to where the robot cannot be simulated: {run.outcome.value}.")
-    fit = conclude(problem, x, run, made, ends[-1].converged, _least(problem), by_slopes=True)
     kinds = dict(zip(robot.names, (link.kind for link in robot.links), strict=True))
     units = {name: "N/m" if kinds[name] == "prismatic" else "N m/rad" for name in flexible}
+    ends = [_search(problem, x, _ROUGH, min(_FIRST, evaluations), progress)]
+    seen = _concluded(problem, ends)
+    # A search without springs to find goes on for minutes along what the record does not tell.
+    if seen is not None and not any(_may_show(seen, problem, name) for name in flexible):
+        springs = tuple(_judge(seen, problem, name, units[name]) for name in flexible)
+        return FlexibleRobotFit(seen, springs, rigid, seen.iterations, "no joint shows a spring")
+    if not ends[0].converged:
+        ends.append(_search(problem, ends[0].x, _ROUGH, evaluations, progress))
+    problem = _reweighted(problem, ends[-1])
+    ends.append(_search(problem, ends[-1].x, _FINE, evaluations, progress))
+    problem = _reweighted(problem, ends[-1])
+    fit = _concluded(problem, ends)
+    if fit is None:
+        raise MethodError("The search led to where the robot cannot be simulated; give other frequencies.")
     springs = tuple(_judge(fit, problem, name, units[name]) for name in flexible)
-    return FlexibleRobotFit(fit, springs, rigid, made, ends[-1].message)
+    return FlexibleRobotFit(fit, springs, rigid, fit.iterations, ends[-1].message)
+
+
+def _reweighted(problem: RobotProblem, end: Solution) -> RobotProblem:
+    """Return the problem with the sizes of the errors that a search left."""
+    error = end.residual / problem.weights(end.residual.size)
+    return problem.weighted(joint_sizes(problem, error, end.x.size, _least(problem)))
+
+
+def _concluded(problem: RobotProblem, ends: Sequence[Solution]) -> RobotFit | None:
+    """Return the fit where the last of some searches ended; None where the robot cannot be simulated there."""
+    x = ends[-1].x
+    run = problem.run(x)
+    if run.outcome is not RobotOutcome.FINISHED:
+        return None
+    made = sum(end.evaluations for end in ends)
+    return conclude(problem, x, run, made, ends[-1].converged, _least(problem), by_slopes=True)
 
 
 def _least(problem: RobotProblem) -> float:
@@ -303,6 +323,13 @@ def _bounded(problem: RobotProblem, start: _Start) -> RobotProblem:
 
     free = tuple(within(place, one) for place, one in zip(problem.parameters.places, problem.free, strict=True))
     return replace(problem, parameters=replace(problem.parameters, parameters=free))
+
+
+def _may_show(fit: RobotFit, problem: RobotProblem, joint: str) -> bool:
+    """Return whether a longer search may find a joint's spring: its compliance is above two deviations, off its end."""
+    stiffness, deviation = fit.value(f"{joint}.stiffness")
+    bound = problem.free[fit.names.index(f"{joint}.stiffness")].upper
+    return stiffness > _TWO * deviation and math.log(stiffness) < bound - 1e-3
 
 
 def _judge(fit: RobotFit, problem: RobotProblem, joint: str, unit: str) -> SpringVerdict:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.parameters import Parameter, Quantity
+from jointid.models.robots.base_parameters import formula_of
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Robot
 from jointid.simulation.robot_sensitivities import NumberOf, NumberPlace, with_values
@@ -61,6 +62,12 @@ class RobotParameters:
     def names(self) -> tuple[str, ...]:
         """Names of the parameters."""
         return tuple(parameter.name for parameter in self.parameters)
+
+    def formulas(self, robot: Robot) -> tuple[str, ...]:
+        """Return the sums that the parameters stand for, as text; of one that stands alone its name."""
+        symbols = (*self.names, *(_named(place, robot, self.base, False).name for place in self.dropped))
+        both = np.hstack([np.eye(len(self.names)), self.grouping])
+        return tuple(formula_of(row, first, symbols) for first, row in enumerate(both))
 
     def group(self, numbers: RobotNumbers) -> FloatArray:
         """Return the parameters of a robot with these numbers, each with what is grouped with it, (parameters,)."""

@@ -24,13 +24,17 @@ from jointid.estimation.robots.flexible import SpringVerdict, identify_flexible_
 from jointid.estimation.robots.idim import errors_table
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
 from jointid.estimation.robots.problem import robot_problem
-from jointid.estimation.robots.validation import RobotValidation
+from jointid.estimation.robots.validation import RobotValidation, require_unseen
 from jointid.models.robots.inertial import SYMBOLS, UNITS
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.robots import RobotLoop, RobotNumbers, RobotOutcome, run_robot
 
+_WITHOUT = (
+    "No joint shows a spring in this record: leave the springs out of the robot file and identify it as rigid, or "
+    "excite the modes. How friction and inertia are split between motors and links below is not to be used."
+)
 _TWO = 2.0  # standard deviations of an interval
 _TOLD = 1.0  # relative deviation: a parameter that is known worse is not told from 0
 
@@ -80,24 +84,34 @@ class RobotTorqueEstimate(Documented):
 
     @property
     def params(self) -> Mapping[str, float]:
-        """The values by their names; without stiffnesses that are refused."""
-        refused = {f"{one.joint}.stiffness" for one in self.springs if not one.shown}
-        values = zip(self.fit.names, self.fit.values, strict=True)
+        """The values by their names; without the springs that are refused."""
+        values, refused = zip(self.fit.names, self.fit.values, strict=True), self._refused
         return {name: float(value) for name, value in values if name not in refused}
 
     @property
     def rows(self) -> Mapping[str, Mapping[str, float | str | None]]:
-        """Value, deviation and unit of each parameter, by its name; a stiffness that is refused has its bound."""
+        """Value, deviation and unit of each parameter, by its name; of a spring that is refused a bound at most."""
         found: dict[str, Mapping[str, float | str | None]] = {}
-        units = parameter_units(self.robot, self.fit.parameters)
-        least = {f"{one.joint}.stiffness": one.at_least for one in self.springs if not one.shown}
+        units, refused = parameter_units(self.robot, self.fit.parameters), self._refused
         for name, value, std in zip(self.fit.names, self.fit.values, self.fit.covariance.std, strict=True):
             unit = units[name]
-            if name in least:
-                found[name] = {"value": None, "std": None, "unit": unit, "at_least": float(least[name])}
+            if name in refused:
+                found[name] = {"value": None, "std": None, "unit": unit, "at_least": refused[name]}
             else:
                 found[name] = {"value": float(value), "std": float(std), "unit": unit, "at_least": None}
         return found
+
+    @property
+    def _refused(self) -> dict[str, float | None]:
+        """Bound of each parameter that is refused, by its name; the damping of a spring that is not shown has none."""
+        joints = [one for one in self.springs if not one.shown]
+        bounds: dict[str, float | None] = {f"{one.joint}.stiffness": float(one.at_least) for one in joints}
+        return bounds | {f"{one.joint}.damping": None for one in joints}
+
+    @property
+    def _no_spring(self) -> bool:
+        """Whether springs were looked for, and none was found."""
+        return bool(self.springs) and not any(one.shown for one in self.springs)
 
     def numbers(self) -> RobotNumbers:
         """Return the robot that was identified, as it is simulated."""
@@ -115,12 +129,12 @@ class RobotTorqueEstimate(Documented):
             ("method", f"DIDIM of a robot, from torques and references alone, {kind}"),
             ("search", f"{settled} after {self.fit.iterations} {'simulations' if self.springs else 'iterations'}"),
         )
-        rows, units = [], parameter_units(self.robot, self.fit.parameters)
-        least = {f"{one.joint}.stiffness": one.at_least for one in self.springs if not one.shown}
+        rows, units, refused = [], parameter_units(self.robot, self.fit.parameters), self._refused
         for name, value, std in zip(self.fit.names, self.fit.values, self.fit.covariance.std, strict=True):
             share = std / max(abs(value), 1e-300)
-            if name in least:
-                rows.append((name, f"at least {number(least[name], 3)}", units[name], ""))
+            if name in refused:
+                if (least := refused[name]) is not None:
+                    rows.append((name, f"at least {number(least, 3)}", units[name], ""))
             elif details or share < _TOLD:
                 shown = interval(float(value), _TWO * float(std))
                 rows.append((name, shown, units[name], f"{100 * share:.2g}"))
@@ -129,6 +143,7 @@ class RobotTorqueEstimate(Documented):
         return Document(
             f"{self.robot.name}: {len(self.fit.names)} parameters of {len(self.robot)} joints",
             (
+                *((Paragraph(_WITHOUT, lead=True, tone="bad"),) if self._no_spring else ()),
                 *(Paragraph(f"{one}.", lead=True, tone="good" if one.shown else "open") for one in self.springs),
                 Facts(facts),
                 errors_table(
@@ -198,9 +213,10 @@ def validate_robot_torques(estimate: RobotTorqueEstimate, records: Sequence[Reco
         records: of each joint, as `identify_robot_from_torques` takes them.
 
     Raises:
-        MethodError: the estimate cannot be simulated along that record.
+        MethodError: the estimate cannot be simulated along that record, or it is the estimate's own.
     """
     mine, _ = _errors(estimate.loop, records, estimate.filtering, estimate.numbers())
+    require_unseen(mine, estimate.joint_errors)
     nominal, _ = _errors(estimate.loop, records, estimate.filtering, _nominal(estimate.robot, estimate.numbers()))
     if not np.all(np.isfinite(mine)):
         raise MethodError("The robot that was identified cannot be simulated along this record; check its references.")

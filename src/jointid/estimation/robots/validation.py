@@ -14,11 +14,14 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented, Paragraph
+from jointid.common.errors import MethodError
 from jointid.estimation.robots.consistent import consistent_robot
 from jointid.estimation.robots.idim import RobotEstimate, errors_table
 from jointid.estimation.robots.regression import base_rows, motion_of_robot, relative_errors
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
+
+_SAME = 1e-9  # relative: errors of two records never agree so closely
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,19 +98,33 @@ def validate_robot(estimate: RobotEstimate, records: Sequence[Record]) -> RobotV
         records: of each joint, as `identify_robot` takes them.
 
     Raises:
-        MethodError: no body can have a link's parameters in the model.
+        MethodError: no body can have a link's parameters in the model, or the record is the estimate's own.
         RecordError: as of `identify_robot`.
     """
     motion = motion_of_robot(estimate.robot, records, estimate.filtering)
     rows = base_rows(estimate.robot, estimate.base, motion)
+    mine = relative_errors(rows, estimate.values)
+    require_unseen(mine, estimate.joint_errors)
     bodies = None
     if np.all(estimate.robot.inertials[:, 0] > 0):
         found = consistent_robot(estimate).robot
         friction = np.column_stack([found.of_joints(name) for name in ("viscous", "coulomb", "offset")]).ravel()
         bodies = relative_errors(rows, np.concatenate([estimate.base.of(found), friction]))
-    return RobotValidation(
-        estimate.robot, relative_errors(rows, estimate.values), relative_errors(rows, estimate.nominal), bodies
-    )
+    return RobotValidation(estimate.robot, mine, relative_errors(rows, estimate.nominal), bodies)
+
+
+def require_unseen(errors: FloatArray, own: FloatArray) -> None:
+    """Raise a `MethodError` if an estimate leaves of a record to the last digits what it leaves of its own.
+
+    Args:
+        errors: (n,) that it leaves of the record.
+        own: (n,) that it leaves of the one that it is from.
+    """
+    if np.allclose(errors, own, rtol=_SAME, atol=0.0):
+        raise MethodError(
+            "This record is the one that the estimate is from, or a copy of it; expected one that it has not seen, "
+            "since any estimate predicts its own: give another."
+        )
 
 
 def _rms(errors: FloatArray) -> float:

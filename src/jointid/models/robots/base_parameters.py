@@ -115,7 +115,7 @@ def base_parameters(robot: Robot, seed: int = 0) -> BaseParameters:
     symbols, units = standard_symbols(robot), (*n * UNITS, *n * ("kg m2",))
     return BaseParameters(
         tuple(symbols[i] for i in first),
-        tuple(_formula(row, int(i), symbols) for row, i in zip(grouping, first, strict=True)),
+        tuple(formula_of(row, int(i), symbols) for row, i in zip(grouping, first, strict=True)),
         tuple(units[i] for i in first),
         first,
         grouping,
@@ -148,7 +148,14 @@ def _independent(columns: FloatArray) -> tuple[list[int], list[int]]:
     return chosen, dependent
 
 
-def _formula(weights: FloatArray, first: int, symbols: tuple[str, ...]) -> str:
+def formula_of(weights: FloatArray, first: int, symbols: tuple[str, ...]) -> str:
+    """Return a sum as text, which begins with its first symbol: "Izz1 + m2 * 0.09 + Ia1".
+
+    Args:
+        weights: (symbols,) of the sum.
+        first: place of the symbol that names it.
+        symbols: all there are.
+    """
     terms = [symbols[first]]
     for i in np.flatnonzero(weights):
         if i != first:

@@ -137,7 +137,7 @@ def _item(made: figure, item: Item, sources: _Sources) -> Any:
         return line
     if isinstance(item, Dots):
         source, (y,) = sources.column(item.x, item.y)
-        return made.scatter("x", y, source=source, color=item.colour, size=2, alpha=0.3, line_color=None)
+        return made.scatter("x", y, source=source, color=item.colour, size=2 * item.size, alpha=0.3, line_color=None)
     if isinstance(item, Band):
         source, (low, high) = sources.column(item.x, item.low, item.high)
         return made.varea("x", low, high, source=source, color=item.colour, alpha=0.25)

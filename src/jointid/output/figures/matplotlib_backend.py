@@ -144,8 +144,8 @@ def _item(axes: Axes, item: Item) -> None:
         )  # fmt: skip
     elif isinstance(item, Dots):
         axes.plot(
-            item.x, item.y, ".", color=item.colour, markersize=1.5, alpha=0.35, markeredgewidth=0, rasterized=True,
-            label=item.label or None,
+            item.x, item.y, ".", color=item.colour, markersize=1.5 * item.size, alpha=0.35, markeredgewidth=0,
+            rasterized=True, label=item.label or None,
         )  # fmt: skip
     elif isinstance(item, Band):
         axes.fill_between(

@@ -18,6 +18,7 @@ from jointid.common.errors import MethodError
 from jointid.config import controller_text
 from jointid.models.controllers import Controller, numbers_of
 from jointid.models.joints import Joint
+from jointid.models.robots.robot import Robot
 from jointid.output.json.estimates import Json, Shape, always, estimate_shape, named, percent, same, take
 
 REPORT_SCHEMA = "jointid.report/1"
@@ -340,6 +341,40 @@ SHAPES: Mapping[str, Shape] = {
         "nominal_left": "nominal_errors",
         "bodies_left": "body_errors",
     },
+    "RobotDiagnosis": {
+        "schema": always("jointid.robot_diagnosis/1"),
+        "robot": "robot.name",
+        **same("method", "answer", "explained", "as_declared", "feed_forward", "sentences", "joints"),
+    },
+    "JointDiagnosis": {
+        **same("name", "left", "explained"),
+        "white": "whiteness.white",
+        "follows": lambda joint: None if joint.follows is None else joint.follows[0],
+        "follows_share": lambda joint: None if joint.follows is None else joint.follows[1].explained,
+        **same("travel", "speed", "moving", "law_holds"),
+        "law": "law",
+        "parameters": lambda joint: {one.name: one for one in joint.parameters},
+    },
+    "ParameterOfJoint": same("value", "std", "unit", "nominal", "formula", "known", "at_least"),
+    "LawOnPosition": same("left", "gain", "late", "left_in_time", "noise"),
+    "RobotDesign": {
+        "schema": always("jointid.robot_design/1"),
+        "robot": "robot.name",
+        "joints": "robot.names",
+        **same("sentence", "sample_time"),
+        "samples": lambda design: len(design.reference),
+        **same("parameters", "noise", "of_record", "limits", "reached", "passed", "modes", "tried"),
+    },
+    "RobotSimulation": {
+        "samples": lambda simulation: len(simulation.torque),
+        "sample_time": "sample_time",
+        "outcome": lambda simulation: simulation.outcome.name.lower(),
+        "explanation": "outcome.value",
+        "events": "events",
+        "peak_torque": lambda simulation: [float(one) for one in abs(simulation.torque).max(axis=0)],
+        "peak_speed": lambda simulation: [float(one) for one in abs(simulation.motor_velocity).max(axis=0)],
+    },
+    "JointLimits": same("lower", "upper", "speed", "acceleration", "torque"),
     # Files and reports
     "Inspection": {
         "schema": always("jointid.inspection/1"),
@@ -421,6 +456,12 @@ def simulation_answer(simulation: object, joint: Joint, values: Mapping[str, flo
     )
     document.update(plain(simulation))
     return document
+
+
+def robot_simulation_answer(robot: Robot, simulation: object, strays: Mapping[int, float]) -> Json:
+    """Return what a robot's simulation was and how it ended as it is written to JSON; the signals go into a record."""
+    said: Json = {"schema": "jointid.robot_simulation/1", "robot": robot.name, "joints": list(robot.names)}
+    return {**said, **plain(simulation), "strays": {robot.names[k]: off for k, off in strays.items()}}
 
 
 def plain(value: Any) -> Any:

@@ -17,7 +17,6 @@ from jointid import Drive, Record, __version__
 from jointid.common.charts import Chart
 from jointid.common.document import Document, dumps
 from jointid.common.errors import JointidError, RecordError
-from jointid.common.files import write_folder, write_whole
 from jointid.common.messages import Progress, silent
 from jointid.common.typography import typeset_block
 from jointid.diagnostics.loop_findings import LoopCheck
@@ -25,10 +24,9 @@ from jointid.diagnostics.report_data import ReportData, collect_report_data
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers.drive_numbers import DriveNumber
-from jointid.output.figures.matplotlib_backend import png, svg
 from jointid.output.json import plain
 from jointid.output.json.documents import REPORT_SCHEMA
-from jointid.output.report.page import page
+from jointid.output.report.pages import Pages
 from jointid.output.report.pictures import draw_charts
 from jointid.output.report.sections import report_blocks
 from jointid.output.report.summary import report_title
@@ -132,7 +130,7 @@ def _find_date(record: Path) -> str:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Report:
+class Report(Pages):
     """An estimate, told.
 
     Attributes:
@@ -217,53 +215,6 @@ class Report:
         """Return the answer and the parameters, as a notebook shows them; `save` writes the whole."""
         return self.estimate._repr_html_()
 
-    def html(self) -> str:
-        """Return one self-contained HTML page.
-
-        Raises:
-            ExtraError: bokeh or jinja2 is not installed.
-        """
-        return page(self._document(interactive=True))
-
-    def markdown(self) -> str:
-        """Return the same as Markdown; its figures are SVG files beside it, which `save` writes."""
-        return self._document(interactive=False).markdown()
-
-    def save(self, path: str | Path) -> Path:
-        """Write the page.
-
-        Args:
-            path: of the file, which ends in .html.
-
-        Raises:
-            RecordError: another suffix, or the file cannot be written.
-            ExtraError: bokeh or jinja2 is not installed.
-        """
-        path = Path(path)
-        require_page(path)
-        write_whole(path, self.html())
-        return path
-
-    def save_markdown(self, folder: str | Path) -> tuple[Path, ...]:
-        """Write report.md and its figures into a folder, which is made; return what was written.
-
-        Raises:
-            RecordError: the folder or a file cannot be written.
-        """
-        document = self._document(interactive=False)
-        return write_folder(folder, {"report.md": document.markdown().encode()} | document.pictures)
-
-    def save_figures(self, folder: str | Path) -> tuple[Path, ...]:
-        """Write every figure as PNG and as SVG into a folder, which is made; return what was written.
-
-        Raises:
-            RecordError: the folder or a file cannot be written.
-        """
-        files: dict[str, bytes] = {}
-        for name, chart in self.charts.items():
-            files |= {f"{name}.png": png(chart), f"{name}.svg": svg(chart)}
-        return write_folder(folder, files)
-
     def answer(self) -> str:
         """Return the JSON that the page carries along."""
         given, repeated = self.dossier, self.repetition
@@ -323,9 +274,3 @@ def _without_responses(tuning: dict[str, Any]) -> dict[str, Any]:
     loops = {key: tuning[key] for key in ("present", "proposed") if tuning[key] is not None}
     shown = {key: {k: v for k, v in loop.items() if k != "response"} for key, loop in loops.items()}
     return tuning | shown
-
-
-def require_page(path: Path) -> None:
-    """Raise a `RecordError` if a page cannot be saved under that name."""
-    if path.suffix.lower() not in (".html", ".htm"):
-        raise RecordError(f'A report is saved as .html; received "{path.name}": change its suffix.')

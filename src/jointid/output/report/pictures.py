@@ -43,6 +43,8 @@ _SAMPLES = 30_000  # of a signal over time that are drawn: 25 s at 1 kHz are dra
 _MOVING = 4_000  # of the motion, which has no noise to be shown
 _POINTS = 4_000  # of a cloud
 _CELLS = 40  # of the mean over velocity or position
+_LEAST_CELLS, _PER_CELL = 6, 20  # likewise, where there are few samples; and samples of each
+_SPARSE = 1_500  # points: a cloud of fewer has larger ones
 _FEW = 5  # samples: a cell with fewer has no mean worth a line
 
 
@@ -145,11 +147,11 @@ def residual_chart(given: ReportData) -> Chart | None:
     label = f"error [{names.unit}]"
     panels = [
         Panel(
-            f"velocity{names.side} [{names.length}/s]", label, _cloud(velocity, error, {"mean": everywhere}), height=280
+            f"velocity{names.side} [{names.length}/s]", label, cloud(velocity, error, {"mean": everywhere}), height=280
         ),
         Panel(
             f"position{names.side} [{names.length}]", label,
-            _cloud(position, error, {"mean forwards": forwards, "mean backwards": backwards}), height=280,
+            cloud(position, error, {"mean forwards": forwards, "mean backwards": backwards}), height=280,
         ),
     ]  # fmt: skip
     told = ""
@@ -176,16 +178,24 @@ def residual_chart(given: ReportData) -> Chart | None:
     return Chart("residual", caption, tuple(panels), columns=len(panels))
 
 
-def _cloud(x: FloatArray, error: FloatArray, of: Mapping[str, NDArray[np.bool_]]) -> tuple[Item, ...]:
-    """Return points, and their means over cells of x for each choice of samples."""
-    items: list[Item] = [Dots(stride(x, _POINTS), stride(error, _POINTS), "#888888")]
+def cloud(x: FloatArray, error: FloatArray, of: Mapping[str, NDArray[np.bool_]]) -> tuple[Item, ...]:
+    """Return points, and their means over cells of x for each choice of samples.
+
+    Args:
+        x: (samples,) of the error.
+        error: (samples,).
+        of: which samples have a mean of their own, by its label, (samples,).
+    """
+    large = 3.0 if x.size < _SPARSE else 1.0
+    items: list[Item] = [Dots(stride(x, _POINTS), stride(error, _POINTS), "#888888", size=large)]
+    cells = min(max(x.size // _PER_CELL, _LEAST_CELLS), _CELLS)
     for (label, chosen), colour in zip(of.items(), (OTHERS[3], OTHERS[0]), strict=False):
         if np.count_nonzero(chosen) < 2 * _FEW or np.ptp(x[chosen]) == 0:
             continue
-        edges = np.linspace(x[chosen].min(), x[chosen].max(), _CELLS + 1)
-        cell = np.clip(np.searchsorted(edges, x[chosen], side="right") - 1, 0, _CELLS - 1)
-        count = np.bincount(cell, minlength=_CELLS)
-        mean = np.bincount(cell, error[chosen], _CELLS) / np.maximum(count, 1)
+        edges = np.linspace(x[chosen].min(), x[chosen].max(), cells + 1)
+        cell = np.clip(np.searchsorted(edges, x[chosen], side="right") - 1, 0, cells - 1)
+        count = np.bincount(cell, minlength=cells)
+        mean = np.bincount(cell, error[chosen], cells) / np.maximum(count, 1)
         enough = count >= _FEW
         items.append(Line((0.5 * (edges[:-1] + edges[1:]))[enough], mean[enough], colour, label, 2.0))
     return tuple(items)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
-from jointid.common.charts import Cells, Chart
+from jointid.common.charts import Chart
 from jointid.common.document import (
     Block,
     Code,
@@ -15,10 +16,8 @@ from jointid.common.document import (
     Heading,
     Listing,
     Paragraph,
-    Picture,
     Table,
 )
-from jointid.common.parallel import Aside
 from jointid.common.text import listed, number
 from jointid.common.typography import p_value
 from jointid.diagnostics.fault_tests import FaultTest
@@ -31,8 +30,7 @@ from jointid.estimation.result.summary import (
     combinations_table,
     settings_facts,
 )
-from jointid.output.figures.bokeh_backend import plot
-from jointid.output.figures.matplotlib_backend import svg
+from jointid.output.report.pages import pictures_of
 from jointid.output.report.summary import summary_blocks, verdicts_in_full
 from jointid.output.report.wording import say_suspects, sentence, suspect
 from jointid.planning.design import Design
@@ -51,25 +49,8 @@ def report_blocks(
     *,
     interactive: bool,
 ) -> tuple[Block, ...]:
-    """Return the whole report; where it is interactive its figures are plots, too, for a page.
-
-    Each is drawn twice then, at the same time: by one library for the screen, by the other for paper.
-    """
-    plots: dict[str, str] = {}
-    if interactive:
-        drawing = Aside(lambda: {name: svg(chart) for name, chart in charts.items()})
-        plots = {name: plot(chart) for name, chart in charts.items()}
-        drawn = drawing.result()
-    else:
-        drawn = {name: svg(chart) for name, chart in charts.items()}
-
-    def picture(name: str) -> list[Block]:
-        if name not in charts:
-            return [Paragraph(_absent(given, name))]
-        chart = charts[name]
-        narrow = any(isinstance(item, Cells) for panel in chart.panels for item in panel.items)
-        return [Picture(f"{name}.svg", drawn[name], chart.caption, plots.get(name, ""), not narrow)]
-
+    """Return the whole report; where it is interactive its figures are plots, too, for a page."""
+    picture = pictures_of(charts, interactive=interactive, absent=partial(_absent, given))
     return (
         *summary_blocks(given, tuned, design, picture),
         Heading("Appendix"),

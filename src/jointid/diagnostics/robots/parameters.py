@@ -1,0 +1,95 @@
+"""The parameters of a robot's estimate, each with the joint that it belongs to, what it stands for, and a verdict.
+
+A parameter is told by a record where its deviation is below a tenth of it, roughly where it is below itself, and else
+not told from 0. A stiffness that is refused has its bound.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from jointid.estimation.robots.idim import RobotEstimate
+from jointid.estimation.robots.torque_only import RobotTorqueEstimate
+from jointid.simulation.robot_sensitivities import NumberOf
+from jointid.simulation.robots import RobotNumbers
+
+_TOLD, _ROUGHLY = 0.1, 1.0  # relative deviations
+
+
+class Told(StrEnum):
+    """How well a record tells a parameter."""
+
+    TOLD = "told"
+    ROUGHLY = "roughly"
+    NOT = "not told from 0"
+    REFUSED = "refused"
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterOfJoint:
+    """One parameter of a robot's estimate.
+
+    Attributes:
+        joint: place of its joint, or of the joint that carries its link.
+        name: as the estimate calls it.
+        value, std: None where it is refused.
+        unit: SI, behind the gear.
+        nominal: of the model and file that was begun with.
+        formula: the sum of standard parameters that it stands for; its own name where it stands for itself.
+        known: whether the record tells it.
+        at_least: bound of a stiffness that is refused.
+    """
+
+    joint: int
+    name: str
+    value: float | None
+    std: float | None
+    unit: str
+    nominal: float
+    formula: str
+    known: Told
+    at_least: float | None = None
+
+
+def parameters_by_joint(estimate: RobotEstimate | RobotTorqueEstimate) -> tuple[ParameterOfJoint, ...]:
+    """Return the parameters of an estimate, from the first joint to the last."""
+    if isinstance(estimate, RobotEstimate):
+        joints, nominal, formulas = _of_inverse_model(estimate)
+    else:
+        joints, nominal, formulas = _of_simulation(estimate)
+    found = []
+    for (name, row), joint, before, formula in zip(estimate.rows.items(), joints, nominal, formulas, strict=True):
+        value, std, least = row["value"], row["std"], row.get("at_least")
+        number = value if isinstance(value, float) else None
+        spread = std if isinstance(std, float) else None
+        bound = least if isinstance(least, float) else None
+        known = Told.REFUSED
+        if number is not None and spread is not None:
+            share = spread / abs(number) if number else math.inf
+            known = Told.TOLD if share < _TOLD else Told.ROUGHLY if share < _ROUGHLY else Told.NOT
+        found.append(ParameterOfJoint(joint, name, number, spread, str(row["unit"]), before, formula, known, bound))
+    return tuple(sorted(found, key=lambda one: one.joint))
+
+
+def _of_inverse_model(estimate: RobotEstimate) -> tuple[list[int], list[float], list[str]]:
+    n = len(estimate.robot)
+    joints = [int(i) // 10 if i < 10 * n else int(i) - 10 * n for i in estimate.base.chosen]
+    friction = len(estimate.names) - len(joints)
+    joints += [k for k in range(n) for _ in range(friction // n)]
+    formulas = [*estimate.base.formulas, *estimate.names[len(estimate.base) :]]
+    return joints, [float(one) for one in estimate.nominal], formulas
+
+
+def _of_simulation(estimate: RobotTorqueEstimate) -> tuple[list[int], list[float], list[str]]:
+    parameters = estimate.fit.parameters
+    rotors = parameters.base.rotors
+    joints = []
+    for place in parameters.places:
+        own = np.flatnonzero(rotors == place.row) if place.of is NumberOf.MASS else np.zeros(0)
+        joints.append(int(own[0]) if own.size else place.row)
+    nominal = parameters.group(RobotNumbers.of(estimate.robot))
+    return joints, [float(one) for one in nominal], list(parameters.formulas(estimate.robot))

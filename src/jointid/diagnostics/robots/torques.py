@@ -1,0 +1,172 @@
+"""The torques of a robot's record beside those of an estimate, joint by joint, on the rows that were compared.
+
+Beside them stand shapes: what a part that the model lacks would add to a joint's torque. A friction that is no straight
+line, or grows with the load; what repeats with the position; a gear that bends, which adds the second derivative of the
+acceleration; the motion of each other joint, as coupled motors do. All go through the filter of the torques.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jointid.common.arrays import FloatArray
+from jointid.estimation.robots.idim import RobotEstimate
+from jointid.estimation.robots.problem import robot_problem
+from jointid.estimation.robots.regression import base_rows, motion_of_robot
+from jointid.estimation.robots.torque_only import RobotTorqueEstimate
+from jointid.models.robots.robot import Robot
+from jointid.records.record import Record
+from jointid.records.signals.filtering import Filtering
+from jointid.simulation.robots import simulation_of
+
+_SLOW = 0.1  # of the largest speed: where friction may rise towards standstill
+_HARMONICS = 4  # of the travel
+
+FRICTION = "its own speed, by more than a straight line: friction that rises towards standstill, or with the square"
+LOAD = "its own torque while it moves: friction that grows with the load"
+POSITION = "its own position: a gear that turns unevenly, a cable or a counterbalance"
+SPRING = "changes of its acceleration: a gear that bends"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotTorques:
+    """Torques of all joints, filtered and thinned, on an estimate's own record or another one.
+
+    Attributes:
+        robot: whose joints they are.
+        time: (rows,) of them, s.
+        sample_time, cutoff: s between rows, and Hz of the filter.
+        measured, predicted: (n, rows) N m or N, behind the gear.
+        nominal: (n, rows) the same of the model's own masses, friction fitted; None where nothing was asked of it.
+        seen: (n, rows) False where a motor rests, so that friction takes what it must.
+        position, velocity: (n, rows) of the motors behind their gears, rad or m, and per s.
+        shapes: of each joint, by what they are of, (rows, columns).
+    """
+
+    robot: Robot
+    time: FloatArray
+    sample_time: float
+    cutoff: float
+    measured: FloatArray
+    predicted: FloatArray
+    nominal: FloatArray | None
+    seen: NDArray[np.bool_]
+    position: FloatArray
+    velocity: FloatArray
+    shapes: tuple[Mapping[str, FloatArray], ...]
+
+    @property
+    def error(self) -> FloatArray:
+        """Measured less predicted, (n, rows)."""
+        return self.measured - self.predicted
+
+
+def torques_of(estimate: RobotEstimate | RobotTorqueEstimate, records: Sequence[Record]) -> RobotTorques:
+    """Return the torques of the record that an estimate is from, beside its own.
+
+    Args:
+        estimate: of the robot, by IDIM or DIDIM.
+        records: of each joint, that it was identified from.
+
+    Raises:
+        RecordError, MethodError: as of the identification.
+    """
+    if isinstance(estimate, RobotEstimate):
+        return _by_inverse_model(estimate, records)
+    return _by_simulation(estimate, records)
+
+
+def _by_inverse_model(estimate: RobotEstimate, records: Sequence[Record]) -> RobotTorques:
+    robot, motion = estimate.robot, motion_of_robot(estimate.robot, records, estimate.filtering)
+    rows = base_rows(robot, estimate.base, motion)
+    coupling = robot.coupling.T
+    q, v, a = (one @ coupling for one in (motion.q, motion.v, motion.a))
+    seen = np.any(rows.W != 0.0, axis=1).reshape(len(robot), -1)
+
+    def thin(columns: FloatArray) -> FloatArray:
+        return motion.thinned(columns).reshape(len(robot), -1, columns.shape[2])
+
+    nominal = rows.by_equation(rows.W @ estimate.nominal) if robot.has_masses else None
+    measured = rows.by_equation(rows.Y)
+    return _torques(
+        robot, motion.filtering, motion.sample_time, (measured, rows.by_equation(rows.W @ estimate.values), nominal),
+        seen, (q, v, a), motion.torque, thin,
+    )  # fmt: skip
+
+
+def _by_simulation(estimate: RobotTorqueEstimate, records: Sequence[Record]) -> RobotTorques:
+    robot, run = estimate.robot, estimate.fit.run
+    problem = robot_problem(estimate.loop, records, estimate.fit.parameters, estimate.filtering)
+    motion, rotors = simulation_of(run).motion, run.numbers.rotors
+    measured = problem.by_joint(problem.decimated(problem.measured))
+    predicted = measured - problem.by_joint(problem.error(run))
+
+    def thin(columns: FloatArray) -> FloatArray:
+        return problem.decimated(columns).reshape(len(robot), -1, columns.shape[2])
+
+    q, v, a = (one[:, rotors] for one in (motion.position, motion.velocity, motion.acceleration))
+    seen = np.ones(measured.shape, dtype=np.bool_)
+    return _torques(
+        robot, problem.filtering, problem.sample_time, (measured, predicted, None), seen, (q, v, a), problem.measured,
+        thin,
+    )  # fmt: skip
+
+
+def _torques(
+    robot: Robot,
+    filtering: Filtering,
+    sample_time: float,
+    torques: tuple[FloatArray, FloatArray, FloatArray | None],
+    seen: NDArray[np.bool_],
+    motion: tuple[FloatArray, FloatArray, FloatArray],
+    torque: FloatArray,
+    thin: Callable[[FloatArray], FloatArray],
+) -> RobotTorques:
+    """Return torques with the shapes of what a model may lack; motion and torque are (samples, n), as they are."""
+    assert filtering.cutoff is not None
+    assert filtering.decimation is not None
+    q, v, a = motion
+    names, columns = _shapes(robot, q, v, a, torque, sample_time)
+    found = thin(np.concatenate([np.stack([q, v], axis=2), *columns], axis=2))
+    widths = [one.shape[2] for one in columns]
+    parts = np.split(found[:, :, 2:], np.cumsum(widths)[:-1], axis=2)
+    shapes = tuple({names(k, i): part[k] for i, part in enumerate(parts)} for k in range(len(robot)))
+    step = sample_time * filtering.decimation
+    measured, predicted, nominal = torques
+    return RobotTorques(
+        robot, np.asarray(step * np.arange(measured.shape[1])), step, filtering.cutoff, measured, predicted, nominal,
+        seen, found[:, :, 0], found[:, :, 1], shapes,
+    )  # fmt: skip
+
+
+def _shapes(
+    robot: Robot, q: FloatArray, v: FloatArray, a: FloatArray, torque: FloatArray, sample_time: float
+) -> tuple[Callable[[int, int], str], list[FloatArray]]:
+    """Return what the shapes of each joint are of, by joint and place, and the shapes, (samples, n, columns) each."""
+    n, way = len(robot), np.sign(v)
+    slow = _SLOW * np.max(np.abs(v), axis=0) + 1e-300
+    turns = 2.0 * np.pi * (q - q.min(axis=0)) / (np.ptp(q, axis=0) + 1e-300)
+    waves = [wave(m * turns) for m in range(1, _HARMONICS + 1) for wave in (np.sin, np.cos)]
+    bent = np.gradient(np.gradient(a, sample_time, axis=0), sample_time, axis=0)
+    own = [
+        np.stack([way * np.exp(-np.abs(v) / slow), v * np.abs(v)], axis=2),
+        (way * np.abs(torque))[:, :, np.newaxis],
+        np.stack(waves, axis=2),
+        bent[:, :, np.newaxis],
+    ]
+    others = []
+    for place in range(n - 1):
+        other = [place + (place >= k) for k in range(n)]
+        others.append(np.stack([v[:, other], a[:, other], way[:, other]], axis=2))
+
+    def name(joint: int, place: int) -> str:
+        if place < len(own):
+            return (FRICTION, LOAD, POSITION, SPRING)[place]
+        other = place - len(own)
+        return f"the motion of {robot.names[other + (other >= joint)]}: motors or gears that are coupled"
+
+    return name, own + others

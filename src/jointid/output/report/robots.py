@@ -1,0 +1,284 @@
+"""The report of a robot: whether to rely on its estimate, then joint by joint parameters, torques and what is left."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from jointid.common.charts import ERROR, MEASURED, OTHERS, SIMULATED, Chart, Item, Line, Mark, Panel, thin
+from jointid.common.document import Block, Code, Document, Facts, Heading, Listing, Paragraph, Table, dumps
+from jointid.common.errors import RecordError
+from jointid.common.text import interval, number
+from jointid.common.typography import typeset_block
+from jointid.diagnostics.report_data import estimate_spectra
+from jointid.diagnostics.robots.diagnose import FeedForwardName, RobotDiagnosis, diagnose_robot
+from jointid.diagnostics.robots.parameters import ParameterOfJoint, Told
+from jointid.diagnostics.robots.torques import RobotTorques
+from jointid.estimation.robots.idim import RobotEstimate
+from jointid.estimation.robots.torque_only import RobotTorqueEstimate
+from jointid.estimation.robots.validation import RobotValidation
+from jointid.models.controllers import Controller
+from jointid.models.robots.robot import Robot
+from jointid.output.figures import torque_word
+from jointid.output.json import plain
+from jointid.output.report import Repetition
+from jointid.output.report.pages import Pages, pictures_of
+from jointid.output.report.pictures import cloud
+from jointid.records.record import Record
+
+REPORT_OF_ROBOT = "jointid.robot_report/1"
+
+_SAMPLES = 6_000  # of each torque that are drawn: six joints have as many as one has in its report
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotReport(Pages):
+    """A robot's estimate, told.
+
+    Attributes:
+        estimate: of the robot.
+        diagnosis: what its record tells, joint by joint.
+        validation: against a record that it has not seen; None without one.
+        repetition: what it takes to do it again, where the files are known.
+    """
+
+    estimate: RobotEstimate | RobotTorqueEstimate
+    diagnosis: RobotDiagnosis
+    validation: RobotValidation | None = None
+    repetition: Repetition = field(default_factory=Repetition)
+
+    @classmethod
+    def of(
+        cls,
+        estimate: RobotEstimate | RobotTorqueEstimate,
+        records: Sequence[Record],
+        controllers: Sequence[Controller | None] = (),
+        validation: RobotValidation | None = None,
+        *,
+        feed_forward: FeedForwardName = "none",
+        repetition: Repetition | None = None,
+    ) -> RobotReport:
+        """Report a robot's estimate.
+
+        Args:
+            estimate: by IDIM or DIDIM.
+            records: of each joint, that it was identified from.
+            controllers: as declared, see `diagnose_robot`.
+            validation: of the estimate on another record, from `validate_robot` or `validate_robot_torques`.
+            feed_forward: as declared, see `diagnose_robot`.
+            repetition: what it takes to do it again, where the files are known.
+
+        Raises:
+            RecordError, MethodError: as of the identification.
+        """
+        found = diagnose_robot(estimate, records, controllers, feed_forward=feed_forward)
+        return cls(estimate, found, validation, repetition or Repetition())
+
+    @property
+    def robot(self) -> Robot:
+        """The robot that was begun with."""
+        return self.estimate.robot
+
+    @property
+    def title(self) -> str:
+        """The robot, and the date of its record where it is known."""
+        return f"{self.robot.name}{f', {self.repetition.date}' if self.repetition.date else ''}"
+
+    @property
+    def charts(self) -> dict[str, Chart]:
+        """Its figures by name."""
+        found = (_torque_chart(self.diagnosis), _residual_chart(self.diagnosis), _spectra_chart(self.diagnosis))
+        return {chart.name: chart for chart in found if chart is not None}
+
+    def __repr__(self) -> str:
+        return f"RobotReport({self.title!r})"
+
+    def answer(self) -> str:
+        """Return the JSON that the page carries along."""
+        repeated = self.repetition
+        return dumps(
+            plain(
+                {
+                    "schema": REPORT_OF_ROBOT,
+                    "version": repeated.version,
+                    "estimate": self.estimate,
+                    "diagnosis": self.diagnosis,
+                    "validation": self.validation,
+                    "record_file": repeated.record_name or None,
+                    "record_date": repeated.date or None,
+                    "record_file_sha256": repeated.record_sha256 or None,
+                    "robot_file_name": repeated.joint_name or None,
+                    "robot_file": repeated.joint_file or None,
+                    "command": repeated.command or None,
+                }
+            )
+        )
+
+    def _document(self, *, interactive: bool) -> Document:
+        picture = pictures_of(self.charts, interactive=interactive)
+        blocks = (
+            Heading("Result"),
+            *self._result(),
+            Heading("Joints"),
+            *self.diagnosis.document().blocks[1:],
+            Heading("Parameters"),
+            *_parameters(self.diagnosis),
+            Heading("Torque"),
+            *picture("torque"),
+            *self._held_out(),
+            Heading("Appendix"),
+            Paragraph("What stands behind that: what is left of the torques, the sums, and how to repeat it."),
+            Heading("Residual"),
+            *picture("residual"),
+            *([Heading("Spectra"), *picture("spectra")] if "spectra" in self.charts else []),
+            Heading("Sums that the parameters stand for"),
+            *_sums(self.diagnosis),
+            Heading("Settings and data"),
+            *self._repeated(),
+        )
+        return Document(self.title, tuple(map(typeset_block, blocks)), self.answer() if interactive else "")
+
+    def _result(self) -> Iterator[Block]:
+        """Yield the verdict, what it rests on, and how the robot was identified."""
+        estimate, found = self.estimate, self.diagnosis
+        if self.validation is not None:
+            yield self.validation.document().blocks[0]
+            yield Paragraph(found.answer)
+        else:
+            yield Paragraph(found.answer, lead=True, tone="open" if found.explained else "bad")
+            yield Paragraph(
+                "It was not held against a record that it has not seen, so nothing says yet that it predicts better "
+                "than the model did: --held-out RECORD does it."
+            )
+        yield from (b for b in estimate.document().blocks if isinstance(b, Paragraph))
+        yield Paragraph("Numbers after ± are two standard deviations. All of them are behind the gears.")
+
+    def _held_out(self) -> list[Block]:
+        if self.validation is None:
+            return []
+        return [Heading("A record that the estimate has not seen"), *self.validation.document().blocks[1:]]
+
+    def _repeated(self) -> Iterator[Block]:
+        estimate, filtering, repeated = self.estimate, self.estimate.filtering, self.repetition
+        yield from (b for b in estimate.document().blocks if isinstance(b, Facts))
+        yield Facts(
+            (
+                ("filter", f"up to {number(filtering.cutoff, 4)} Hz, one sample in {filtering.decimation} kept"),
+                ("rows", f"{self.diagnosis.torques.time.size} of each joint"),
+                *repeated.facts,
+            )
+        )
+        if repeated.command:
+            yield Code(repeated.command, "The command, with robot file, model and record beside each other:")
+        if repeated.joint_file:
+            yield Code(repeated.joint_file, f"The robot file, {repeated.joint_name}:")
+
+
+def _parameters(found: RobotDiagnosis) -> Iterator[Block]:
+    """Yield a table of each joint's parameters."""
+    told = sum(one.known is Told.TOLD for joint in found.joints for one in joint.parameters)
+    whole = sum(len(joint.parameters) for joint in found.joints)
+    yield Paragraph(f"{told} of {whole} are known to a tenth, 1 sigma. What is not told from 0 is not to be used.")
+    header = ("parameter", "value, 2 sigma", "unit", "sigma, %", "nominal", "verdict")
+    for joint in found.joints:
+        if joint.parameters:
+            rows = tuple(_parameter(one) for one in joint.parameters)
+            yield Table(header, rows, joint.name, (0, 1, 2, 5))
+
+
+def _parameter(one: ParameterOfJoint) -> tuple[str, ...]:
+    nominal = number(one.nominal, 4)
+    if one.value is None or one.std is None:
+        shown = "-" if one.at_least is None else f"at least {number(one.at_least, 3)}"
+        return one.name, shown, one.unit, "", nominal, one.known.value
+    share = f"{100 * one.std / abs(one.value):.2g}" if one.value else "-"
+    return one.name, interval(one.value, 2 * one.std), one.unit, share, nominal, one.known.value
+
+
+def _sums(found: RobotDiagnosis) -> Iterator[Block]:
+    items = tuple(
+        f"{one.name} is {one.formula}" for joint in found.joints for one in joint.parameters if one.formula != one.name
+    )
+    yield Paragraph(
+        "Of many inertial parameters only sums act on the torques; each is named after the first that is in it."
+    )
+    yield Listing(items) if items else Paragraph("Every parameter stands for itself.")
+
+
+def _torque_chart(found: RobotDiagnosis) -> Chart:
+    torques, panels = found.torques, []
+    word = "inverse model" if found.method == "idim" else "simulated"
+    for k, joint in enumerate(found.joints):
+        t, measured, predicted, error = thin(
+            torques.time, torques.measured[k], torques.predicted[k], torques.error[k], most=_SAMPLES
+        )
+        lines = (
+            Line(t, measured, MEASURED, "measured"),
+            Line(t, predicted, SIMULATED, word),
+            Line(t, error, ERROR, "error", 0.8),
+        )
+        panels.append(
+            Panel(
+                "", f"{torque_word(_unit(torques, k))} [{_unit(torques, k)}]", lines,
+                f"{joint.name}, {100 * joint.left:.3g} % left", height=230, group="time",
+            )
+        )  # fmt: skip
+    panels[-1] = replace(panels[-1], x_label="time [s]", height=panels[-1].height + 25)
+    rest = " Where a motor rests its rows are 0: friction takes what it must there." if not torques.seen.all() else ""
+    caption = (
+        f"Measured and {word} torque of each motor behind its gear, filtered as they were compared, and their "
+        f"difference on the same scale.{rest} On a screen, zooming one zooms all."
+    )
+    return Chart("torque", caption, tuple(panels))
+
+
+def _residual_chart(found: RobotDiagnosis) -> Chart:
+    torques, panels = found.torques, []
+    for k, joint in enumerate(found.joints):
+        inside, unit, length = torques.seen[k], _unit(torques, k), torques.robot.position_unit(k)
+        error, velocity, position = (
+            values[k][inside] for values in (torques.error, torques.velocity, torques.position)
+        )
+        forwards, everywhere = velocity > 0, np.ones(velocity.shape, dtype=np.bool_)
+        label = f"{joint.name}, error [{unit}]"
+        panels += [
+            Panel(f"velocity [{length}/s]", label, cloud(velocity, error, {"mean": everywhere}), height=230),
+            Panel(
+                f"position [{length}]", label,
+                cloud(position, error, {"mean forwards": forwards, "mean backwards": ~forwards}), height=230,
+            ),
+        ]  # fmt: skip
+    caption = (
+        "The error of each joint against its motor's velocity and position, with its mean. Noise alone has a mean of 0 "
+        "everywhere: one that bends with velocity is friction, one that waves with position a gear, a cable or a "
+        "counterbalance."
+    )
+    return Chart("residual", caption, tuple(panels), columns=2)
+
+
+def _spectra_chart(found: RobotDiagnosis) -> Chart | None:
+    torques, panels = found.torques, []
+    for k, joint in enumerate(found.joints):
+        try:
+            one = estimate_spectra(torques.measured[k], torques.predicted[k], torques.sample_time)
+        except RecordError:  # too short
+            return None
+        seen = one.frequency <= 1.2 * torques.cutoff
+        items: tuple[Item, ...] = (
+            Line(one.frequency[seen], one.measured[seen], MEASURED, "measured"),
+            Line(one.frequency[seen], one.error[seen], OTHERS[6], "error", 0.9),
+            Mark(torques.cutoff, f"fitted up to {torques.cutoff:.3g} Hz", 0, "dotted"),
+        )
+        label = f"{joint.name} [{_unit(torques, k)}/√Hz]"
+        panels.append(Panel("frequency [Hz]", label, items, log_x=True, log_y=True, height=230))
+    caption = (
+        "Amplitude spectra of each joint's measured torque and of what is left of it. Where the error reaches the "
+        "torque nothing is explained; a peak of the error alone is a mode, or a gear."
+    )
+    return Chart("spectra", caption, tuple(panels), columns=2)
+
+
+def _unit(torques: RobotTorques, joint: int) -> str:
+    return torques.robot.torque_unit(joint)

@@ -1,0 +1,528 @@
+"""The verb `design_robot_test`: the motion that tells most of a robot within its limits, before it is made.
+
+Of a motion q the columns W(q) of base parameters and friction say what a test will tell: with white noise of deviation
+s_k on the log of joint k's torque the deviations of all parameters are those of::
+
+    M = sum_k W_k' W_k / s_k^2,      cov = M^-1
+
+The motion looked for is that with the largest log det M, whose intervals are smallest on the geometric mean [Swevers
+et al. 1997, D-optimal]; no units and no choice of base parameters enter it. The motions are Fourier series (`motions`),
+the search an evolution strategy (I. Rechenberg's rule of one success in five) over their numbers, in which a motion
+that asks a joint for more torque than it has is worse than any that does not.
+
+Of joints with springs a multisine about the mode of rotor against link is added, and what the test tells of all
+parameters, springs included, is foretold from the robot simulated under its controllers, with derivatives by variation.
+
+Obstacles, and the robot's own body, are not known here: play the motion slowly first.
+"""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jointid.common.arrays import FloatArray
+from jointid.common.charts import MEASURED, SIMULATED, Chart, Charted, Line, Panel
+from jointid.common.document import Document, Documented, Facts, Paragraph, Table
+from jointid.common.errors import MethodError
+from jointid.common.messages import Progress, silent
+from jointid.common.text import listed, number
+from jointid.estimation.robots.consistent import mass_matrix_at
+from jointid.estimation.robots.numbers import robot_parameters
+from jointid.estimation.robots.problem import robot_problem
+from jointid.estimation.robots.regression import friction_symbols
+from jointid.estimation.robots.torque_only import parameter_units
+from jointid.models.robots.base_parameters import base_parameters, friction_columns, inverse_columns
+from jointid.models.robots.robot import Robot
+from jointid.planning.robots.motions import JointLimits, Motions, complete
+from jointid.records.record import Channel, Record
+from jointid.records.signals.filtering import Filtering
+from jointid.simulation import excitation
+from jointid.simulation.robots import (
+    RobotLoop,
+    RobotNumbers,
+    RobotOutcome,
+    prepare_robot,
+    robot_records,
+    run_robot,
+    simulate_robot,
+)
+
+NOISE = 0.01
+"""Of each joint's torque in motions drawn at random: the noise that is foretold with where no first record says it."""
+
+_HARMONICS = 8
+_INSTANTS = 160  # of a period, at which columns are taken in the search
+_DRAWN, _KEPT, _MOVES = 60, 4, 60  # motions to begin with, those that are moved, and how often
+_USUAL = 20  # random motions, whose torques say what noise is usual
+_FIRST_STEP, _GROWS, _SHRINKS, _SMALLEST = 0.4, 1.5, 0.9, 2e-3
+_MOST = 20_000  # motions in all
+_STUCK = 1_000  # without a gain: an end
+_NOTHING = 1e6  # the score of a motion that does not tell all
+_GAIN = 0.01  # of log det M, that counts as one
+_INSIDE = 0.97  # of a torque that the nominal robot may take: another takes more
+_FOR_MODES = 0.2  # of speed and acceleration, kept for the multisine where there are springs
+_ABOUT = (0.6, 1.6)  # of a mode's frequency: the band of the multisine
+_LINES = 20
+_FEWEST = 200  # samples
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotDesign(Charted, Documented):
+    """A motion of a robot, and what a test along it is foretold to tell.
+
+    Attributes:
+        robot: as it is roughly known.
+        sample_time: of the motion, s.
+        reference: (samples, n) positions of the motors behind their gears, rad or m.
+        torque: (samples, n) that the nominal robot needs for it, N m or N.
+        names, units: of the parameters.
+        values: (parameters,) of the nominal robot.
+        std: (parameters,) that are foretold; infinite of what the motion does not tell.
+        present_std: the same of the first record's motion; None without one.
+        noise: (n,) standard deviation of the white noise that is foretold with, on the log of each torque.
+        of_record: whether that is the noise of a first record.
+        limits: that were kept.
+        reached: of each joint, positions, speed, acceleration and torque.
+        passed: clauses on limits that are passed; none as a rule.
+        modes: Hz, of each flexible joint by its name.
+        tried: motions.
+    """
+
+    robot: Robot
+    sample_time: float
+    reference: FloatArray
+    torque: FloatArray
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: FloatArray
+    std: FloatArray
+    present_std: FloatArray | None
+    noise: FloatArray
+    of_record: bool
+    limits: tuple[JointLimits, ...]
+    reached: tuple[JointLimits, ...]
+    passed: tuple[str, ...]
+    modes: dict[str, float]
+    tried: int
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        """Names of the parameters that will be known to a tenth of the nominal value, one standard deviation."""
+        return tuple(n for n, v, s in zip(self.names, self.values, self.std, strict=True) if s < 0.1 * abs(v))
+
+    @property
+    def parameters(self) -> Mapping[str, Mapping[str, float | str | None]]:
+        """Nominal value, deviations foretold of this motion and of the present one, and unit of each, by its name."""
+        before = [None] * len(self.names) if self.present_std is None else [float(one) for one in self.present_std]
+        return {
+            name: {"about": float(value), "std": float(std), "present_std": present, "unit": unit}
+            for name, value, std, present, unit in zip(
+                self.names, self.values, self.std, before, self.units, strict=True
+            )
+        }
+
+    @property
+    def ratio(self) -> float | None:
+        """Deviations beside those of the present motion, on the geometric mean; None where one of them is not told."""
+        if self.present_std is None or not np.all(np.isfinite([self.std, self.present_std])):
+            return None
+        return float(np.exp(np.mean(np.log(self.std / self.present_std))))
+
+    @property
+    def sentence(self) -> str:
+        """What the motion tells, beside the present one."""
+        lasts = len(self.reference) * self.sample_time
+        told = f"In {number(lasts, 3)} s this motion tells {len(self.told)} of {len(self.names)} parameters to a tenth"
+        if self.ratio is not None:
+            told += f", with intervals of {100 * self.ratio:.0f} % of the present motion's on the geometric mean"
+        elif self.present_std is not None:
+            told += "; the present motion does not tell all"
+        over = f" Beware: {'; '.join(self.passed)}." if self.passed else ""
+        return f"{told}.{over}"
+
+    def document(self, *, details: bool = False) -> Document:
+        """Return what is told, the limits, and the intervals that are foretold; there are no further details."""
+        del details
+        header: tuple[str, ...] = ("parameter", "about", "2 sigma foretold", "of the present motion", "unit")
+        rows = list[tuple[str, ...]]()
+        for i, name in enumerate(self.names):
+            before = "-" if self.present_std is None else _sigma(self.present_std[i])
+            rows.append((name, number(float(self.values[i]), 4), _sigma(self.std[i]), before, self.units[i]))
+        if self.present_std is None:
+            header, rows = (*header[:3], header[4]), [(*row[:3], row[4]) for row in rows]
+        joints: tuple[tuple[str, ...], ...] = tuple(
+            (
+                name,
+                f"{number(reached.lower, 3)} to {number(reached.upper, 3)} {self.robot.position_unit(k)}",
+                *(_beside(getattr(reached, what), getattr(self.limits[k], what))
+                  for what in ("speed", "acceleration", "torque")),
+            )
+            for k, (name, reached) in enumerate(zip(self.robot.names, self.reached, strict=True))
+        )  # fmt: skip
+        source = (
+            "as the first record's residual" if self.of_record else f"{100 * NOISE:g} % of each joint's usual torque"
+        )
+        facts = [("noise", f"white, {source}"), ("search", f"{self.tried} motions were tried")]
+        if self.modes:
+            each = ", ".join(f"{name} {number(hertz, 3)} Hz" for name, hertz in self.modes.items())
+            facts.append(("multisines", f"about the modes of {each}"))
+        return Document(
+            f"{self.robot.name}: the next test",
+            (
+                Paragraph(self.sentence, lead=True, tone="bad" if self.passed else "good"),
+                Paragraph("Neither obstacles nor the robot's own body are known here: play it slowly first."),
+                Table(
+                    ("joint", "positions", "speed", "acceleration", "torque"), joints,
+                    "what the motion reaches, of what is allowed", (0, 1, 2, 3, 4),
+                ),
+                Table(header, tuple(rows), "intervals that are foretold", (0, len(header) - 1)),
+                Facts(tuple(facts)),
+            ),
+        )  # fmt: skip
+
+    def chart(self) -> Chart:
+        """Return reference and torque of each joint over time."""
+        t, panels = np.arange(len(self.reference)) * self.sample_time, []
+        for k, name in enumerate(self.robot.names):
+            for values, unit, word, colour in (
+                (self.reference, self.robot.position_unit(k), "reference", MEASURED),
+                (self.torque, self.robot.torque_unit(k), "torque foretold", SIMULATED),
+            ):
+                line = Line(np.asarray(t), values[:, k], colour)
+                panels.append(Panel("time [s]", f"{name}, {word} [{unit}]", (line,), height=180))
+        return Chart("motion", "What is to be played, and the torque that the nominal robot needs for it.",
+                     tuple(panels), columns=2)  # fmt: skip
+
+    def records(self) -> tuple[Record, ...]:
+        """Return the motion as a record of each joint, with its reference."""
+        return _references(self.robot, self.reference, self.sample_time)
+
+
+def design_robot_test(
+    robot: Robot,
+    limits: Sequence[JointLimits],
+    *,
+    duration: float = 10.0,
+    sample_time: float = 1e-3,
+    loop: RobotLoop | None = None,
+    noise: Sequence[float] | FloatArray | None = None,
+    present: tuple[FloatArray, FloatArray, FloatArray] | None = None,
+    motion: FloatArray | None = None,
+    filtering: Filtering | None = None,
+    harmonics: int = _HARMONICS,
+    seconds: float = 60.0,
+    seed: int = 0,
+    progress: Progress = silent,
+) -> RobotDesign:
+    """Look for the motion that tells most of a robot's base parameters and friction within its joints' limits.
+
+    Args:
+        robot: as it is roughly known: masses and friction say which torques a motion needs. Its geometry is exact.
+        limits: of each joint. Positions and speed that are not given are those of the present motion.
+        duration: of the test, s: one period of the series.
+        sample_time: of the reference and the log, s.
+        loop: the robot under its controllers, for a test by DIDIM: intervals are then foretold by simulation. Needed
+            for springs.
+        noise: standard deviation of the white noise on each joint's logged torque, N m or N; without it `NOISE`.
+        present: positions, velocities and accelerations of the joints in a first record, (samples, n) each, at the
+            sample time; what it tells stands beside.
+        motion: (samples, n) positions of the joints in a motion of one's own, which is foretold instead of a search.
+        filtering: of a test by DIDIM.
+        harmonics: of the series.
+        seconds: that the search may take.
+        seed: of the search.
+        progress: is told how it goes.
+
+    Raises:
+        MethodError: a limit is missing, the test is too short, the robot has springs and no controllers, or its
+            motion cannot be simulated.
+
+    Noise that is not white, or a model that lacks something, gives larger intervals than these.
+    """
+    if any(robot.flexible) and loop is None:
+        raise MethodError(
+            "What a test tells of springs is foretold under the controllers, and there are none; give every joint its "
+            "controller, or leave the springs out."
+        )
+    samples = round(duration / sample_time)
+    if samples < _FEWEST:
+        raise MethodError(f"A test of {samples} samples tells nothing; expected {_FEWEST} or more: plan a longer one.")
+    if len(limits) != len(robot):
+        raise MethodError(f"A robot of {len(robot)} joints has as many limits; received {len(limits)}.")
+    positions, velocities = (None, None) if present is None else present[:2]
+    given = tuple(limits) if motion is not None else complete(limits, positions, velocities, robot.names)
+    model = _Regressor.of(robot)
+    sizes = None if noise is None else np.asarray(noise, dtype=np.float64)
+    time, tried, flexible = np.arange(samples) * sample_time, 1, any(robot.flexible)
+    modes: dict[str, float] = {}
+    if motion is None:
+        motions = Motions(given, samples * sample_time, harmonics, 1.0 - _FOR_MODES if flexible else 1.0)
+        sizes = _usual(model, motions, seed) if sizes is None else sizes
+        score = _score(model, motions, sizes, given)
+        found, tried = _search(motions, score, seconds, seed, progress)
+        q, v, a = motions.play(found, motions.bases(np.asarray(time)), motions.whole)
+        if flexible:
+            modes = _modes(robot, q)
+            q = q + _multisines(robot, modes, given, samples, sample_time)
+            v = np.gradient(q, sample_time, axis=0)
+            a = np.gradient(v, sample_time, axis=0)
+    else:
+        q = np.asarray(motion, dtype=np.float64)
+        v = np.gradient(q, sample_time, axis=0)
+        a = np.gradient(v, sample_time, axis=0)
+    torque = model.torque(q, v, a)
+    of_noise = NOISE * np.sqrt(np.mean(torque**2, axis=0)) if sizes is None else sizes
+    reference = q @ robot.coupling.T
+    if loop is None:
+        names, units, values = model.names, model.units, model.values
+        std = model.deviations(q, v, a, of_noise)
+        before = None if present is None else model.deviations(*present, of_noise)
+    else:
+        names, units, values, std = _by_simulation(loop, reference, sample_time, of_noise, filtering)
+        first = None if present is None else present[0] @ robot.coupling.T
+        before = None if first is None else _by_simulation(loop, first, sample_time, of_noise, filtering)[3]
+    reached = tuple(
+        JointLimits(*(float(f) for f in (q[:, k].min(), q[:, k].max() + 1e-12)),
+                    *(float(np.abs(one[:, k]).max()) + 1e-12 for one in (v, a, torque)))
+        for k in range(len(robot))
+    )  # fmt: skip
+    passed = tuple(_passed(robot, given, reached))
+    return RobotDesign(
+        robot, sample_time, reference, torque, names, units, values, std, before, of_noise, noise is not None, given,
+        reached, passed, modes, tried,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Regressor:
+    """Columns of a rigid robot's torques, and its own parameters."""
+
+    robot: Robot
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: FloatArray
+    chosen: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, robot: Robot) -> _Regressor:
+        base = base_parameters(robot)
+        friction = np.zeros((len(robot), 3))
+        for k, joint in enumerate(robot.joints):
+            spring = joint.spring
+            both = (0.0, 0.0) if spring is None else (spring.viscous, spring.coulomb)
+            friction[k] = joint.viscous + both[0], joint.coulomb + both[1], joint.offset
+        units = tuple(
+            unit
+            for k in range(len(robot))
+            for unit in (f"{robot.torque_unit(k)} s/{robot.position_unit(k)}", *2 * (robot.torque_unit(k),))
+        )
+        return cls(
+            robot, (*base.symbols, *friction_symbols(robot)), (*base.units, *units),
+            np.concatenate([base.of(robot), friction.ravel()]), base.chosen,
+        )  # fmt: skip
+
+    def columns(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        """Return the columns at instants, (instants, n, parameters)."""
+        links = inverse_columns(self.robot, q, v, a)[:, :, self.chosen]
+        return np.concatenate([links, friction_columns(self.robot, v)], axis=2)
+
+    def torque(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        """Return the nominal robot's torques, (instants, n)."""
+        return np.asarray(self.columns(q, v, a) @ self.values)
+
+    def deviations(self, q: FloatArray, v: FloatArray, a: FloatArray, noise: FloatArray) -> FloatArray:
+        """Return what white noise of these sizes, (n,), makes of all parameters, (parameters,)."""
+        columns = self.columns(q, v, a) / noise[:, np.newaxis]
+        return _deviations(columns.reshape(-1, columns.shape[2]))
+
+
+def _deviations(J: FloatArray) -> FloatArray:
+    """Return the deviations of least squares on rows of deviation 1, (parameters,); infinite of what is not told."""
+    norms = np.linalg.norm(J, axis=0)
+    seen = norms > 0.0
+    found = np.full(J.shape[1], np.inf)
+    R = np.linalg.qr(J[:, seen] / norms[seen], mode="r")
+    sizes = np.linalg.svd(R, compute_uv=False)
+    if sizes.size and sizes[-1] > 1e-10 * sizes[0]:
+        found[seen] = np.linalg.norm(np.linalg.inv(R), axis=1) / norms[seen]
+    return found
+
+
+def _usual(model: _Regressor, motions: Motions, seed: int) -> FloatArray:
+    """Return the noise of joints of which nothing is known, (n,): a share of their torques in random motions."""
+    seen, whole = motions.bases(np.linspace(0.0, motions.period, _INSTANTS, endpoint=False)), motions.whole
+    rng = np.random.default_rng(seed)
+    torques = [model.torque(*motions.play(motions.draw(rng), seen, whole)) for _ in range(_USUAL)]
+    return np.asarray(NOISE * np.sqrt(np.mean(np.square(torques), axis=(0, 1))))
+
+
+def _score(
+    model: _Regressor, motions: Motions, noise: FloatArray, limits: Sequence[JointLimits]
+) -> Callable[[FloatArray], tuple[float, float]]:
+    """Return what is the smaller, the better a motion: by how far torques pass their limits, then -log det M."""
+    seen, whole = motions.bases(np.linspace(0.0, motions.period, _INSTANTS, endpoint=False)), motions.whole
+    most = np.array([math.inf if one.torque is None else _INSIDE * one.torque for one in limits])
+
+    def score(numbers: FloatArray) -> tuple[float, float]:
+        q, v, a = motions.play(numbers, seen, whole)
+        columns = model.columns(q, v, a)
+        torque = columns @ model.values
+        over = float(np.max(np.abs(torque) / most))
+        J = (columns / noise[:, np.newaxis]).reshape(-1, columns.shape[2])
+        norms = np.linalg.norm(J, axis=0) + 1e-300
+        sign, told = np.linalg.slogdet((J / norms).T @ (J / norms))
+        return max(over, 1.0), -float(told + 2.0 * np.sum(np.log(norms))) if sign > 0 else _NOTHING
+
+    return score
+
+
+def _search(
+    motions: Motions, score: Callable[[FloatArray], tuple[float, float]], seconds: float, seed: int, progress: Progress
+) -> tuple[FloatArray, int]:
+    """Return the numbers of the best motion, and how many were tried; Ctrl-C ends it with the best so far."""
+    rng, began = np.random.default_rng(seed), clock.monotonic()
+    pool: list[tuple[tuple[float, float], FloatArray, float]] = []
+    tried = 0
+
+    def moved(one: tuple[tuple[float, float], FloatArray, float]) -> tuple[tuple[float, float], FloatArray, float]:
+        rank, numbers, step = one
+        # Some numbers at a time: a motion of one joint is bettered while the others stay.
+        which = rng.random(numbers.size) < rng.choice([0.1, 0.3, 1.0])
+        other = numbers + step * which * rng.normal(size=numbers.size)
+        new = score(other)
+        if new < rank:
+            return new, other, min(step * _GROWS, 2.0)
+        return rank, numbers, max(step * _SHRINKS**0.25, _SMALLEST)
+
+    try:
+        for _ in range(_DRAWN):
+            numbers = motions.draw(rng)
+            pool.append((score(numbers), numbers, _FIRST_STEP))
+            tried += 1
+        pool = sorted(pool, key=lambda one: one[0])[:_KEPT]
+        for place in range(len(pool)):
+            for _ in range(_MOVES):
+                pool[place] = moved(pool[place])
+                tried += 1
+        best = min(pool, key=lambda one: one[0])
+        marked, since = best[0], tried
+        while tried < _MOST and tried - since < _STUCK and clock.monotonic() - began < seconds:
+            best = moved(best)
+            tried += 1
+            if best[0][0] < marked[0] or best[0][1] < marked[1] - _GAIN:
+                marked, since = best[0], tried
+            if tried % 500 == 0:
+                progress(f"{tried} motions tried, log det of the information {-best[0][1]:.1f}")
+    except KeyboardInterrupt:
+        if not pool:
+            raise
+        best = min(pool, key=lambda one: one[0])
+    return best[1], tried
+
+
+def _modes(robot: Robot, q: FloatArray) -> dict[str, float]:
+    """Return the frequency of each flexible joint's rotor against its link, the others held, along a motion, Hz."""
+    poses = q[:: max(len(q) // 20, 1)]
+    about = np.mean([np.diag(mass_matrix_at(robot, one)) for one in poses], axis=0)
+    found = {}
+    for k, joint in enumerate(robot.joints):
+        if joint.spring is not None:
+            link = max(float(about[k]) - joint.rotor_inertia, 0.05 * float(about[k]))
+            inertia = joint.rotor_inertia * link / (joint.rotor_inertia + link)
+            found[joint.name] = math.sqrt(joint.spring.stiffness / inertia) / (2.0 * math.pi)
+    return found
+
+
+def _multisines(
+    robot: Robot, modes: dict[str, float], limits: Sequence[JointLimits], samples: int, sample_time: float
+) -> FloatArray:
+    """Return what is added to each flexible joint's motion about its mode, (samples, n), within what was kept for it.
+
+    Sines of equal acceleration; the positions that they take are a part of the margin that motions keep to their ends.
+    """
+    added = np.zeros((samples, len(limits)))
+    for k, joint in enumerate(robot.joints):
+        if joint.name not in modes:
+            continue
+        low, high = (share * modes[joint.name] for share in _ABOUT)
+        high = min(high, 0.4 / sample_time)
+        wave = excitation.multisine(samples, sample_time, 1.0, min(low, 0.5 * high), high, lines=_LINES, tilt=2.0)
+        wave = np.roll(wave, k)  # no two joints alike
+        wave[:k] = 0.0
+        speed = np.gradient(wave, sample_time)
+        limit, most = limits[k], [math.inf]
+        assert limit.speed is not None
+        assert limit.upper is not None
+        assert limit.lower is not None
+        most.append(_FOR_MODES * limit.speed / float(np.max(np.abs(speed))))
+        most.append(0.01 * (limit.upper - limit.lower))
+        if limit.acceleration is not None:
+            most.append(_FOR_MODES * limit.acceleration / float(np.max(np.abs(np.gradient(speed, sample_time)))))
+        added[:, k] = min(most) * wave
+    return added
+
+
+def _references(robot: Robot, reference: FloatArray, sample_time: float) -> tuple[Record, ...]:
+    return tuple(
+        Record(
+            reference=Channel(
+                np.ascontiguousarray(reference[:, k]), robot.position_unit(k), sample_time, source="planned"
+            )
+        )
+        for k in range(len(robot))
+    )
+
+
+def _by_simulation(
+    loop: RobotLoop, reference: FloatArray, sample_time: float, noise: FloatArray, filtering: Filtering | None
+) -> tuple[tuple[str, ...], tuple[str, ...], FloatArray, FloatArray]:
+    """Return names, units, values and deviations of what DIDIM will find along a reference.
+
+    Rows that are filtered and thinned hold white noise of the part of its power that passes, so each of them tells as
+    much as the samples that it stands for.
+    """
+    driven = _references(loop.robot, reference, sample_time)
+    run = simulate_robot(loop, driven)
+    if run.outcome is not RobotOutcome.FINISHED:
+        raise MethodError(f"The robot cannot be simulated along this motion: {run.outcome.value}.")
+    parameters = robot_parameters(loop.robot)
+    problem = robot_problem(loop, robot_records(loop, driven, run), parameters, filtering)
+    numbers = RobotNumbers.of(loop.robot)
+    values = parameters.group(numbers)
+    kept = run_robot(prepare_robot(loop, driven), numbers, keep=True)
+    J = problem.slopes(kept, values)
+    assert problem.filtering.decimation is not None
+    weights = problem.weighted(noise / math.sqrt(problem.filtering.decimation)).weights(len(J))
+    units = parameter_units(loop.robot, parameters)
+    names = parameters.names
+    return names, tuple(units[name] for name in names), values, _deviations(J * weights[:, np.newaxis])
+
+
+def _passed(robot: Robot, limits: Sequence[JointLimits], reached: Sequence[JointLimits]) -> list[str]:
+    """Return a clause for each limit that a motion passes."""
+    found = []
+    for name, allowed, one in zip(robot.names, limits, reached, strict=True):
+        over = [
+            what
+            for what in ("upper", "speed", "acceleration", "torque")
+            if (most := getattr(allowed, what)) is not None and getattr(one, what) > most + 1e-9 * abs(most)
+        ]
+        if allowed.lower is not None and one.lower is not None and one.lower < allowed.lower - 1e-9:
+            over.append("lower")
+        if over:
+            found.append(f"{name} passes its limit of {listed(over)}")
+    return found
+
+
+def _sigma(std: float) -> str:
+    return number(2 * float(std), 2) if math.isfinite(std) else "not told"
+
+
+def _beside(reached: float | None, limit: float | None) -> str:
+    return number(reached, 3) if limit is None else f"{number(reached, 3)} of {number(limit, 3)}"

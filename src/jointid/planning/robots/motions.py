@@ -1,0 +1,185 @@
+"""Fourier series of all joints that begin and end at rest, and always keep the limits of position and speed.
+
+J. Swevers, C. Ganseman, D. B. Tükel, J. De Schutter and H. Van Brussel (Optimal robot excitation and identification,
+IEEE Transactions on Robotics and Automation 13, 1997) move every joint along::
+
+    q(t) = c + s sum_h a_h sin(h w t) + b_h cos(h w t),      w = 2 pi / T
+
+which repeats, has a narrow band, and is differentiated exactly. Here velocity and acceleration are 0 at the first
+instant besides, ``sum h a_h = sum h^2 b_h = 0``, since a robot begins at rest. What is searched are the a and b in what
+these leave free, how much of the limits is used, and where between them the joint moves: s is the largest that keeps
+them, times that share. So every motion that is tried is one that the joints may make, but for torques.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.settings import check_settings, documented, setting
+
+_INSIDE = 0.98  # of speed and acceleration: a motor passes where its reference turns round
+_MARGIN = 0.01  # of the room, at each end, likewise
+_LEAST = 0.3  # of what the limits let it, that a joint moves at least
+_POINTS = 32  # of a period, for each harmonic, at which limits are held
+
+
+Bases: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
+"""Of positions, velocities and accelerations."""
+
+
+@documented
+@dataclass(frozen=True, slots=True)
+class JointLimits:
+    """What one joint of a robot may do in a test, behind its gear; what is not given is that of the record there is.
+
+    Raises:
+        MethodError: a limit is not positive, or there is no room between the positions.
+    """
+
+    lower: float | None = setting(None, "position that it is not to come below", unit="rad or m")
+    upper: float | None = setting(None, "position that it is not to come above", unit="rad or m")
+    speed: float | None = setting(None, "largest", unit="rad/s or m/s", above=0)
+    acceleration: float | None = setting(None, "largest of the reference", unit="rad/s2 or m/s2", above=0)
+    torque: float | None = setting(None, "largest of the motor, behind its gear", unit="N m or N", above=0)
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        if self.lower is not None and self.upper is not None and self.upper <= self.lower:
+            raise MethodError(
+                f"The upper position is above the lower one; received {self.lower:g} and {self.upper:g}: exchange them."
+            )
+
+    @property
+    def complete(self) -> bool:
+        """Whether a motion can be planned within them."""
+        return None not in (self.lower, self.upper, self.speed)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motions:
+    """The Fourier series that are searched, of n joints.
+
+    Attributes:
+        limits: of each joint; positions and speed must be given.
+        period: T of the module, s.
+        harmonics: of it.
+        share: of speed and acceleration that they may use; below 1 something is added, which has a margin of its own.
+    """
+
+    limits: tuple[JointLimits, ...]
+    period: float
+    harmonics: int
+    share: float = 1.0
+
+    @property
+    def size(self) -> int:
+        """Numbers that a motion has: of each joint the free coefficients, the share and the place."""
+        return len(self.limits) * (2 * self.harmonics)
+
+    def draw(self, rng: np.random.Generator) -> FloatArray:
+        """Return the numbers of a random motion, (size,)."""
+        numbers = rng.normal(size=(len(self.limits), 2 * self.harmonics))
+        return np.asarray(numbers.ravel())
+
+    def bases(self, time: FloatArray) -> Bases:
+        """Return what the free coefficients add to position, velocity and acceleration, (instants, 2 harmonics - 2)."""
+        h = np.arange(1, self.harmonics + 1, dtype=np.float64)
+        w = 2.0 * math.pi / self.period * h
+        sines, cosines = np.sin(np.outer(time, w)), np.cos(np.outer(time, w))
+        # Amplitudes that fall with the frequency: the same speed of all harmonics.
+        a, b = (_null(row) / h[:, np.newaxis] for row in (np.ones(h.size), h))
+        return (
+            np.hstack([sines @ a, cosines @ b]),
+            np.hstack([cosines * w @ a, -sines * w @ b]),
+            np.hstack([-sines * w**2 @ a, -cosines * w**2 @ b]),
+        )
+
+    @property
+    def whole(self) -> Bases:
+        """The same at the instants of a period at which limits are held."""
+        return self.bases(np.linspace(0.0, self.period, _POINTS * self.harmonics, endpoint=False))
+
+    def play(self, numbers: FloatArray, seen: Bases, whole: Bases) -> Bases:
+        """Return positions, velocities and accelerations of all joints, (instants, n) each.
+
+        Args:
+            numbers: (size,) of the motion.
+            seen: `bases` of the instants.
+            whole: of `whole`.
+        """
+        found = [np.empty((len(seen[0]), len(self.limits))) for _ in range(3)]
+        rows = numbers.reshape(len(self.limits), -1)
+        for k, (limit, row) in enumerate(zip(self.limits, rows, strict=True)):
+            *free, share, place = row
+            weights = np.asarray(free)
+            q, v, a = (basis @ weights for basis in whole)
+            assert limit.lower is not None
+            assert limit.upper is not None
+            assert limit.speed is not None
+            margin = (_MARGIN if self.share == 1.0 else 2.0 * _MARGIN) * (limit.upper - limit.lower)
+            room = limit.upper - limit.lower - 2.0 * margin
+            scales = [room / np.ptp(q), self.share * _INSIDE * limit.speed / np.max(np.abs(v))]
+            if limit.acceleration is not None:
+                scales.append(self.share * _INSIDE * limit.acceleration / np.max(np.abs(a)))
+            scale = min(scales) * (_LEAST + (1.0 - _LEAST) * _between(share))
+            spare = room - scale * np.ptp(q)
+            centre = limit.lower + margin + spare * _between(place) - scale * q.min()
+            for out, basis, shift in zip(found, seen, (centre, 0.0, 0.0), strict=True):
+                out[:, k] = shift + scale * (basis @ weights)
+        q_, v_, a_ = found
+        return q_, v_, a_
+
+
+def _null(row: FloatArray) -> FloatArray:
+    """Return an orthonormal basis of what a row takes to 0, (columns, columns - 1)."""
+    return np.asarray(np.linalg.svd(row[np.newaxis])[2][1:].T)
+
+
+def _between(number: float) -> float:
+    """Return a number between 0 and 1, of any."""
+    return 1.0 / (1.0 + math.exp(-min(max(number, -50.0), 50.0)))
+
+
+def complete(
+    limits: Sequence[JointLimits], positions: FloatArray | None, velocities: FloatArray | None, names: Sequence[str]
+) -> tuple[JointLimits, ...]:
+    """Return limits with those that are not given as a record has them.
+
+    Args:
+        limits: of each joint.
+        positions: (samples, n) of the record; None without one.
+        velocities: likewise.
+        names: of the joints.
+
+    Raises:
+        MethodError: a limit is neither given nor seen.
+    """
+    found, missing = [], list[str]()
+    for k, one in enumerate(limits):
+        given = {name: getattr(one, name) for name in ("lower", "upper", "speed")}
+        if positions is not None and velocities is not None:
+            seen = {
+                "lower": float(positions[:, k].min()),
+                "upper": float(positions[:, k].max()),
+                "speed": float(np.abs(velocities[:, k]).max()),
+            }
+            given = {name: seen[name] if value is None else value for name, value in given.items()}
+        lacking = [name for name, value in given.items() if value is None]
+        if lacking:
+            missing.append(f"{names[k]} ({', '.join(lacking)})")
+        else:
+            found.append(JointLimits(acceleration=one.acceleration, torque=one.torque, **given))
+    if missing:
+        raise MethodError(
+            f"A motion is planned within limits of position and speed, and some are missing: {'; '.join(missing)}. "
+            "Give them as limits = { lower = ..., upper = ..., speed = ... } of each of the [[joints]], or a first "
+            "record."
+        )
+    return tuple(found)

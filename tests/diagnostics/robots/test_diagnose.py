@@ -1,0 +1,125 @@
+"""What a robot's record tells of each joint, what its residual follows, and whether its controllers are as declared."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jointid.common.arrays import FloatArray
+from jointid.diagnostics.robots.diagnose import RobotDiagnosis, diagnose_robot
+from jointid.diagnostics.robots.parameters import Told, parameters_by_joint
+from jointid.diagnostics.robots.torques import FRICTION
+from jointid.estimation.robots.didim import identify_rigid_robot
+from jointid.estimation.robots.idim import identify_robot
+from jointid.estimation.robots.torque_only import identify_robot_from_torques
+from jointid.models.controllers import Controller
+from jointid.records.record import Record
+from jointid.simulation.robots import RobotLoop, add_feed_forward, robot_records, simulate_robot
+from tests.estimation.robots.twin import arm, motion, records_of
+from tests.robots_plants import two
+
+
+def with_torque(records: Sequence[Record], joint: int, added: FloatArray) -> tuple[Record, ...]:
+    """Return records with a torque added at one joint."""
+    torque = records[joint].torque
+    assert torque is not None
+    more = replace(records[joint], torque=replace(torque, values=torque.values + added))
+    return (*records[:joint], more, *records[joint + 1 :])
+
+
+def logged_by(loop: RobotLoop, drives: Sequence[Record] | None = None) -> tuple[Record, ...]:
+    """Return what the drives of two joints log, with a thousandth of noise."""
+    driven = two().records(6.0) if drives is None else drives
+    made, rng = robot_records(loop, driven, simulate_robot(loop, driven)), np.random.default_rng(3)
+    noisy = []
+    for one in made:
+        assert one.torque is not None
+        values = one.torque.values + 1e-3 * np.std(one.torque.values) * rng.normal(size=one.torque.values.size)
+        noisy.append(replace(one, torque=replace(one.torque, values=values)))
+    return tuple(noisy)
+
+
+def asked(loop: RobotLoop, records: Sequence[Record], laws: Sequence[Controller]) -> RobotDiagnosis:
+    return diagnose_robot(identify_robot(loop.robot, records), records, laws)
+
+
+def test_a_model_that_holds_leaves_noise() -> None:
+    records = records_of(arm(), 2, noise=0.2)
+    found = diagnose_robot(identify_robot(arm(), records), records)
+    assert found.explained
+    assert found.as_declared is None
+    assert "Whether the controllers are as declared is not asked" in found.answer
+    assert all(one.whiteness is not None and one.whiteness.white for one in found.joints)
+    told = [name for one in found.joints for name in one.names(Told.TOLD)]
+    assert len(told) > 30
+    assert any("does not tell from 0" in one for one in found.sentences)
+
+
+def test_friction_that_rises_towards_standstill_is_named_at_its_joint() -> None:
+    records = records_of(arm(), 2, noise=0.02)
+    v = motion(2)[1][:, 3]
+    more = with_torque(records, 3, 1.5 * np.sign(v) * np.exp(-np.abs(v) / 0.15))
+    found = diagnose_robot(identify_robot(arm(), more), more)
+    assert [one.name for one in found.joints if not one.explained] == ["joint4"]
+    follows = found.joints[3].follows
+    assert follows is not None and follows[0] == FRICTION
+    assert any(one.startswith("joint4: the model leaves") and "standstill" in one for one in found.sentences)
+
+
+def test_the_motion_of_another_joint_is_named() -> None:
+    records = records_of(arm(), 2, noise=0.02)
+    more = with_torque(records, 4, 0.3 * motion(2)[2][:, 5])
+    found = diagnose_robot(identify_robot(arm(), more), more).joints[4]
+    assert found.follows is not None and found.follows[0].startswith("the motion of joint6")
+
+
+def test_controllers_that_make_the_torque_hold_and_others_do_not() -> None:
+    loop = two().loop()
+    records = logged_by(loop)
+    found = asked(loop, records, loop.controllers)
+    assert found.as_declared and found.explained
+    assert "declared controllers make the logged torques" in found.answer
+    first, second = loop.controllers
+    stiffer = asked(loop, records, (first, replace(second, position_gain=1.3 * second.position_gain)))  # type: ignore[type-var, attr-defined]
+    assert [one.law_holds for one in stiffer.joints] == [True, False]
+    assert not stiffer.as_declared and any("joint2" in one for one in stiffer.sentences)
+    halved = [replace(one, torque=replace(one.torque, values=0.5 * one.torque.values)) for one in records if one.torque]
+    half = asked(loop, halved, loop.controllers)
+    assert any("0.5 times the law's: correct torque_constant" in one for one in half.sentences)
+
+
+@pytest.mark.parametrize("kind", ["gravity", "inverse-model"])
+def test_a_feed_forward_that_is_not_declared_is_named(kind: str) -> None:
+    loop = two().loop()
+    given = add_feed_forward(loop, two().records(6.0), kind)  # type: ignore[arg-type]
+    records = [replace(one, injected=None) for one in logged_by(loop, given)]
+    found = asked(loop, records, loop.controllers)
+    assert found.feed_forward == kind
+    assert f'robot.feed_forward = "{kind}"' in found.sentences[0]
+
+
+def test_from_torques_alone_the_loop_is_not_seen_apart_from_the_model() -> None:
+    loop = two().loop()
+    records = [Record(torque=one.torque, reference=one.reference) for one in logged_by(loop)]
+    estimate = identify_robot_from_torques(loop, records)
+    found = diagnose_robot(estimate, records)
+    assert found.as_declared is None and "not seen apart from the model" in found.answer
+    assert found.explained
+    np.testing.assert_allclose([one.left for one in found.joints], estimate.joint_errors, rtol=1e-9)
+
+
+def test_the_sums_of_didim_are_those_of_its_parameters() -> None:
+    loop = two().loop()
+    fit = identify_rigid_robot(loop, logged_by(loop))
+    sums = dict(zip(fit.names, fit.parameters.formulas(loop.robot), strict=True))
+    assert sums["joint1.viscous"] == "joint1.viscous"
+    assert any("lower" in text or " + " in text for text in sums.values())
+    estimate = identify_robot_from_torques(loop, logged_by(loop))
+    rows = parameters_by_joint(estimate)
+    assert [one.joint for one in rows] == sorted(one.joint for one in rows)
+    own = {one.name: one for one in rows}
+    assert own["joint2.coulomb"].joint == 1 and own["joint2.coulomb"].nominal == pytest.approx(1.5)
+    assert own["joint2.coulomb"].known is Told.TOLD

@@ -1,0 +1,39 @@
+"""The report of a robot from torques and references alone, whose spring the record does not show."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+
+from jointid.estimation.robots.flexible import SpringVerdict
+from jointid.estimation.robots.torque_only import RobotDIDIM, RobotTorqueEstimate
+from jointid.estimation.robots.torque_only import identify_robot_from_torques as identify
+from jointid.output.report.robots import RobotReport
+from jointid.records.record import Record
+from jointid.simulation.robots import robot_records, simulate_robot
+from tests.robots_plants import two
+
+
+def test_what_is_refused_is_not_in_the_table() -> None:
+    twin = two((9.0, None))
+    loop, driven = twin.loop(), twin.records(4.0, multisine=0.01)
+    logged = robot_records(loop, driven, simulate_robot(loop, driven))
+    records = tuple(Record(torque=one.torque, reference=one.reference) for one in logged)
+    found = identify(loop, records, RobotDIDIM(evaluations=3))
+    refused = SpringVerdict("joint1", False, None, None, 1234.0)
+    estimate: RobotTorqueEstimate = replace(found, springs=(refused,))
+    told = RobotReport.of(estimate, records)
+    text = told.markdown()
+    assert "at least 1234" in text.replace(" ", " ")
+    assert "| joint1.stiffness | at least" in text
+    assert "joint1.damping" not in estimate.params and "| joint1.damping | -" in text
+    assert estimate.rows["joint1.damping"]["value"] is None
+    assert "joint1: its spring is refused" in text
+    assert "It was not held against a record that it has not seen" in text
+    answer = json.loads(told.answer())
+    assert answer["estimate"]["schema"] == "jointid.robot_torque_estimate/1" and answer["validation"] is None
+    assert set(told.charts) == {"torque", "residual", "spectra"}
+    torque = told.charts["torque"].panels[0].items[0]
+    assert np.ptp(torque.y) > 0  # type: ignore[union-attr]

@@ -1,0 +1,148 @@
+"""The motion that tells most of a robot: its limits, its intervals beside those that are found, and its springs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.estimation.robots.didim import identify_rigid_robot
+from jointid.estimation.robots.idim import identify_robot
+from jointid.models.robots.dynamics import inverse_dynamics_of
+from jointid.planning.robots.design import RobotDesign, design_robot_test
+from jointid.planning.robots.first_record import first_record
+from jointid.planning.robots.motions import JointLimits, Motions, complete
+from jointid.records.record import Channel, Record
+from jointid.simulation.robots import robot_records, simulate_robot
+from tests.robots_plants import two
+
+LIMITS = (JointLimits(-0.8, 1.2, 1.5, 6.0, 60.0), JointLimits(-1.0, 1.0, 2.0, 8.0, 20.0))
+T = 2e-3
+
+
+def measured(q: FloatArray, noise: FloatArray, seed: int) -> tuple[Record, ...]:
+    """Return what two rigid joints log along a motion, with white noise."""
+    robot = two().robot
+    v = np.gradient(q, T, axis=0)
+    a = np.gradient(v, T, axis=0)
+    torque = inverse_dynamics_of(*robot.tree, robot.gravity, robot.inertials, q, v, a)
+    torque += robot.of_joints("rotor_inertia") * a + robot.of_joints("viscous") * v
+    torque += robot.of_joints("coulomb") * np.sign(v) + noise * np.random.default_rng(seed).normal(size=q.shape)
+    return tuple(
+        Record(torque=Channel(torque[:, k], "N m", T), motor_position=Channel(q[:, k], "rad", T)) for k in range(2)
+    )
+
+
+def test_a_motion_keeps_every_limit_and_begins_at_rest() -> None:
+    found = design_robot_test(two().robot, LIMITS, duration=8.0, sample_time=T, seconds=2.0)
+    q = found.reference
+    v, a = np.gradient(q, T, axis=0), np.gradient(np.gradient(q, T, axis=0), T, axis=0)
+    for k, one in enumerate(LIMITS):
+        assert one.lower is not None and one.upper is not None
+        assert one.lower < q[:, k].min() and q[:, k].max() < one.upper
+        assert np.abs(v[:, k]).max() < (one.speed or 0.0) and np.abs(a[:, k]).max() < (one.acceleration or 0.0)
+        assert np.abs(found.torque[:, k]).max() < (one.torque or 0.0)
+    assert not found.passed
+    assert np.abs(v[0]).max() < 2e-3 and np.abs(a[2]).max() < 0.2, "begins at rest"
+    assert np.abs(q[-1] - q[0]).max() < 2e-3, "and ends where it began"
+    weak = replace(LIMITS[0], torque=20.0)
+    tight = design_robot_test(two().robot, (weak, LIMITS[1]), duration=8.0, sample_time=T, seconds=2.0)
+    assert np.abs(tight.torque[:, 0]).max() < 20.0 < np.abs(found.torque[:, 0]).max()
+
+
+def test_a_motion_that_was_looked_for_tells_more_than_any_of_twenty_random_ones() -> None:
+    robot = two().robot
+    best = design_robot_test(robot, LIMITS, duration=8.0, sample_time=T, seconds=3.0, noise=(0.1, 0.1))
+    motions, rng = Motions(LIMITS, 8.0, 8), np.random.default_rng(1)
+    time = np.arange(4000) * T
+    others = []
+    for _ in range(20):
+        q = motions.play(motions.draw(rng), motions.bases(time), motions.whole)[0]
+        told = design_robot_test(robot, LIMITS, sample_time=T, duration=8.0, noise=(0.1, 0.1), motion=q)
+        others.append(float(np.mean(np.log(told.std))))
+    mine = float(np.mean(np.log(best.std)))
+    assert mine < min(others) - 0.02
+    assert mine < float(np.median(others)) - 0.2
+
+
+def test_the_intervals_are_those_that_come() -> None:
+    noise = np.array([0.4, 0.2])
+    found = design_robot_test(two().robot, LIMITS, duration=8.0, sample_time=T, seconds=1.0, noise=noise)
+    each = [identify_robot(two().robot, measured(found.reference, noise, seed)) for seed in range(30)]
+    assert each[0].names == found.names
+    scatter = np.std([one.values for one in each], axis=0, ddof=1)
+    ratio = scatter / found.std
+    assert abs(np.mean(np.log(ratio))) < 0.15, ratio
+    assert ratio.min() > 0.6 and ratio.max() < 1.7
+
+
+def test_what_didim_will_report_is_foretold() -> None:
+    loop, noise = two().loop(), np.array([0.4, 0.2])
+    found = design_robot_test(
+        loop.robot, LIMITS, duration=6.0, sample_time=1e-3, seconds=1.0, noise=noise, loop=loop
+    )  # fmt: skip
+    driven, rng = found.records(), np.random.default_rng(5)
+    logged = []
+    for k, one in enumerate(robot_records(loop, driven, simulate_robot(loop, driven))):
+        assert one.torque is not None
+        values = one.torque.values + noise[k] * rng.normal(size=len(one.torque))
+        logged.append(replace(one, torque=replace(one.torque, values=values)))
+    fit = identify_rigid_robot(loop, logged)
+    assert fit.names == found.names
+    assert abs(np.mean(np.log(fit.covariance.std / found.std))) < 0.25
+    assert np.abs((fit.values - found.values) / found.std).max() < 4.5
+
+
+def test_a_first_record_says_its_noise_and_what_its_motion_tells() -> None:
+    t = np.arange(4000) * T
+    q = np.column_stack([0.4 * np.sin(1.5 * t), 0.3 * np.sin(2.3 * t)])
+    noise = np.array([0.4, 0.2])
+    records = measured(q, noise, 1)
+    first = first_record(identify_robot(two().robot, records), records)
+    np.testing.assert_allclose(first.noise, noise, rtol=0.15)
+    found = design_robot_test(
+        two().robot, LIMITS, duration=first.duration, sample_time=T, seconds=2.0, noise=first.noise,
+        present=first.motion,
+    )  # fmt: skip
+    assert found.ratio is not None and found.ratio < 0.5
+    assert "of the present motion's on the geometric mean" in found.sentence
+    wide = (JointLimits(), JointLimits(speed=2.0))
+    taken = complete(wide, first.motion[0], first.motion[1], two().robot.names)
+    assert taken[0].upper == pytest.approx(0.4, rel=0.01) and taken[1].speed == 2.0
+
+
+def relative(found: RobotDesign) -> dict[str, float]:
+    """Return the deviations of the stiffnesses, as shares."""
+    rows = zip(found.names, found.std, found.values, strict=True)
+    return {name: float(std / value) for name, std, value in rows if name.endswith(".stiffness")}
+
+
+def test_springs_are_told_by_what_is_added_about_their_modes() -> None:
+    twin = two((9.0, 16.0))
+    limits = tuple(replace(one, acceleration=None, torque=None) for one in LIMITS)
+    asked = {"duration": 5.0, "sample_time": 1e-3, "loop": twin.loop(), "noise": (0.1, 0.05)}
+    found = design_robot_test(twin.robot, limits, seconds=1.0, **asked)  # type: ignore[arg-type]
+    assert set(found.modes) == {"joint1", "joint2"}
+    own = relative(found)
+    assert own["joint1.stiffness"] < 0.01 and own["joint2.stiffness"] < 0.01
+    motions = Motions(limits, 5.0, 8)
+    slow = motions.play(motions.draw(np.random.default_rng(0)), motions.bases(np.arange(5000) * 1e-3), motions.whole)[0]
+    bare = design_robot_test(twin.robot, limits, motion=slow, **asked)  # type: ignore[arg-type]
+    plain = relative(bare)
+    assert plain["joint2.stiffness"] > 3 * own["joint2.stiffness"]
+
+
+def test_what_is_refused() -> None:
+    with pytest.raises(MethodError, match=r"some are missing: joint1 \(upper, speed\)\. Give them as limits = \{"):
+        design_robot_test(two().robot, (JointLimits(lower=0.0), LIMITS[1]))
+    with pytest.raises(MethodError, match="The upper position is above the lower one"):
+        JointLimits(1.0, 0.5)
+    with pytest.raises(MethodError, match="foretold under the controllers, and there are none"):
+        design_robot_test(two((9.0, None)).robot, LIMITS)
+    with pytest.raises(MethodError, match="A test of 10 samples tells nothing"):
+        design_robot_test(two().robot, LIMITS, duration=0.01)
+    with pytest.raises(MethodError, match="has as many limits; received 1"):
+        design_robot_test(two().robot, LIMITS[:1])
