@@ -241,10 +241,11 @@ class _Start:
 
 def _mass_matrix(problem: RobotProblem, numbers: RobotNumbers, pose: FloatArray) -> FloatArray:
     """Return that of a robot of rigid joints, rotors included, (n, n)."""
-    from jointid.models.robots.dynamics import mass_matrix
+    from jointid.models.robots.equations import ROOM, equations_of_motion
 
+    still, room = np.zeros(pose.size), np.empty((pose.size, ROOM))
     M = np.empty((pose.size, pose.size))
-    mass_matrix(*problem.experiment.tree[:5], numbers.inertials, pose, M)
+    equations_of_motion(*problem.experiment.tree, numbers.inertials, pose, still, still, room, M, np.empty(pose.size))
     return M + np.diag(numbers.masses[: pose.size, 0])
 
 
@@ -264,8 +265,11 @@ def _split(
             inertial.append(c)
         elif place.of is NumberOf.MASS:
             joint = joint_of.get(place.row, place.row)
-            both = 0.5 if numbers.flexible[joint] and place.column < 3 else 1.0
-            values[c] = both * known.get(NumberPlace(NumberOf.MASS, joint, place.column), 0.0)
+            both = 0.5 if numbers.flexible[joint] and place.column != 3 else 1.0
+            found_of = [known.get(NumberPlace(NumberOf.MASS, joint, column), 0.0) for column in range(6)]
+            # The link's own friction is the same in both directions.
+            same = found_of[1] + 0.5 * (found_of[4] + found_of[5])
+            values[c] = both * (same if place.column == 1 else found_of[place.column])
     # What each inertial parameter is of the rigid robot's: itself if that has it, or else as it groups it.
     kept, dropped = list(rigid.parameters.places), list(rigid.parameters.dropped)
     weights = np.zeros((len(kept), len(inertial)))
