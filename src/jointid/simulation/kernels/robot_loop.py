@@ -267,21 +267,26 @@ def _advance(
             for _other in range(nd + 1):
                 if mass < 0:
                     break
-                # Between a guard that is positive and one that is not: the secant, its idle end halved (Illinois). A
-                # guard that begins at 0 is divided by the time since.
+                # Between a guard that is positive and one that is not: of a velocity by Newton's steps, to a little
+                # beyond the root, of others by the secant, its idle end halved (Illinois). A guard that begins at 0 is
+                # divided by the time since, and has the secant.
                 low, above = 0.0, _guard(mass, masses, modes, v, held)
                 begins = not above > 0.0
                 if begins:
                     above = modes[mass] * a[mass] * h if modes[mass] != 0.0 else 0.0
                 below = _guard(mass, masses, modes, v1, held1)
                 below = below / high if begins else below
-                kept = 0
+                kept, last = 0, high
                 if not above > 0.0:
                     high = 0.0
                 for _closer in range(_CLOSER):
-                    if not high - low > _ROOT or below == 0.0:
+                    slope = modes[mass] * a1[mass] * h if not begins else 0.0
+                    if not high - low > _ROOT or below == 0.0 or (last == high and 0.0 < -below < -_ROOT * slope):
                         break
                     place = (low * below - high * above) / (below - above)
+                    if slope < 0.0:
+                        root = last - modes[mass] * v1[mass] / slope + 0.3 * _ROOT
+                        place = root if low < root < high else place
                     place = min(max(place, low + 0.1 * _ROOT), high - 0.1 * _ROOT)
                     if not _step(
                         parents, kinds, axes, rotations, origins, gravity, joints, inertials, rotors, masses, springs,
@@ -289,7 +294,7 @@ def _advance(
                         place * h, q, v, a, modes, still, room, M, L, bias, push, links, slopes, q1, v1, a1, held1,
                     ):  # fmt: skip
                         return NOT_POSITIVE
-                    value = _guard(mass, masses, modes, v1, held1)
+                    value, last = _guard(mass, masses, modes, v1, held1), place
                     value = value / place if begins else value
                     if value > 0.0:
                         low, above = place, value
@@ -299,7 +304,7 @@ def _advance(
                         high, below = place, value
                         above = 0.5 * above if kept < 0 else above
                         kept = -1
-                if not _step(
+                if last != high and not _step(
                     parents, kinds, axes, rotations, origins, gravity, joints, inertials, rotors, masses, springs,
                     torque,
                     high * h, q, v, a, modes, still, room, M, L, bias, push, links, slopes, q1, v1, a1, held1,
