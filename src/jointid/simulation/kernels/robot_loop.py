@@ -36,7 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.compiled import compiled
+from jointid.common.compiled import compiled, inlined
 from jointid.models.robots.equations import ROOM, equations_of_motion
 from jointid.simulation.kernels.drive import CHATTERING, DIVERGED, FINISHED, Feedback, IntArray, control_any
 
@@ -51,7 +51,7 @@ _PIVOTS = 50  # per mass; a handful is usual, least-index pivoting ends anyway
 _INERTIA, _VISCOUS, _COULOMB, _OFFSET, _FORWARDS, _BACKWARDS = range(6)
 
 
-@compiled
+@inlined
 def load_forces(
     parents: IntArray, kinds: IntArray, axes: FloatArray, rotations: FloatArray, origins: FloatArray,
     gravity: FloatArray, joints: FloatArray, inertials: FloatArray, rotors: IntArray, masses: FloatArray,
@@ -78,7 +78,7 @@ def load_forces(
             push[r] -= spring
 
 
-@compiled
+@inlined
 def accelerate(
     M: FloatArray, L: FloatArray, push: FloatArray, torque: FloatArray, rotors: IntArray, masses: FloatArray,
     modes: FloatArray, links: IntArray, a: FloatArray, held: FloatArray,
