@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -48,6 +48,13 @@ class RobotClock:
     def samples(self) -> int:
         """Of the log."""
         return self.looked.size
+
+    def until(self, steps: int) -> RobotClock:
+        """Return the clock of the first steps alone."""
+        parts = self.lengths.size
+        looked = self.looked[self.looked < steps * parts]
+        begun = np.minimum(self.begun[:, : looked.size], steps * parts - 1)
+        return replace(self, steps=min(steps, self.steps), looked=looked, begun=begun)
 
     def held(self, joint: int, values: FloatArray) -> FloatArray:
         """Return values of a controller's periods at every step of the clock, (steps,)."""
