@@ -156,8 +156,8 @@ def draw(found: Sequence[tuple[str, Sequence[float], FloatArray]], path: Path) -
             axes.minorticks_off()
             axes.grid(color="0.9")
     for k, kind in enumerate(kinds):
-        what, sizes, times = found[0]
-        panels[0].annotate(kind, (sizes[0], times[0, k]), (0, 7), textcoords="offset points", fontsize=9)
+        _, sizes, times = found[-1]
+        panels[-1].annotate(kind, (sizes[2], times[2, k]), (-6, 6), textcoords="offset points", ha="right")
     panels[0].set_ylabel("time of the processor [s]")
     drawn.savefig(path, dpi=130)
 
