@@ -157,7 +157,8 @@ def draw(found: Sequence[tuple[str, Sequence[float], FloatArray]], path: Path) -
             axes.grid(color="0.9")
     for k, kind in enumerate(kinds):
         _, sizes, times = found[-1]
-        panels[-1].annotate(kind, (sizes[2], times[2, k]), (-6, 6), textcoords="offset points", ha="right")
+        apart, side = ((-6, 6), "right") if k else ((8, -12), "left")  # the lowest line has its name below it
+        panels[-1].annotate(kind, (sizes[2], times[2, k]), apart, textcoords="offset points", ha=side)
     panels[0].set_ylabel("time of the processor [s]")
     drawn.savefig(path, dpi=130)
 
