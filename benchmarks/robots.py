@@ -1,30 +1,39 @@
 """How long robots take to simulate and to identify, beside MuJoCo's own stepping at its own error.
 
     python -m benchmarks.robots
+    python -m benchmarks.robots --costs [--figure costs.svg]
 
 The closed loop: 6 joints, 10 s at 1 kHz, rigid and flexible, and MuJoCo in steps of 1 ms to 0.05 ms, the errors of both
 against jointid's own run at sixteen times the steps, which an adaptive integrator with the same events confirms
-(`tests/simulation/test_robots.py`). Then DIDIM, and what it costs over joints and over the length of the record. Times
+(`tests/simulation/test_robots.py`). Then DIDIM. `--costs` measures instead how the processor's time grows with joints,
+1 to 7, and with the length of the record, 2 to 40 s, and draws it into a file, SVG or PNG, where one is named. Times
 are the shortest of several turns, taken in turn; those of the processor are printed beside those of the clock, since
 a machine may have other work.
 """
 
 from __future__ import annotations
 
+import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.estimation.robots.didim import identify_rigid_robot
 from jointid.estimation.robots.flexible import identify_flexible_robot
-from jointid.simulation.robots import RobotNumbers, prepare_robot, rest, run_robot
+from jointid.estimation.robots.numbers import robot_parameters
+from jointid.simulation.robot_sensitivities import differentiate_torques
+from jointid.simulation.robot_start import begin
+from jointid.simulation.robots import RobotNumbers, prepare_robot, run_robot
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.robots_mujoco import simulate_by_mujoco
 from tests.robots_plants import Twin, seven, six, two
 
 TURNS = 5
+JOINTS, LENGTHS = tuple(range(1, 8)), (2.0, 5.0, 10.0, 20.0, 40.0)  # of what the cost is measured over; s
 STEPS = (1e-3, 5e-4, 2.5e-4, 1e-4, 5e-5)  # s, of MuJoCo
 
 
@@ -54,7 +63,7 @@ def loops() -> None:
         print(f"{name}, times of the processor: ours {own[1]:.3f} s, ", end="")
         print(f"error {worst(run_robot(experiment, numbers).torque, exact):.1e}")
         gains = np.array([[c.position_gain, c.derivative_gain] for c in loop.controllers])  # type: ignore[attr-defined]
-        start = rest(experiment, numbers)[0]
+        start = begin(experiment, numbers).places
         for step in STEPS:
 
             def theirs(step: float = step) -> FloatArray:
@@ -92,13 +101,80 @@ def flexible(twin: Twin, duration: float, *, searched: bool) -> None:
     )
 
 
+def only(twin: Twin, joints: int) -> Twin:
+    """Return a twin of the first joints of another."""
+    robot = replace(twin.robot, links=twin.robot.links[:joints], joints=twin.robot.joints[:joints])
+    each = (values[:joints] for values in (twin.home, twin.travel, twin.inertia, twin.bandwidth))
+    return Twin(robot, *each)
+
+
+def cost(twin: Twin, duration: float) -> tuple[float, ...]:
+    """Return the processor's time of a closed loop, of one with all derivatives, and of rigid DIDIM, s."""
+    loop, driven = twin.loop(), twin.records(duration)
+    experiment, numbers = prepare_robot(loop, driven), RobotNumbers.of(twin.robot)
+    records, _ = recorded(loop, driven, 0.03)
+    places = robot_parameters(twin.robot).places
+    calls: tuple[Callable[[], object], ...] = (
+        lambda: run_robot(experiment, numbers),
+        lambda: differentiate_torques(run_robot(experiment, numbers, keep=True), places),
+        lambda: identify_rigid_robot(loop, records),
+    )
+    return tuple(shortest(call, turns)[1] for call, turns in zip(calls, (TURNS, 3, 3), strict=True))
+
+
+def costs(figure: Path | None) -> None:
+    """Print how the processor's time grows with joints and length, with the power it grows by; and draw it."""
+    found = []
+    for what, sizes, twins in (
+        ("joints", JOINTS, [(only(seven(), n), 10.0) for n in JOINTS]),
+        ("seconds", LENGTHS, [(seven(), length) for length in LENGTHS]),
+    ):
+        times = np.array([cost(*one) for one in twins])
+        powers = np.polyfit(np.log(sizes), np.log(times), 1)[0]
+        print(f"{what}: loop, loop with derivatives, rigid DIDIM, s of the processor")
+        for size, row in zip(sizes, times, strict=True):
+            print(f"  {size:g}: {row[0]:.4f}, {row[1]:.4f}, {row[2]:.3f}")
+        print(f"  grows as the power {', '.join(f'{power:.2f}' for power in powers)}", flush=True)
+        found.append((what, sizes, times))
+    if figure is not None:
+        draw(found, figure)
+
+
+def draw(found: Sequence[tuple[str, Sequence[float], FloatArray]], path: Path) -> None:
+    """Draw time over size, a panel for each."""
+    from matplotlib.figure import Figure
+
+    drawn = Figure(figsize=(9.0, 4.0), layout="constrained")
+    panels = drawn.subplots(1, len(found), sharey=True)
+    kinds = ("closed loop", "with derivatives", "rigid DIDIM")
+    looks = zip(kinds, ("#000000", "#0072B2", "#D55E00"), "os^", strict=True)
+    for k, (kind, colour, marker) in enumerate(looks):
+        for axes, (what, sizes, times) in zip(panels, found, strict=True):
+            axes.loglog(sizes, times[:, k], marker=marker, color=colour, label=kind)
+            axes.set_xlabel("joints, 10 s at 1 kHz" if what == "joints" else "length of the record [s], 7 joints")
+            axes.set_xticks(sizes, [f"{size:g}" for size in sizes], minor=False)
+            axes.minorticks_off()
+            axes.grid(color="0.9")
+    for k, kind in enumerate(kinds):
+        _, sizes, times = found[-1]
+        apart, side = ((-6, 6), "right") if k else ((8, -12), "left")  # the lowest line has its name below it
+        panels[-1].annotate(kind, (sizes[2], times[2, k]), apart, textcoords="offset points", ha=side)
+    panels[0].set_ylabel("time of the processor [s]")
+    drawn.savefig(path, dpi=130)
+
+
 def main() -> None:
     """Print it all."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.robots")
+    parser.add_argument("--costs", action="store_true", help="how the time grows with joints and length, alone")
+    parser.add_argument("--figure", type=Path, help="file to draw that into, SVG or PNG")
+    said = parser.parse_args()
+    if said.costs or said.figure is not None:
+        costs(said.figure)
+        return
     loops()
     for twin in (two(), six(), seven()):
         rigid(twin, 10.0)
-    for duration in (5.0, 20.0, 40.0):
-        rigid(six(), duration)
     flexible(two((12.0, 18.0)), 10.0, searched=False)
     flexible(six(True), 10.0, searched=False)
     flexible(six(True), 10.0, searched=True)

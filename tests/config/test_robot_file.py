@@ -186,6 +186,20 @@ def test_a_base_that_hangs_by_rounded_numbers_hangs(folder: Path) -> None:
     assert (x, y) == (0.0, 0.0) and z == pytest.approx(9.81, rel=1e-9)
 
 
+def test_friction_backwards_and_a_start_in_motion_are_of_the_loop(folder: Path) -> None:
+    law = '[[joints]]\ncontroller = { law = "pd", position_gain = 10.0, derivative_gain = 1.0 }\n'
+    text = TEXT.replace(
+        'controller = { law = "pd", position_gain = 10.0, derivative_gain = 1.0, side = "motor" }\n', ""
+    )
+    text = text.replace("[[joints]]\n", law).replace("viscous = 3.0", "viscous = 3.0\nviscous_backwards = 2.0")
+    text = text.replace('feed_forward = "gravity"', "in_motion = true")
+    file = RobotFile.of(parse_toml(text), folder / "robot.toml")
+    assert file.loop.in_motion
+    assert file.loop.robot.joints[0].viscous_backwards == 2.0
+    assert file.tables()["joints"][0]["viscous_backwards"] == 2.0
+    assert "viscous_backwards" not in file.tables()["joints"][1]
+
+
 def test_a_feed_forward_that_was_logged_is_there(folder: Path) -> None:
     (folder / "robot.toml").write_text(TEXT.replace('"gravity"', '"logged"'), encoding="utf-8")
     with pytest.raises(RecordError, match="not every joint has an injected channel; declare one for each"):

@@ -19,28 +19,49 @@ Tree = tuple[FloatArray, ...]
 
 
 def simulate_pd(
-    tree: Tree, numbers: RobotNumbers, gains: FloatArray, references: FloatArray, period: float, start: FloatArray
+    tree: Tree,
+    numbers: RobotNumbers,
+    gains: FloatArray,
+    references: FloatArray,
+    period: float,
+    start: FloatArray,
+    speeds: FloatArray | None = None,
+    every: tuple[int, ...] = (),
+    delays: tuple[float, ...] = (),
 ) -> tuple[FloatArray, FloatArray]:
-    """Return torques (periods, n) and positions (periods, masses) of a robot under PD laws, from rest.
+    """Return torques (steps, n) and positions (steps, masses) of a robot under PD laws, the torques as put out.
 
     Args:
-        tree: of the links. numbers: of links and joints. gains: (n, 2) of position and backward difference.
-        references: (periods, n). period: s. start: (masses,) positions.
+        tree: of the links, with what takes shafts of coupled motors to joints, or (0, 0).
+        numbers: of links and joints.
+        gains: (n, 2) of position and backward difference.
+        references: (steps, n). period: s, of a step.
+        start: (masses,) positions. speeds: (masses,) velocities there, or at rest.
+        every: steps of each controller's period, 1 where they are not given.
+        delays: s, after which each controller's torque acts.
     """
     n, size = numbers.rotors.size, len(numbers.masses)
+    every, delays = every or (1,) * n, delays or (0.0,) * n
     coulomb, still = numbers.masses[:, 2], np.zeros(numbers.rotors.size)
-    q, v, modes = start.copy(), np.zeros(size), np.zeros(size)
-    error = references[0] - q[numbers.rotors] - (references[1] - references[0])  # they moved uniformly until then
+    joints = tree[6] if tree[6].size else np.eye(n)
+    q, v = start.copy(), np.zeros(size) if speeds is None else speeds.copy()
+    modes = np.sign(v)
+    later = np.array([references[every[j], j] for j in range(n)])
+    # References and motors moved uniformly until then.
+    travelled = later - references[0] - np.array(every) * period * v[numbers.rotors]
+    error = references[0] - q[numbers.rotors] - travelled
     torques, positions = np.empty_like(references), np.empty((len(references), size))
+    torque, waiting = np.zeros(n), list[tuple[float, int, float]]()
 
     def forces(q: FloatArray, v: FloatArray, torque: FloatArray) -> tuple[FloatArray, FloatArray]:
         M, bias, links = np.zeros((size, size)), np.empty(n), np.empty((n, n))
-        inverse_dynamics(*tree, numbers.inertials, q[:n], v[:n], still, bias)
-        mass_matrix(*tree[:5], numbers.inertials, q[:n], links)
-        M[:n, :n] = links
+        inverse_dynamics(*tree[:6], numbers.inertials, joints @ q[:n], joints @ v[:n], still, bias)
+        mass_matrix(*tree[:5], numbers.inertials, joints @ q[:n], links)
+        M[:n, :n] = joints.T @ links @ joints
         M[np.diag_indices(size)] += numbers.masses[:, 0]
-        force = -numbers.masses[:, 1] * v - numbers.masses[:, 3]
-        force[:n] -= bias
+        viscous = numbers.masses[:, 1] + np.where(v < 0, numbers.masses[:, 5], numbers.masses[:, 4])
+        force = -viscous * v - numbers.masses[:, 3]
+        force[:n] -= joints.T @ bias
         for i, r in enumerate(numbers.rotors):
             force[r] += torque[i]
             if r != i:
@@ -69,11 +90,7 @@ def simulate_pd(
                 return tried
         raise AssertionError("no mode of friction is consistent")
 
-    for k, reference in enumerate(references):
-        before, error = error, reference - q[numbers.rotors]
-        torque = gains[:, 0] * error + gains[:, 1] * (error - before) / period
-        torques[k], positions[k] = torque, q
-        left = period
+    def advance(q: FloatArray, v: FloatArray, modes: FloatArray, left: float) -> tuple[FloatArray, ...]:
         modes[coulomb <= 0] = 1.0
         while left > 0:
             modes = settled(q, v, torque, modes)
@@ -116,4 +133,25 @@ def simulate_pd(
                         _, force = forces(q, v, torque)
                         held = accelerations(forces(q, v, torque)[0], force, modes)[1][i]
                         modes[i] = np.sign(held)
+        return q, v, modes
+
+    for k, reference in enumerate(references):
+        positions[k] = q
+        for j in range(n):
+            if k % every[j] == 0:
+                before, error[j] = error[j], reference[j] - q[numbers.rotors[j]]
+                output = gains[j, 0] * error[j] + gains[j, 1] * (error[j] - before) / (every[j] * period)
+                waiting.append((k * period + delays[j], j, output))
+                torques[k, j] = output
+                torque[j] = output if k == 0 else torque[j]  # what acted before the first is as large
+            else:
+                torques[k, j] = torques[k - 1, j]
+        now, end = k * period, (k + 1) * period
+        while now < end - 1e-12:
+            for at, j, output in waiting:
+                torque[j] = output if at <= now + 1e-12 else torque[j]
+            waiting = [one for one in waiting if one[0] > now + 1e-12]
+            until = min([end, *(at for at, _, _ in waiting)])
+            q, v, modes = advance(q, v, modes, until - now)
+            now = until
     return torques, positions

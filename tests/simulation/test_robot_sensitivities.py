@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from jointid.common.arrays import FloatArray
-from jointid.models.controllers import PID, Cascade
+from jointid.models.controllers import PD, PID, Cascade
 from jointid.simulation.robot_sensitivities import NumberPlace, all_places, differentiate_torque, with_values
 from jointid.simulation.robots import RobotInput, RobotLoop, RobotNumbers, prepare_robot, run_robot
 from tests.robots_plants import six, two
-from tests.simulation.test_robots import faster
+from tests.simulation.test_robots import COUPLED, ONE_WAY, changed, faster
 
 LATE = tuple(
     Cascade(position_gain=20.0, velocity_gain=kv, integral_gain=8.0, position_period=2e-3, delay=1.3e-3)
     for kv in (60.0, 16.0)
+)
+APART = tuple(
+    PD(position_gain=kp, derivative_gain=kd, period=period, delay=delay)
+    for kp, kd, period, delay in ((2400.0, 115.0, 1e-3, 4e-4), (1000.0, 36.0, 2e-3, 0.0))
 )
 LIMITED = tuple(
     PID(position_gain=kp, derivative_gain=kd, integral_gain=4 * kp, limit=limit)
@@ -43,13 +49,26 @@ def differences(
         (RobotLoop(two((10.0, 14.0)).robot, LATE), 4, 5e-3),
         (RobotLoop(two().robot, LIMITED), 4, 5e-3),
         (six().loop(), 1, 2e-3),
+        (changed(two((None, 12.0)), *COUPLED).loop(), 4, 5e-3),
+        (changed(two((None, 12.0)), *ONE_WAY).loop(), 4, 5e-3),
+        (RobotLoop(two((None, 12.0)).robot, APART), 4, 5e-3),
+        (replace(two((None, 12.0)).loop(), in_motion=True), 4, 5e-3),
     ],
-    ids=["two rigid", "one flexible", "two flexible", "late cascades of two rates", "at their limits", "six rigid"],
-)
+    ids=[
+        "two rigid", "one flexible", "two flexible", "late cascades of two rates", "at their limits", "six rigid",
+        "motors coupled", "friction another backwards", "clocks that differ", "in motion",
+    ],
+)  # fmt: skip
 def test_variation_is_the_derivative_of_the_run(loop: RobotLoop, steps: int, worst: float) -> None:
     """The instants of events move with the parameters, and those in which limits act: all is in the derivative."""
     twin = six() if len(loop.controllers) == 6 else two()
     records = faster(twin.records(5.0), 3.0)
+    if loop.in_motion:
+        records = tuple(
+            replace(one, reference=replace(one.reference, values=one.reference.values[400:]))
+            for one in records
+            if one.reference
+        )
     experiment, numbers = prepare_robot(loop, records), RobotNumbers.of(loop.robot)
     places = all_places(experiment, numbers)
     if len(loop.controllers) == 6:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,24 +18,37 @@ from jointid.records.record import Channel, Record
 from jointid.simulation.closed_loop import Initial, simulate
 from jointid.simulation.kernels import robot_loop
 from jointid.simulation.loop_input import prepare
+from jointid.simulation.robot_start import begin
 from jointid.simulation.robots import (
     RobotLoop,
     RobotNumbers,
     RobotOutcome,
+    RobotRun,
     add_feed_forward,
     prepare_robot,
-    rest,
     run_robot,
     simulate_robot,
 )
 from tests.robots_plants import Twin, inertial, serial, seven, six, two
 from tests.simulation.robot_oracle import simulate_pd
 
+
+def changed(twin: Twin, *joints: dict[str, Any]) -> Twin:
+    """Return a twin with other numbers of its joints."""
+    made = tuple(replace(joint, **own) for joint, own in zip(twin.robot.joints, joints, strict=True))
+    return replace(twin, robot=replace(twin.robot, joints=made))
+
+
+COUPLED: tuple[dict[str, Any], ...] = ({}, {"coupling": {"joint1": -0.4}})
+ONE_WAY: tuple[dict[str, Any], ...] = ({"viscous_backwards": 6.0, "coulomb_backwards": 2.5}, {"viscous_backwards": 0.5})
 TWINS = {
     "two rigid joints": (two(), 1.0),
     "one rigid, one flexible": (two((None, 16.0)), 1.0),
     "two flexible joints": (two((12.0, 18.0)), 0.8),
     "six joints, some flexible": (six((True, True, False, False, True, False)), 0.3),
+    "two motors coupled": (changed(two(), *COUPLED), 1.0),
+    "coupled and flexible": (changed(two((12.0, 18.0)), *COUPLED), 0.8),
+    "friction another backwards": (changed(two((None, 16.0)), *ONE_WAY), 1.0),
 }
 
 
@@ -58,7 +72,7 @@ def test_error_and_order_against_an_adaptive_reference_with_the_same_events(name
     records = faster(twin.records(6 * duration), 6.0)
     experiment, numbers = prepare_robot(loop, records), RobotNumbers.of(loop.robot)
     gains = np.array([[c.position_gain, c.derivative_gain] for c in loop.controllers])  # type: ignore[attr-defined]
-    start = rest(experiment, numbers)[0]
+    start = begin(experiment, numbers).places
     exact, _ = simulate_pd(experiment.tree, numbers, gains, experiment.references, 1e-3, start)
     peak = np.max(np.abs(exact), axis=0)
     runs = {steps: run_robot(experiment, numbers, steps=steps) for steps in (1, 2, 4)}
@@ -143,6 +157,55 @@ def test_no_mass_slides_against_its_friction() -> None:
     assert run.events > 500
     assert np.min(run.tape.speeds * run.tape.directions) >= 0.0
     assert np.all(run.tape.lasting > 0.0)
+
+
+def held_against_the_reference(loop: RobotLoop, records: tuple[Record, ...], worst: float) -> RobotRun:
+    """Return a run at one step a part, of which the torque is that near to the adaptive reference's, of its peak."""
+    experiment, numbers = prepare_robot(loop, records), RobotNumbers.of(loop.robot)
+    gains = np.array([[c.position_gain, c.derivative_gain] for c in loop.controllers])  # type: ignore[attr-defined]
+    began, clock = begin(experiment, numbers), experiment.clock
+    exact, _ = simulate_pd(
+        experiment.tree, numbers, gains, experiment.references, float(np.sum(clock.lengths)), began.places,
+        began.speeds, tuple(clock.every.tolist()), tuple(each.law.delay for each in experiment.experiments),
+    )  # fmt: skip
+    run = run_robot(experiment, numbers, steps=1, keep=True)
+    assert run.outcome is RobotOutcome.FINISHED
+    assert np.max(np.abs(run.command.T - exact) / np.max(np.abs(exact), axis=0)) < worst
+    return run
+
+
+def test_controllers_of_other_periods_and_delays() -> None:
+    """The second controller acts every third period of the first, whose torque comes late; the log is slower still."""
+    twin = two((None, 16.0))
+    laws = tuple(
+        replace(law, period=period, delay=delay)  # type: ignore[type-var]
+        for law, period, delay in zip(twin.loop().controllers, (1e-3, 3e-3), (4e-4, 1.3e-3), strict=True)
+    )
+    records = faster(twin.records(6.0), 6.0)
+    slow = [replace(one, reference=replace(one.reference, sample_time=1e-3)) for one in records if one.reference]
+    run = held_against_the_reference(RobotLoop(twin.robot, laws), tuple(slow), 1e-4)
+    assert run.events > 5
+    assert run.experiment.clock.every.tolist() == [1, 3]
+    assert run.experiment.clock.lengths == pytest.approx([3e-4, 1e-4, 6e-4])
+    assert run.torque.shape == (999, 2)
+    assert np.array_equal(run.torque[3:6, 1], np.repeat(run.torque[3, 1], 3))
+
+
+@pytest.mark.parametrize("twin", [two(), two((12.0, 18.0)), TWINS["coupled and flexible"][0]])
+def test_a_record_that_begins_while_the_robot_moves(twin: Twin) -> None:
+    """It moves on as its references do: another start is another motion for as long as the loop remembers."""
+    whole = twin.records(6.0)
+    late = tuple(
+        replace(one, reference=replace(one.reference, values=one.reference.values[2500:3300]))
+        for one in whole
+        if one.reference
+    )
+    run = held_against_the_reference(replace(twin.loop(), in_motion=True), late, 1e-4)
+    assert np.min(np.abs(run.tape.speeds[0])) > 0.05
+    uncut = simulate_robot(twin.loop(), whole).torque[2500:3300]
+    from_rest = simulate_robot(twin.loop(), late).torque
+    wrong = [float(np.max(np.abs(torque - uncut))) for torque in (run.torque, from_rest)]
+    assert wrong[0] < 0.1 * wrong[1]
 
 
 def brute_force(M: FloatArray, force: FloatArray, coulomb: FloatArray) -> FloatArray:
@@ -240,9 +303,8 @@ def test_faults_are_said() -> None:
         RobotLoop(twin.robot, loop.controllers[:1])
     with pytest.raises(MethodError, match="a record of each joint; received 1 for 2 joints"):
         simulate_robot(loop, records[:1])
-    late = RobotLoop(twin.robot, (loop.controllers[0], replace(loop.controllers[1], delay=1e-3)))  # type: ignore[type-var]
-    with pytest.raises(MethodError, match=r"one period and one delay of all controllers.*those of joint2 differ"):
-        simulate_robot(late, records)
-    joints = (twin.robot.joints[0], replace(twin.robot.joints[1], coupling={"joint1": 0.1}))
-    with pytest.raises(MethodError, match="coupled is not simulated; received one with a coupling of joint2"):
-        RobotLoop(replace(twin.robot, joints=joints), loop.controllers)
+    odd = RobotLoop(twin.robot, tuple(PD(position_gain=9.0, derivative_gain=1.0, period=1e-3 / n) for n in (18, 19)))
+    with pytest.raises(MethodError, match=r"share a clock.*received joint1 0.0555556 ms and joint2 0.0526316 ms"):
+        simulate_robot(odd, records)
+    with pytest.raises(MethodError, match="one log; the records of joint2 differ from that of joint1"):
+        simulate_robot(loop, (records[0], twin.records(0.5)[1]))

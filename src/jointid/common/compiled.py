@@ -5,6 +5,7 @@ These are recurrences: what a sampled law answers to given inputs, and the modes
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, TypeAlias, TypeVar, cast
 
@@ -168,3 +169,42 @@ def respond(
             now[order + width + row] = excess[k, row]
         now[:order] = new
     z[:] = now[:order]
+
+
+_ROWS = 64  # of a block: with some hundred columns it stays in the cache
+
+
+@compiled
+def triangle_of(columns: FloatArray, R: FloatArray) -> None:
+    """Fill R, (n, n), zeros before, with the triangle of ``columns = Q R``; the columns, (rows, n), are overwritten.
+
+    By Householder's reflections of blocks of rows under R, and without a linear algebra library, whose threads wait for
+    each other at every reflection: on a machine that has other work that takes a hundred times as long.
+    """
+    n = columns.shape[1]
+    sums = np.empty(n)
+    for begin in range(0, len(columns), _ROWS):
+        block = columns[begin : begin + _ROWS]
+        for k in range(n):
+            below = 0.0
+            for i in range(len(block)):
+                below += block[i, k] * block[i, k]
+            if below == 0.0:
+                continue
+            length = math.sqrt(R[k, k] * R[k, k] + below)
+            above = R[k, k] + math.copysign(length, R[k, k])
+            for j in range(k + 1, n):
+                sums[j] = above * R[k, j]
+            for i in range(len(block)):
+                weight = block[i, k]
+                for j in range(k + 1, n):
+                    sums[j] += weight * block[i, j]
+            share = 2.0 / (above * above + below)
+            for j in range(k + 1, n):
+                sums[j] *= share
+                R[k, j] -= above * sums[j]
+            for i in range(len(block)):
+                weight = block[i, k]
+                for j in range(k + 1, n):
+                    block[i, j] -= weight * sums[j]
+            R[k, k] = -math.copysign(length, R[k, k])

@@ -43,6 +43,8 @@ from jointid.simulation.robots import RobotLoop, add_feed_forward
 _UPRIGHT = 1e-3  # rad, that a base is off the upright and yet upright
 _TURNS = 2 * math.pi  # rad
 
+_OF_JOINT = ("rotor_inertia", "viscous", "coulomb", "offset", "viscous_backwards", "coulomb_backwards")
+
 FeedForward: TypeAlias = Literal["none", "gravity", "inverse-model", "logged"]
 Angles = Annotated[list[Number], Field(min_length=3, max_length=3), Says("a list of three numbers")]
 Couplings = Annotated[dict[str, Number], Says("a table of numbers by the joints' names")]
@@ -58,6 +60,7 @@ class RobotTable(Table):
         description="roll, pitch and yaw of its base: about the fixed axes x, y and z of a world with z upwards [rad]",
     )
     feed_forward: FeedForward = Field("none", description="what the drives are given beside the controllers' torque")
+    in_motion: bool = Field(False, description="whether the records begin while the robot moves, as its references do")
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield angles beyond a turn, which are degrees."""
@@ -151,6 +154,7 @@ class RobotFile:
         method: how the robot is identified: by IDIM, or by DIDIM from torques and references.
         feed_forward: what the drives are given beside the controllers' torque.
         limits: what each joint may do in a test that is planned.
+        in_motion: whether the records begin while the robot moves.
         path: of the robot file.
         raw: its tables.
     """
@@ -161,6 +165,7 @@ class RobotFile:
     method: RobotIDIM | RobotDIDIM
     feed_forward: FeedForward
     limits: tuple[JointLimits, ...]
+    in_motion: bool
     path: Path
     raw: Mapping[str, Any] = field(repr=False)
 
@@ -191,6 +196,7 @@ class RobotFile:
             method,
             said.robot.feed_forward,
             tuple(JointLimits() if one.limits is None else one.limits.build() for one in said.joints),
+            said.robot.in_motion,
             path,
             raw,
         )
@@ -224,7 +230,7 @@ class RobotFile:
         """The robot under its controllers.
 
         Raises:
-            MethodError: a joint has no controller, or motors are coupled.
+            MethodError: a joint has no controller.
         """
         missing = [file.name for file in self.joints if file.controller is None]
         if missing:
@@ -232,7 +238,8 @@ class RobotFile:
                 f"A robot is simulated under its controllers, and {', '.join(map(str, missing))} has none; add a "
                 "controller to its [[joints]] table, or identify by idim from motor positions."
             )
-        return RobotLoop(self.robot, tuple(file.controller for file in self.joints if file.controller is not None))
+        controllers = tuple(file.controller for file in self.joints if file.controller is not None)
+        return RobotLoop(self.robot, controllers, self.in_motion)
 
     def driven(self, path: str | os.PathLike[str] | None = None, *, logged: bool = True) -> tuple[Record, ...]:
         """Read the records as `records` does, with the feed-forward that the file asks to compute.
@@ -280,7 +287,10 @@ class RobotFile:
         """Return the tables that say the same, with the numbers of this robot's joints."""
         tables = copy.deepcopy(dict(self.raw))
         for table, joint in zip(tables["joints"], self.robot.joints, strict=True):
-            table |= {name: getattr(joint, name) for name in ("rotor_inertia", "viscous", "coulomb", "offset")}
+            for name in _OF_JOINT:
+                table[name] = getattr(joint, name)
+                if table[name] is None:
+                    del table[name]
         return tables
 
 

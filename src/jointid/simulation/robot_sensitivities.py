@@ -11,9 +11,11 @@ from jointid.common.arrays import FloatArray
 from jointid.records.record import Tap
 from jointid.simulation.closed_loop import first_state
 from jointid.simulation.loop_input import as_logged
-from jointid.simulation.robots import RobotInput, RobotNumbers, RobotRun, weigh
+from jointid.simulation.robot_start import controllers_at, weigh
+from jointid.simulation.robots import RobotInput, RobotNumbers, RobotRun
 
-_SMALL = 1e-7  # rad: differences of the weight
+_SMALL = 1e-7  # rad: differences of the load
+_NUDGE = 1e-3  # rad: differences of a controller's state, which is linear
 
 
 class NumberOf(IntEnum):
@@ -66,70 +68,72 @@ def differentiate_torques(run: RobotRun, places: tuple[NumberPlace, ...]) -> lis
     from jointid.simulation.kernels import robot_sensitivities as kernels
 
     experiment, numbers, tape = run.experiment, run.numbers, run.tape
-    first, n = experiment.first, numbers.rotors.size
+    clock, n, laws = experiment.clock, numbers.rotors.size, experiment.laws
     rows = np.array([(place.of, place.row, place.column) for place in places], dtype=np.int64).reshape(-1, 3)
-    dq, dz, before = _at_rest(run, places)
-    laws = experiment.laws
+    dq, dz, before = _at_start(run, places)
     through = any(each.tap is Tap.COMMAND for each in experiment.experiments) and bool(
         np.any(laws.outputs != laws.taps)
     )
-    command = np.zeros((n, first.periods, len(places)))
+    command = np.zeros((n, clock.steps, len(places)))
     tapped = np.zeros(command.shape if through else (n, 0, 0))
     kernels.differentiate_run(
-        *experiment.tree, numbers.inertials, numbers.rotors, numbers.masses, numbers.springs, first.lags,
+        *experiment.tree, numbers.inertials, numbers.rotors, numbers.masses, numbers.springs, clock.lags, clock.every,
         *laws.matrices, laws.outputs, laws.taps, run.cuts,
         tape.first, tape.lasting, tape.places, tape.speeds, tape.begun, tape.ended, tape.directions, tape.stopped,
         rows, dq, dz, before, command, tapped,
     )  # fmt: skip
-    return [
-        as_logged(each, tapped[j] if through and each.tap is Tap.COMMAND else command[j])
-        for j, each in enumerate(experiment.experiments)
-    ]
+    found = []
+    for j, each in enumerate(experiment.experiments):
+        seen = tapped[j] if through and each.tap is Tap.COMMAND else command[j]
+        found.append(as_logged(each, clock.own(j, seen, each.periods))[: clock.samples])
+    return found
 
 
-def _at_rest(run: RobotRun, places: tuple[NumberPlace, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the derivatives of positions, controllers' states and torques where the robot rests at first.
+def _at_start(run: RobotRun, places: tuple[NumberPlace, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the derivatives of positions, controllers' states and torques at the first sample.
 
-    Of `rest`: ``g(q) + offset = torque(qm)`` where the law has no integral, ``qm`` the reference where it has;
-    ``K (qm - q) = g(q)``.
+    Of `robot_start.begin`: ``load(q) + own = torque(qm)`` where the law has no integral, ``qm`` the reference where it
+    has; ``K (qm - q) = load(q)``.
     """
     experiment, numbers = run.experiment, run.numbers
     n, rotors, count = numbers.rotors.size, numbers.rotors, len(places)
-    motors, links = run.start[rotors], run.start[:n]
+    motors, links, speeds = run.start[rotors], run.start[:n], experiment.speeds
     integrates = np.array([each.integral is not None for each in experiment.experiments])
     states = np.zeros((n, experiment.laws.A.shape[-1], 3))  # at the start, further, with more torque
-    torques = np.zeros((n, 2))
     for j, each in enumerate(experiment.experiments):
-        for i, (at, torque) in enumerate(((0.0, 0.0), (1e-3, 0.0), (0.0, 1.0))):
-            state, _ = first_state(each, motors[j] + at, 0.0, torque if integrates[j] else None)
+        for i, (at, torque) in enumerate(((0.0, 0.0), (_NUDGE, 0.0), (0.0, 1.0))):
+            state, _ = first_state(each, motors[j] + at, speeds[j], torque if integrates[j] else None)
             states[j, : state.size, i] = state
-        torques[j] = [first_state(each, motors[j] + at, 0.0, None)[1] for at in (0.0, 1e-3)]
-    slope = (torques[:, 1] - torques[:, 0]) / 1e-3
+    slope = controllers_at(experiment, motors)[1]
     soft = np.where(integrates | (slope >= 0.0), 0.0, 1.0 / np.where(slope == 0.0, -1.0, slope))
     compliance = np.where(numbers.flexible, 1.0 / np.where(numbers.flexible, numbers.springs[:, 0], 1.0), 0.0)
     here = weigh(experiment, numbers, links)
     shifted = [weigh(experiment, numbers, links + _SMALL * unit) for unit in np.eye(n)]
     turning = np.column_stack([(there - here) / _SMALL for there in shifted])
-    direct, offset, stretched = (np.zeros((n, count)) for _ in range(3))
+    direct, own, stretched = (np.zeros((n, count)) for _ in range(3))
     for c, place in enumerate(places):
         if place.of is NumberOf.LINK:
             unit = replace(numbers, inertials=np.zeros_like(numbers.inertials))
             unit.inertials[place.row, place.column] = 1.0
             direct[:, c] = weigh(experiment, unit, links)
-        elif place.of is NumberOf.MASS and place.column == 3:
-            offset[rotors == place.row, c] = 1.0
-        elif place.of is NumberOf.SPRING and place.column == 0:
+        elif place.of is NumberOf.MASS:
+            joint = int(np.flatnonzero(rotors == place.row)[0]) if place.row in rotors else place.row
+            v = float(speeds[joint])
+            one_way = v * (v < 0.0 if place.column == 5 else v >= 0.0)
+            effects = experiment.accelerations[joint], v, np.sign(v), 1.0, one_way, one_way
+            (own if place.row == rotors[joint] else direct)[joint, c] = effects[place.column]
+        elif place.column == 0:
             stretched[place.row, c] = (motors - links)[place.row]
-    moved = turning @ (soft[:, np.newaxis] * offset + compliance[:, np.newaxis] * stretched) + direct
-    weight = np.linalg.solve(np.eye(n) - turning * (soft - compliance), moved)
+    moved = turning @ (soft[:, np.newaxis] * own + compliance[:, np.newaxis] * stretched) + direct
+    load = np.linalg.solve(np.eye(n) - turning * (soft - compliance), moved)
     dq = np.zeros((run.start.size, count))
-    of_motor = soft[:, np.newaxis] * (weight + offset)
-    dq[:n] = of_motor - compliance[:, np.newaxis] * (weight - stretched)
+    of_motor = soft[:, np.newaxis] * (load + own)
+    dq[:n] = of_motor - compliance[:, np.newaxis] * (load - stretched)
     dq[rotors] = of_motor
-    by_place, by_torque = (states[:, :, 1] - states[:, :, 0]) / 1e-3, states[:, :, 2] - states[:, :, 0]
+    by_place, by_torque = (states[:, :, 1] - states[:, :, 0]) / _NUDGE, states[:, :, 2] - states[:, :, 0]
     dz = by_place[:, :, np.newaxis] * of_motor[:, np.newaxis]
-    dz += by_torque[:, :, np.newaxis] * np.where(integrates[:, np.newaxis], weight + offset, 0.0)[:, np.newaxis]
-    return dq, dz, weight + offset
+    dz += by_torque[:, :, np.newaxis] * np.where(integrates[:, np.newaxis], load + own, 0.0)[:, np.newaxis]
+    return dq, dz, load + own
 
 
 def all_places(experiment: RobotInput, numbers: RobotNumbers) -> tuple[NumberPlace, ...]:
@@ -138,7 +142,7 @@ def all_places(experiment: RobotInput, numbers: RobotNumbers) -> tuple[NumberPla
     masses = [
         NumberPlace(NumberOf.MASS, row, column)
         for row in range(len(numbers.masses))
-        for column in range(4)
+        for column in ((0, 2, 3, 4, 5) if np.any(numbers.masses[row, 4:]) else range(4))
         if row in numbers.rotors or column in (1, 2)
     ]
     springs = [

@@ -2,7 +2,7 @@
 
 Each joint has a controller of its own (`models.controllers`) and a record of its own, whose torque is a mean to know
 the log and need not be there. A feed-forward torque is the record's injected signal: logged, or computed by
-`add_feed_forward`. The robot begins at rest, where its controllers' torques hold its weight; friction holds none of it.
+`add_feed_forward`. How the robot begins, at rest or in motion, is in `robot_start`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import TORQUE_UNIT
-from jointid.common.text import counted, listed
+from jointid.common.text import counted
 from jointid.models.controllers import REFERENCE, Controller
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.robots.robot import Robot
@@ -27,18 +27,19 @@ from jointid.records.record import Channel, Injection, InjectionPoint, Record, T
 from jointid.simulation.closed_loop import first_state
 from jointid.simulation.kernels.drive import IntArray
 from jointid.simulation.loop_input import LoopInput, as_logged, prepare, seen_torque
+from jointid.simulation.robot_clock import RobotClock, common_clock
+from jointid.simulation.robot_laws import PackedLaws, pack_laws
+from jointid.simulation.robot_start import begin, reference_motion
 
 _FASTEST = 0.5  # rad of the fastest motion of the robot in one step: an error of some 1e-5 of the torque
 _STEPS = 64  # per part of a period, at most
 _POSES = 5  # along the reference, at which the fastest motion is looked for
 _MORE = 2  # pieces per step and part, at most, beside a thousand
-_SETTLING = 200  # of the iterations that find where the robot rests
 _ASTRAY = 0.5, 0.1  # of a reference's travel, and rad or m: a joint that is farther off does not follow
-_AT_REST = 1e-13  # of a position
 
 Bools: TypeAlias = NDArray[np.bool_]
-LoopTree: TypeAlias = tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray]
-"""Parents, kinds, axes, rotations, origins, gravity: what the kernels take first."""
+LoopTree: TypeAlias = tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
+"""Parents, kinds, axes, rotations, origins, gravity, joints from shafts: what the kernels take first."""
 
 
 class RobotOutcome(StrEnum):
@@ -64,22 +65,20 @@ class RobotLoop:
 
     Attributes:
         robot: links, joints and gravity.
-        controllers: one for each joint; each sees its motor's position alone, behind the gear.
+        controllers: one for each joint; each sees its motor's position alone, behind the gear. Where motors are coupled
+            so are the references: of the shafts that the motors turn.
+        in_motion: whether the records begin while the robot moves, each shaft as its reference does; else at rest.
 
     Raises:
-        MethodError: there is not one controller for each joint, or motors are coupled.
+        MethodError: there is not one controller for each joint.
     """
 
     robot: Robot
     controllers: tuple[Controller, ...]
+    in_motion: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "controllers", tuple(self.controllers))
-        if coupled := [joint.name for joint in self.robot.joints if joint.coupling]:
-            raise MethodError(
-                f"A robot whose motors are coupled is not simulated; received one with a coupling of "
-                f"{listed(coupled)}: leave it out, or use IDIM, which needs no simulation."
-            )
         if len(self.controllers) != len(self.robot.links):
             raise MethodError(
                 f"A robot has a controller for each joint; received {len(self.controllers)} for "
@@ -93,8 +92,9 @@ class RobotNumbers:
 
     Attributes:
         inertials: (n, 10) of the links. rotors: (n,) the mass that each motor drives.
-        masses: (masses, 4) of the links, then of the rotors of flexible joints: inertia of the rotor (0 for the link of
-            a flexible joint), viscous, Coulomb and constant friction.
+        masses: (masses, 6) of the links, then of the rotors of flexible joints: inertia of the rotor (0 for the link of
+            a flexible joint), viscous, Coulomb and constant friction, and what viscous friction has more forwards, and
+            backwards.
         springs: (n, 2) stiffness and damping; 0 for rigid joints.
     """
 
@@ -110,9 +110,10 @@ class RobotNumbers:
         flexible = [i for i, joint in enumerate(joints) if joint.spring is not None]
         rotors, springs = np.arange(n), np.zeros((n, 2))
         rotors[flexible] = n + np.arange(len(flexible))
-        masses = np.zeros((n + len(flexible), 4))
+        masses = np.zeros((n + len(flexible), 6))
         for i, joint in enumerate(joints):
-            masses[rotors[i]] = joint.rotor_inertia, joint.viscous, joint.coulomb, joint.offset
+            viscous = (0.0, joint.viscous, joint.viscous_back) if joint.asymmetric else (joint.viscous, 0.0, 0.0)
+            masses[rotors[i]] = joint.rotor_inertia, viscous[0], *joint.coulomb_both, *viscous[1:]
             if joint.spring is not None:
                 springs[i] = joint.spring.stiffness, joint.spring.damping
                 masses[i, 1:3] = joint.spring.viscous, joint.spring.coulomb
@@ -129,30 +130,8 @@ class RobotNumbers:
         numbers = (self.inertials, self.masses, self.springs)
         finite = all(bool(np.all(np.isfinite(values))) for values in numbers)
         turning, held = self.masses[self.rotors.size :, 0], self.springs[self.flexible, 0]
-        least = min(float(np.min(self.masses[:, 1:3])), float(np.min(self.springs)))
+        least = min(float(np.min(self.masses[:, [1, 2, 4, 5]])), float(np.min(self.springs)))
         return finite and least >= 0.0 and bool(np.all(turning > 0.0) and np.all(held > 0.0))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PackedLaws:
-    """The controllers as the kernel reads them: each of `Feedback`, with the joint as first axis."""
-
-    A: FloatArray
-    Bq: FloatArray
-    F: FloatArray
-    C: FloatArray
-    D: FloatArray
-    E: FloatArray
-    limits: FloatArray
-    gates: IntArray
-    driven: FloatArray
-    outputs: IntArray
-    taps: IntArray
-
-    @property
-    def matrices(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-        """The first six."""
-        return self.A, self.Bq, self.F, self.C, self.D, self.E
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,28 +139,29 @@ class RobotInput:
     """Parameter-independent inputs of a robot's simulation; made by `prepare_robot`.
 
     Attributes:
-        tree: parents, kinds, axes, rotations, origins and gravity (`models.robots.dynamics`).
+        tree: parents, kinds, axes, rotations, origins, gravity, and joints from shafts (`models.robots.equations`).
         experiments: of each joint alone.
+        clock: that their controllers share.
         laws: the controllers.
-        feedforward: (n, elements, periods) their answers to everything but the positions.
-        after_limit: (n, periods) what is added to the torques behind the limits.
+        feedforward: (n, elements, periods) their answers to everything but the positions, each of its own periods.
+        after_limit: (n, clock) what is added to the torques behind the limits.
+        speeds, accelerations: (n,) of the shafts at the first sample.
     """
 
     tree: LoopTree
     experiments: tuple[LoopInput, ...]
+    clock: RobotClock
     laws: PackedLaws
     feedforward: FloatArray
     after_limit: FloatArray
-
-    @property
-    def first(self) -> LoopInput:
-        """Of the first joint, whose clocks are those of all."""
-        return self.experiments[0]
+    speeds: FloatArray
+    accelerations: FloatArray
 
     @property
     def references(self) -> FloatArray:
-        """Commanded positions at the controllers' instants, (periods, n)."""
-        return np.column_stack([each.inputs[:, REFERENCE] for each in self.experiments])
+        """Commanded positions at the steps of the clock, (clock, n), held between the controllers' instants."""
+        held = [self.clock.held(j, each.inputs[:, REFERENCE]) for j, each in enumerate(self.experiments)]
+        return np.column_stack(held)
 
 
 def prepare_robot(loop: RobotLoop, records: Sequence[Record]) -> RobotInput:
@@ -193,7 +173,7 @@ def prepare_robot(loop: RobotLoop, records: Sequence[Record]) -> RobotInput:
 
     Raises:
         RecordError: a channel that a controller reads is missing, or a clock does not divide the controllers'.
-        MethodError: there is not one record for each joint, or controllers or logs have different clocks.
+        MethodError: there is not one record for each joint, or controllers or logs share no clock.
     """
     robot = loop.robot
     if len(records) != len(robot.links):
@@ -205,47 +185,12 @@ def prepare_robot(loop: RobotLoop, records: Sequence[Record]) -> RobotInput:
         prepare(ClosedLoop(RigidJoint("prismatic" if kind else "revolute"), controller), record)
         for kind, controller, record in zip(robot.tree[1], loop.controllers, records, strict=True)
     ]
-    clocks = [(each.lengths.tolist(), each.lags.tolist(), each.looked.size, each.periods) for each in alone]
-    if other := [j for j, clock in enumerate(clocks) if clock != clocks[0]]:
-        names = listed([robot.joints[j].name for j in other])
-        raise MethodError(
-            f"A robot is simulated with one period and one delay of all controllers, and one log; those of {names} "
-            f"differ from those of {robot.joints[0].name}: give them the same period, delay and length."
-        )
-    after_limit = np.stack([each.after_limit for each in alone])
-    laws, feedforward = _packed(alone)
-    return RobotInput((*robot.tree, robot.gravity), tuple(alone), laws, feedforward, after_limit)
-
-
-def _packed(alone: Sequence[LoopInput]) -> tuple[PackedLaws, FloatArray]:
-    """Return the controllers one after the other, filled up with states that stay 0 and elements that are."""
-    kernels = [each.kernel for each in alone]
-    phases = math.lcm(*(len(kernel.A) for kernel in kernels))
-    states, elements = max(k.A.shape[1] for k in kernels), max(k.limits.size for k in kernels)
-    sizes = {"z": states, "e": elements}
-
-    def packed(name: str, axes: str) -> FloatArray:
-        out = np.zeros((len(kernels), phases, *(sizes[axis] for axis in axes)))
-        for j, kernel in enumerate(kernels):
-            values = getattr(kernel, name)
-            values = np.tile(values, (phases // len(values), *(1,) * len(axes)))
-            inside: tuple[int | slice, ...] = (j, slice(None), *(slice(size) for size in values.shape[1:]))
-            out[inside] = values
-        return out
-
-    periods, driven = alone[0].periods, any(kernel.driven.size for kernel in kernels)
-    into = np.zeros((len(kernels), periods if driven else 0, states))
-    limits, gates = np.full((len(kernels), elements), np.inf), np.full((len(kernels), elements), -1)
-    feedforward = np.zeros((len(kernels), elements, periods))
-    for j, (kernel, each) in enumerate(zip(kernels, alone, strict=True)):
-        limits[j, : kernel.limits.size], gates[j, : kernel.limits.size] = kernel.limits, kernel.gates
-        feedforward[j, : kernel.limits.size] = each.feedforward
-        if kernel.driven.size:
-            into[j, :, : kernel.driven.shape[1]] = kernel.driven
-    shapes = {"A": "zz", "Bq": "z", "F": "ze", "C": "ez", "D": "e", "E": "ee"}
-    A, Bq, F, C, D, E = (packed(name, axes) for name, axes in shapes.items())
-    outputs, taps = np.array([kernel.output for kernel in kernels]), np.array([kernel.tap for kernel in kernels])
-    return PackedLaws(A, Bq, F, C, D, E, limits, gates, into, outputs, taps), feedforward
+    clock = common_clock(alone, robot.names)
+    after_limit = np.stack([clock.held(j, each.after_limit) for j, each in enumerate(alone)])
+    laws, feedforward = pack_laws(alone)
+    motion = np.array([reference_motion(each) if loop.in_motion else (0.0, 0.0) for each in alone])
+    tree = (*robot.tree, robot.gravity, robot.joints_of_shafts)
+    return RobotInput(tree, tuple(alone), clock, laws, feedforward, after_limit, *motion.T.copy())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -253,7 +198,7 @@ class RobotTape:
     """The pieces of a run, in each of which nothing happens; made by the kernel (`kernels.robot_loop`).
 
     Attributes:
-        first: (periods * parts,) the piece that each part of a period begins with.
+        first: (clock * parts,) the piece that each part of a step of the clock begins with.
         lasting: (pieces,) s.
         places, speeds, begun: (pieces, masses) positions, velocities, accelerations at its beginning.
         ended: (pieces, masses) accelerations at its end. directions: (pieces, masses) 1 or -1, 0 of a mass at rest.
@@ -291,7 +236,7 @@ class RobotRun:
     Attributes:
         experiment: it was driven with. numbers: of the candidate.
         outcome: how it ended. finished: share of the experiment that was simulated. events: that were located.
-        command, tapped: (n, periods) the torque that acts, and the controllers' output behind their limits.
+        command, tapped: (n, clock) the torque that acts, and the controllers' output behind their limits.
         start: (masses,) positions at the beginning.
         cuts: (n, periods, elements) where limits and gates act; tape: its pieces. Both are empty unless they were kept.
     """
@@ -310,8 +255,11 @@ class RobotRun:
     @property
     def torque(self) -> FloatArray:
         """The torques as the log shows them, (samples, n)."""
-        each = zip(self.experiment.experiments, self.command, self.tapped, strict=True)
-        return np.column_stack([as_logged(one, seen_torque(one, *signals)) for one, *signals in each])
+        experiment, found = self.experiment, []
+        for j, each in enumerate(experiment.experiments):
+            seen = (experiment.clock.own(j, signal[j], each.periods) for signal in (self.command, self.tapped))
+            found.append(as_logged(each, seen_torque(each, *seen))[: experiment.clock.samples])
+        return np.column_stack(found)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -319,7 +267,8 @@ class MassMotion:
     """The motion of all masses at instants of the log.
 
     Attributes:
-        position, velocity, acceleration: (samples, masses) of the links, then of the rotors of flexible joints.
+        position, velocity, acceleration: (samples, masses) of the links, where motors are coupled of the shafts that
+            these turn, then of the rotors of flexible joints.
         direction: (samples, masses) in which each slides: 1 or -1, 0 of one at rest. Without Coulomb friction, that of
             its velocity.
     """
@@ -339,7 +288,7 @@ class RobotSimulation:
         outcome, finished, events: see `RobotRun`.
         sample_time: of the log, s.
         motor_position, motor_velocity: (samples, n). link_position, link_velocity: (samples, n).
-        motion: at the instants at which each torque begins to act, where the equations hold exactly.
+        motion: at the instants at which each torque of the first joint begins to act, where its equation holds exactly.
     """
 
     torque: FloatArray
@@ -383,10 +332,10 @@ def run_robot(
     """Run one candidate, and `keep` its tape and where limits act; arguments of `simulate_robot`."""
     from jointid.simulation.kernels import robot_loop
 
-    first, n, masses = experiment.first, len(experiment.experiments), len(numbers.masses)
-    parts, periods, elements = first.lengths.size, first.periods, experiment.feedforward.shape[1]
+    clock, n, masses = experiment.clock, len(experiment.experiments), len(numbers.masses)
+    parts, (_, elements, periods) = clock.lengths.size, experiment.feedforward.shape
     laws, states = experiment.laws, experiment.laws.A.shape[-1]
-    command, tapped = np.zeros((n, periods)), np.zeros((n, periods))
+    command, tapped = np.zeros((n, clock.steps)), np.zeros((n, clock.steps))
     counts = np.zeros(3, dtype=np.int64)
     cuts = np.zeros((n, periods if keep else 0, elements if keep else 0), dtype=np.bool_)
     start, outcome = np.zeros(masses), RobotOutcome.INVALID
@@ -394,20 +343,21 @@ def run_robot(
     if numbers.possible:
         taken = choose_steps(experiment, numbers) if steps is None else steps
         outcome = RobotOutcome.FINISHED if taken <= _STEPS else RobotOutcome.TOO_STIFF
-    rows = (_MORE * periods * parts * min(taken, _STEPS) + 1000) if keep and outcome is RobotOutcome.FINISHED else 0
-    tape = RobotTape.empty(periods * parts, rows, masses)
+    rows = (_MORE * clock.steps * parts * min(taken, _STEPS) + 1000) if keep and outcome is RobotOutcome.FINISHED else 0
+    tape = RobotTape.empty(clock.steps * parts, rows, masses)
     if outcome is RobotOutcome.FINISHED:
-        start, torques = rest(experiment, numbers)
-        state, before = np.zeros((n, states)), np.empty(n)
+        began = begin(experiment, numbers)
+        start, state, before = began.places, np.zeros((n, states)), np.empty(n)
         for j, each in enumerate(experiment.experiments):
-            began, torque = first_state(each, start[numbers.rotors[j]], 0.0, torques[j])
-            state[j, : began.size], before[j] = began, torque + each.after_limit[0]
+            motor = numbers.rotors[j]
+            own, torque = first_state(each, start[motor], began.speeds[motor], began.torques[j])
+            state[j, : own.size], before[j] = own, torque + each.after_limit[0]
         far = np.array([each.far for each in experiment.experiments]) + np.abs(start[numbers.rotors])
         status = robot_loop.run(
             *experiment.tree, numbers.inertials, numbers.rotors, numbers.masses, numbers.springs,
-            first.lengths, first.lags, taken, state, *laws.matrices,
+            clock.lengths, clock.lags, clock.every, taken, state, *laws.matrices,
             laws.limits, laws.gates, laws.driven, laws.outputs, laws.taps,
-            experiment.feedforward, experiment.after_limit, before, start.copy(), np.zeros(masses), far,
+            experiment.feedforward, experiment.after_limit, before, start.copy(), began.speeds, far,
             command, tapped, cuts,
             tape.first, tape.lasting, tape.places, tape.speeds, tape.begun, tape.ended, tape.directions, tape.stopped,
             counts,
@@ -419,23 +369,24 @@ def run_robot(
         np.nan_to_num(signal, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     kept = tape.until(done * parts, int(counts[1]))
     return RobotRun(
-        experiment, numbers, outcome, done / periods, int(counts[0]), command, tapped, start, cuts, kept
+        experiment, numbers, outcome, done / clock.steps, int(counts[0]), command, tapped, start, cuts, kept
     )  # fmt: skip
 
 
 def simulation_of(run: RobotRun) -> RobotSimulation:
     """Return a run whose tape was kept, at the log's instants."""
-    first, rotors = run.experiment.first, run.numbers.rotors
+    clock, rotors, joints = run.experiment.clock, run.numbers.rotors, run.experiment.tree[-1]
     n = rotors.size
-    seen, begun = _motion(run, first.looked), _motion(run, first.begun)
+    seen, begun = motion_at(run, clock.looked), motion_at(run, clock.begun[0])
+    position, velocity = (x[:, :n] @ joints.T if joints.size else x[:, :n] for x in (seen.position, seen.velocity))
     return RobotSimulation(
-        run.torque, run.outcome, run.finished, run.events, first.sample_time,
-        seen.position[:, rotors], seen.velocity[:, rotors], seen.position[:, :n], seen.velocity[:, :n], begun,
+        run.torque, run.outcome, run.finished, run.events, clock.sample_time,
+        seen.position[:, rotors], seen.velocity[:, rotors], position, velocity, begun,
     )  # fmt: skip
 
 
-def _motion(run: RobotRun, parts: NDArray[np.intp]) -> MassMotion:
-    """Return the motion as these parts of periods begin."""
+def motion_at(run: RobotRun, parts: IntArray) -> MassMotion:
+    """Return the motion as these parts of the clock's steps begin; the tape must have been kept."""
     tape = run.tape
     if not tape.first.size:
         held = np.tile(run.start, (parts.size, 1))
@@ -449,55 +400,14 @@ def _motion(run: RobotRun, parts: NDArray[np.intp]) -> MassMotion:
     return found
 
 
-def rest(experiment: RobotInput, numbers: RobotNumbers) -> tuple[FloatArray, tuple[float | None, ...]]:
-    """Return where all masses rest at the first sample, (masses,), and the torques that integrators then hold.
-
-    A law with an integral holds the weight on the reference; one without is off by the torque over its gain. Springs
-    are stretched by the weight.
-    """
-    n, rotors, references = numbers.rotors.size, numbers.rotors, experiment.references[0]
-    alone = experiment.experiments
-    at_zero = [
-        np.array([first_state(each, q, 0.0, None)[1] for q in (r, r + 1e-3)])
-        for each, r in zip(alone, references, strict=True)
-    ]
-    integrates = np.array([each.integral is not None for each in alone])
-    asked = np.array([pair[0] for pair in at_zero]) + experiment.after_limit[:, 0]
-    slope = np.array([(pair[1] - pair[0]) / 1e-3 for pair in at_zero])
-    soft = np.where(integrates | (slope >= 0.0), -np.inf, slope)
-    stiffness = np.where(numbers.flexible, numbers.springs[:, 0], np.inf)
-    motors = references.copy()
-    weight = np.zeros(n)
-    for _ in range(_SETTLING):
-        links = motors - weight / stiffness
-        weight = weigh(experiment, numbers, links)
-        after = references + (weight + numbers.masses[rotors, 3] - asked) / soft
-        moved = float(np.max(np.abs(after - motors)))
-        motors = after
-        if moved <= _AT_REST * (1.0 + float(np.max(np.abs(motors)))):
-            break
-    start = np.zeros(len(numbers.masses))
-    start[:n], start[rotors] = motors - weight / stiffness, motors
-    holding = weight + numbers.masses[rotors, 3] - experiment.after_limit[:, 0]
-    return start, tuple(float(t) if i else None for t, i in zip(holding, integrates, strict=True))
-
-
-def weigh(experiment: RobotInput, numbers: RobotNumbers, positions: FloatArray) -> FloatArray:
-    """Return the torques that hold the links at rest, (n,)."""
-    from jointid.models.robots.dynamics import inverse_dynamics
-
-    still, found = np.zeros(positions.size), np.empty(positions.size)
-    inverse_dynamics(*experiment.tree, numbers.inertials, positions, still, still, found)
-    return found
-
-
 def choose_steps(experiment: RobotInput, numbers: RobotNumbers) -> int:
     """Return the steps in the longest part of a period that keep the robot's fastest motion within 0.5 rad each."""
-    from jointid.models.robots.dynamics import mass_matrix
+    from jointid.models.robots.equations import ROOM, equations_of_motion
 
     n, rotors = numbers.rotors.size, numbers.rotors
+    still, room = np.zeros(n), np.empty((n, ROOM))
     size, fastest = len(numbers.masses), 0.0
-    springs, dampers = np.zeros((size, size)), np.diag(numbers.masses[:, 1])
+    springs, dampers = np.zeros((size, size)), np.diag(numbers.masses[:, 1] + np.max(numbers.masses[:, 4:], axis=1))
     for i in np.flatnonzero(numbers.flexible):
         both = np.zeros(size)
         both[i], both[rotors[i]] = 1.0, -1.0
@@ -507,7 +417,7 @@ def choose_steps(experiment: RobotInput, numbers: RobotNumbers) -> int:
     for pose in references[:: max(len(references) // _POSES, 1)]:
         M = np.zeros((size, size))
         links = np.empty((n, n))
-        mass_matrix(*experiment.tree[:5], numbers.inertials, pose, links)
+        equations_of_motion(*experiment.tree, numbers.inertials, pose, still, still, room, links, np.empty(n))
         M[:n, :n] = links
         M[np.diag_indices(size)] += numbers.masses[:, 0]
         lowest = float(np.linalg.eigvalsh(0.5 * (M + M.T))[0])
@@ -515,7 +425,7 @@ def choose_steps(experiment: RobotInput, numbers: RobotNumbers) -> int:
             continue
         each = [np.abs(np.linalg.eigvals(np.linalg.solve(M, matrix))) for matrix in (springs, dampers)]
         fastest = max(fastest, math.sqrt(float(np.max(each[0]))), float(np.max(each[1])))
-    return max(math.ceil(float(np.max(experiment.first.lengths)) * fastest / _FASTEST), 1)
+    return max(math.ceil(float(np.max(experiment.clock.lengths)) * fastest / _FASTEST), 1)
 
 
 def add_feed_forward(
@@ -543,9 +453,17 @@ def add_feed_forward(
     a = np.gradient(v, sample_time, axis=0)
     if kind == "gravity":
         v, a = np.zeros_like(q), np.zeros_like(q)
-    torque = inverse_dynamics_of(*loop.robot.tree, loop.robot.gravity, numbers.inertials, q, v, a)
+    joints = np.linalg.inv(loop.robot.coupling)  # the references are those of the shafts
+    torque = inverse_dynamics_of(
+        *loop.robot.tree,
+        loop.robot.gravity,
+        numbers.inertials,
+        *(np.ascontiguousarray(x @ joints.T) for x in (q, v, a)),
+    )
+    torque = torque @ joints
     of_motor, n = numbers.masses[numbers.rotors], len(loop.robot.links)
-    viscous = of_motor[:, 1] + np.where(numbers.flexible, numbers.masses[:n, 1], 0.0)
+    of_link = np.where(numbers.flexible, numbers.masses[:n, 1], 0.0)
+    viscous = of_motor[:, 1] + of_link + np.where(v < 0.0, of_motor[:, 5], of_motor[:, 4])
     torque += of_motor[:, 0] * a + viscous * v + of_motor[:, 3]
     units = [TORQUE_UNIT["prismatic" if prismatic else "revolute"] for prismatic in loop.robot.tree[1]]
     return tuple(

@@ -14,6 +14,7 @@ from jointid.models.robots.robot import JointSpring
 from jointid.simulation.robots import RobotLoop, RobotNumbers, simulate_robot
 from tests.estimation.robots.test_rigid_robots import deviations, recorded
 from tests.robots_plants import Twin, six, two
+from tests.simulation.test_robots import COUPLED, changed
 
 
 def identified(
@@ -66,6 +67,16 @@ def test_a_robot_of_one_flexible_and_one_rigid_joint() -> None:
     assert spring.shown
     assert spring.stiffness == pytest.approx(RobotNumbers.of(twin.robot).springs[0, 0], rel=0.01)
     assert "joint2.stiffness" not in found.fit.names
+
+
+@pytest.mark.slow
+def test_springs_of_motors_that_are_coupled() -> None:
+    twin = changed(two((12.0, 18.0)), *COUPLED)
+    found, _ = identified(twin, frequencies={"joint1": 14.0, "joint2": 16.0})
+    truth = RobotNumbers.of(twin.robot).springs[:, 0]
+    for spring, stiffness in zip(found.springs, truth, strict=True):
+        assert spring.stiffness == pytest.approx(stiffness, rel=0.05)
+    assert np.mean(np.abs(deviations(found.fit, twin)) < 2) > 0.85
 
 
 def test_a_spring_that_is_not_shown_is_refused_with_its_bound() -> None:

@@ -11,9 +11,11 @@ import pytest
 from jointid.common.errors import MethodError, RecordError
 from jointid.estimation.robots.didim import RobotFit, identify_rigid_robot
 from jointid.estimation.robots.numbers import robot_parameters
+from jointid.estimation.robots.problem import robot_problem
 from jointid.records.record import Channel, Record
 from jointid.simulation.robots import RobotLoop, RobotNumbers, prepare_robot, robot_records, run_robot, simulate_robot
 from tests.robots_plants import Twin, seven, six, two
+from tests.simulation.test_robots import COUPLED, ONE_WAY, changed
 
 
 def recorded(
@@ -54,6 +56,43 @@ def test_parameters_come_back_exactly_without_noise(twin: Twin, slower: float) -
     assert fit.iterations <= (8 if slower == 1 else 20)
     assert np.max(fit.relative_error) < 1e-6
     assert fit.values == pytest.approx(truth, abs=2e-5 * np.max(np.abs(truth)))
+
+
+@pytest.mark.parametrize("what", ["motors coupled", "friction another backwards", "clocks that differ", "in motion"])
+def test_they_come_back_of_what_robots_may_have(what: str) -> None:
+    changes = {"motors coupled": COUPLED, "friction another backwards": ONE_WAY}
+    twin = changed(two(), *changes[what]) if what in changes else two()
+    loop, records = twin.loop(), twin.records(6.0)
+    if what == "clocks that differ":
+        first, second = loop.controllers
+        loop = replace(loop, controllers=(replace(first, delay=4e-4), replace(second, period=2e-3)))  # type: ignore[type-var]
+    if what == "in motion":
+        loop = replace(loop, in_motion=True)
+        records = tuple(
+            replace(one, reference=replace(one.reference, values=one.reference.values[2000:]))
+            for one in records
+            if one.reference
+        )
+    records, _ = recorded(loop, records)
+    fit = identify_rigid_robot(loop, records)
+    truth = fit.parameters.group(RobotNumbers.of(twin.robot))
+    assert fit.converged
+    assert np.max(fit.relative_error) < 1e-6
+    assert fit.values == pytest.approx(truth, abs=2e-5 * np.max(np.abs(truth)))
+    assert ("joint1.viscous_backwards" in fit.names) == (what == "friction another backwards")
+    again = simulate_robot(replace(loop, robot=fit.robot(twin.robot)), records)
+    assert again.torque == pytest.approx(fit.run.torque, abs=1e-8)
+
+
+def test_the_beginning_of_a_problem_is_that_of_the_whole() -> None:
+    twin = two()
+    records, _ = recorded(twin.loop(), twin.records(4.0))
+    problem = robot_problem(twin.loop(), records, robot_parameters(twin.robot))
+    x, brief = problem.parameters.group(RobotNumbers.of(twin.robot)), problem.begun(0.25)
+    torque, whole = brief.run(x).torque, problem.run(x).torque
+    assert 0.1 * len(whole) <= len(torque) < 0.6 * len(whole)
+    assert np.array_equal(torque, whole[: len(torque)])
+    assert np.max(np.abs(brief.residual(x))) < 1e-6
 
 
 def test_noise_floor_and_intervals() -> None:

@@ -11,7 +11,8 @@ from jointid.common.arrays import FloatArray
 from jointid.estimation.robots.didim import identify_rigid_robot
 from jointid.estimation.robots.flexible import identify_flexible_robot
 from jointid.records.record import Channel, Record, Timing
-from jointid.simulation.robots import RobotNumbers, prepare_robot, rest, run_robot
+from jointid.simulation.robot_start import begin
+from jointid.simulation.robots import RobotNumbers, prepare_robot, run_robot
 from tests.estimation.robots.test_rigid_robots import deviations
 from tests.robots_mujoco import simulate_by_mujoco
 from tests.robots_plants import Twin, six, two
@@ -22,7 +23,7 @@ def moved(twin: Twin, records: tuple[Record, ...], step: float = 1e-4) -> tuple[
     loop = twin.loop()
     experiment, numbers = prepare_robot(loop, records), RobotNumbers.of(twin.robot)
     gains = np.array([[c.position_gain, c.derivative_gain] for c in loop.controllers])  # type: ignore[attr-defined]
-    theirs = simulate_by_mujoco(twin.robot, gains, experiment.references, 1e-3, rest(experiment, numbers)[0], step)
+    theirs = simulate_by_mujoco(twin.robot, gains, experiment.references, 1e-3, begin(experiment, numbers).places, step)
     return theirs, run_robot(experiment, numbers).torque
 
 

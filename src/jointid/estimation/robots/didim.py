@@ -16,7 +16,8 @@ tried: M(q) of one may not be positive definite in a pose. The column of Coulomb
 sliding, but of the velocity's sign where it is now 0 or less: a mass without it never rests, and a fixed point with a
 negative one would stay. Viscous and Coulomb friction are not let below 0.
 
-Valid for rigid joints, or below about a fifth of the first resonance; the robot at rest at the first sample.
+Valid for rigid joints, or below about a fifth of the first resonance; the robot at rest at the first sample, or moving
+as its references do.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray, column_norms, triangle
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress
 from jointid.common.parameters import Bounds
@@ -35,7 +36,6 @@ from jointid.estimation.methods.search import command_of, reconstructed_position
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.robots.numbers import RobotParameters, columns_of, robot_parameters
 from jointid.estimation.robots.problem import RobotProblem, robot_problem
-from jointid.models.controllers import REFERENCE
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.robots.robot import JointSpring, Robot
 from jointid.records.record import Channel, Record, Timing
@@ -85,6 +85,8 @@ class RobotFit:
     def robot(self, robot: Robot) -> Robot:
         """Return a robot with what was found: the same torques, but grouped numbers stand in the one that is kept.
 
+        A Coulomb friction that is another backwards is one of both directions and an offset.
+
         Args:
             robot: that was identified; its places, names and gravity are taken.
 
@@ -97,9 +99,18 @@ class RobotFit:
             spring = None
             if numbers.flexible[i]:
                 spring = JointSpring(*map(float, (*numbers.springs[i], link[1], link[2])))
-            inertia, viscous, coulomb, offset = map(float, own)
+            inertia, viscous, coulomb, offset, forwards, backwards = map(float, own)
             joints.append(
-                replace(joint, rotor_inertia=inertia, viscous=viscous, coulomb=coulomb, offset=offset, spring=spring)
+                replace(
+                    joint,
+                    rotor_inertia=inertia,
+                    viscous=viscous + forwards,
+                    coulomb=coulomb,
+                    offset=offset,
+                    viscous_backwards=viscous + backwards if joint.asymmetric else None,
+                    coulomb_backwards=None,
+                    spring=spring,
+                )
             )
         return replace(robot.with_inertials(numbers.inertials), joints=tuple(joints))
 
@@ -134,7 +145,7 @@ def identify_rigid_robot(
         MethodError: the records do not determine the parameters, or nothing can be simulated at the start.
     """
     robot = replace(loop.robot, joints=tuple(replace(joint, spring=None) for joint in loop.robot.joints))
-    loop = RobotLoop(robot, loop.controllers)
+    loop = replace(loop, robot=robot)
     parameters = robot_parameters(robot, offsets=offsets)
     problem = robot_problem(loop, records, parameters, filtering)
     x, run = start_of(problem, loop, records, progress)
@@ -209,14 +220,16 @@ def joint_sizes(problem: RobotProblem, left: FloatArray, count: int, floor: floa
 
 def _step(problem: RobotProblem, W: FloatArray, error: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the weighted least-squares step, its standard deviations for white errors, and what it leaves, (rows,)."""
+    from jointid.common.compiled import triangle_of
+
     weights = problem.weights(error.size)
     weighted = W * weights[:, np.newaxis]
     norms = column_norms(weighted)
     idle = [
         name for name, norm in zip(problem.parameters.names, np.linalg.norm(weighted, axis=0), strict=True) if norm == 0
     ]
-    # In blocks: the threads of a linear algebra library cost seconds on a machine that has other work.
-    both = triangle(np.column_stack([weighted / norms, error * weights]))
+    both = np.zeros((norms.size + 1, norms.size + 1))
+    triangle_of(np.column_stack([weighted / norms, error * weights]), both)
     R, target = both[:-1, :-1], both[:-1, -1]
     _, sizes, directions = np.linalg.svd(R)
     if idle or sizes[-1] < _SINGULAR * sizes[0]:
@@ -266,11 +279,15 @@ def start_of(
 
 def _seen_motion(problem: RobotProblem, loop: RobotLoop, records: Sequence[Record]) -> tuple[FloatArray, FloatArray]:
     """Return the motors' torques and the positions that the controllers must have seen, (samples, n) each."""
-    found = []
-    for link, controller, record in zip(loop.robot.links, loop.controllers, records, strict=True):
+    measured, references = _commanded_motion(problem, loop, records)
+    found, samples = [], len(measured)
+    for j, (link, controller, record) in enumerate(zip(loop.robot.links, loop.controllers, records, strict=True)):
+        if problem.experiment.experiments[j].repeat > 1:  # the log shows each output of this slow controller many times
+            found.append((measured[:, j], references[:, j]))
+            continue
         joint = RigidJoint(link.kind)
         alone = torque_problem(record, ClosedLoop(joint, controller), problem.filtering, joint.parameters)
-        found.append((command_of(alone), reconstructed_position(alone)))
+        found.append((command_of(alone)[:samples], reconstructed_position(alone)[:samples]))
     torques, positions = (np.column_stack([pair[i] for pair in found]) for i in range(2))
     return torques, positions
 
@@ -280,27 +297,29 @@ def _commanded_motion(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the motors' torques and the references, (samples, n) each."""
     del loop, records
-    first = problem.experiment.first
-    periods = first.looked // first.lengths.size
-    references = [each.inputs[periods, REFERENCE] for each in problem.experiment.experiments]
-    return problem.measured, np.column_stack(references)
+    clock = problem.experiment.clock
+    return problem.measured, problem.experiment.references[clock.looked // clock.lengths.size]
 
 
 def _regressed(problem: RobotProblem, torques: FloatArray, positions: FloatArray) -> FloatArray:
     """Return what the inverse model finds on a motion, within bounds, the joints weighing by their errors."""
     sample_time, cutoff = problem.sample_time, problem.filtering.position_cutoff
     assert cutoff is not None
-    n, delay = torques.shape[1], problem.experiment.first.law.delay
+    n, each_loop = torques.shape[1], problem.experiment.experiments
     smooth = lowpass(positions, cutoff, sample_time)
     each = [differentiate_twice(column, sample_time) for column in smooth.T]
     velocity, acceleration = (np.column_stack([pair[i] for pair in each]) for i in range(2))
     motion = MassMotion(smooth, velocity, acceleration, np.sign(velocity))
     parameters = problem.parameters
-    columns = apply_window(columns_of(problem.experiment.tree, parameters.base, parameters.places, motion))
+    rotors = parameters.base.rotors
+    columns = columns_of(problem.experiment.tree, parameters.base, parameters.places, motion, rotors)
     held = [Channel(torques[:, j], "N m", sample_time, Timing.HELD) for j in range(n)]  # its unit is not read
-    seen = np.column_stack([window_torque(channel, delay) for channel in held])
+    seen = np.column_stack(
+        [window_torque(channel, each.law.delay) for channel, each in zip(held, each_loop, strict=True)]
+    )
     borders = slice(*(50, len(seen) - 50) if len(seen) > 500 else (0, len(seen)))
-    Y, W = problem.decimated(seen[borders]), problem.decimated(columns[borders])
+    Y = problem.decimated(seen[borders])
+    W = problem.decimated_columns([(own, apply_window(values)[borders]) for own, values in columns])
     floor = _EXACT * float(np.linalg.norm(Y))
     x = np.zeros(len(parameters.places))
     for _ in range(_REWEIGHTINGS):

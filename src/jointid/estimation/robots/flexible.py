@@ -44,6 +44,7 @@ _ROOM = 0.6  # of what the rotors can take before the links' mass matrix is not 
 _LIGHTEST = 0.05  # of the inertia about a joint: a rotor that a search begins with
 _DAMPING = 0.03  # of critical, of the springs a search begins with
 _MODES = tuple(5.0 * 1.25**i for i in range(10))  # Hz: 5 to 37, the row in which a frequency is looked for
+_LOOKED = 0.25  # of the references' way, along which it is looked for
 _STIFF = 0.07  # of the sampling frequency: where a joint is as good as rigid, and still takes one step a period
 _SOFTEST = 1e-3  # of the sampling frequency: the lowest mode that is looked for
 _STIFFEST = 0.15  # of the sampling frequency: the highest mode that is looked for
@@ -245,10 +246,11 @@ class _Start:
         flexible = [self.names[i] for i in np.flatnonzero(self.problem.parameters.base.flexible)]
         stiff = dict.fromkeys(flexible, _STIFF / self.problem.sample_time)
         tried = [(name, f) for name in flexible for f in _MODES if f < stiff[name]]
+        brief = self.problem.begun(_LOOKED)  # a frequency is told by a few of its periods
 
         def cost(one: tuple[str, float]) -> float:
-            x = self.problem.parameters.searched(self.values(stiff | dict([one])))
-            return float(np.linalg.norm(self.problem.residual(x)))
+            x = brief.parameters.searched(self.values(stiff | dict([one])))
+            return float(np.linalg.norm(brief.residual(x)))
 
         costs = in_threads(cost, tried)
         best = {}
@@ -261,10 +263,11 @@ class _Start:
 
 def _mass_matrix(problem: RobotProblem, numbers: RobotNumbers, pose: FloatArray) -> FloatArray:
     """Return that of a robot of rigid joints, rotors included, (n, n)."""
-    from jointid.models.robots.dynamics import mass_matrix
+    from jointid.models.robots.equations import ROOM, equations_of_motion
 
+    still, room = np.zeros(pose.size), np.empty((pose.size, ROOM))
     M = np.empty((pose.size, pose.size))
-    mass_matrix(*problem.experiment.tree[:5], numbers.inertials, pose, M)
+    equations_of_motion(*problem.experiment.tree, numbers.inertials, pose, still, still, room, M, np.empty(pose.size))
     return M + np.diag(numbers.masses[: pose.size, 0])
 
 
@@ -284,8 +287,11 @@ def _split(
             inertial.append(c)
         elif place.of is NumberOf.MASS:
             joint = joint_of.get(place.row, place.row)
-            both = 0.5 if numbers.flexible[joint] and place.column < 3 else 1.0
-            values[c] = both * known.get(NumberPlace(NumberOf.MASS, joint, place.column), 0.0)
+            both = 0.5 if numbers.flexible[joint] and place.column != 3 else 1.0
+            found_of = [known.get(NumberPlace(NumberOf.MASS, joint, column), 0.0) for column in range(6)]
+            # The link's own friction is the same in both directions.
+            same = found_of[1] + 0.5 * (found_of[4] + found_of[5])
+            values[c] = both * (same if place.column == 1 else found_of[place.column])
     # What each inertial parameter is of the rigid robot's: itself if that has it, or else as it groups it.
     kept, dropped = list(rigid.parameters.places), list(rigid.parameters.dropped)
     weights = np.zeros((len(kept), len(inertial)))

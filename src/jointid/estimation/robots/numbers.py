@@ -16,10 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, column_norms
+from jointid.common.parallel import threads
 from jointid.common.parameters import Parameter, Quantity
 from jointid.models.robots.base_parameters import formula_of
+from jointid.models.robots.dynamics import IntArray
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Robot
+from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.robot_sensitivities import NumberOf, NumberPlace, with_values
 from jointid.simulation.robots import LoopTree, MassMotion, RobotNumbers
 
@@ -27,11 +30,13 @@ _MOTIONS = 300  # random ones, at each of which every joint has an equation
 _SPANNED = 1e-8  # of a column of norm 1: what the columns before it leave of one that they span
 _FELT = 1e-10  # of the largest column: what is smaller is rounding, and would be independent of all others
 _GROUPED = 1e-9  # of a weight: what is below it is rounding
-_OF_MASS = ("rotor_inertia", "viscous", "coulomb", "offset")
+_OF_MASS = ("rotor_inertia", "viscous", "coulomb", "offset", "viscous_forwards", "viscous_backwards")
 _OF_SPRING = ("stiffness", "damping")
 _QUANTITIES = {
     "rotor_inertia": Quantity.INERTIA,
     "viscous": Quantity.VISCOUS,
+    "viscous_forwards": Quantity.VISCOUS,
+    "viscous_backwards": Quantity.VISCOUS,
     "coulomb": Quantity.FORCE,
     "offset": Quantity.FORCE,
     "stiffness": Quantity.STIFFNESS,
@@ -96,7 +101,7 @@ def robot_parameters(robot: Robot, *, offsets: bool = True, logarithmic: bool = 
         logarithmic: whether the rotors and springs of flexible joints are searched on a logarithmic scale.
     """
     numbers = RobotNumbers.of(robot)
-    places = _ordered(numbers, offsets)
+    places = _ordered(robot, numbers, offsets)
     columns = _random_columns(robot, numbers, places)
     kept, grouping = _independent(columns)
     base = with_values(numbers, places, np.zeros(len(places)))
@@ -113,11 +118,14 @@ def robot_parameters(robot: Robot, *, offsets: bool = True, logarithmic: bool = 
     )
 
 
-def _ordered(numbers: RobotNumbers, offsets: bool) -> tuple[NumberPlace, ...]:
+def _ordered(robot: Robot, numbers: RobotNumbers, offsets: bool) -> tuple[NumberPlace, ...]:
     """Return all places, those first that are to be kept."""
     n, masses = numbers.rotors.size, range(len(numbers.masses))
-    friction = [NumberPlace(NumberOf.MASS, row, column) for column in (1, 2) for row in masses]
-    constant = [NumberPlace(NumberOf.MASS, int(row), 3) for row in numbers.rotors] if offsets else []
+    two = {int(row) for row, joint in zip(numbers.rotors, robot.joints, strict=True) if joint.asymmetric}
+    friction = [NumberPlace(NumberOf.MASS, row, c) for row in masses for c in ((4, 5) if row in two else (1,))]
+    friction += [NumberPlace(NumberOf.MASS, row, 2) for row in masses]
+    # A Coulomb friction of two sizes is one of both directions and an offset.
+    constant = [NumberPlace(NumberOf.MASS, int(row), 3) for row in numbers.rotors if offsets or int(row) in two]
     springs = [
         NumberPlace(NumberOf.SPRING, int(i), column) for column in (0, 1) for i in np.flatnonzero(numbers.flexible)
     ]
@@ -127,41 +135,77 @@ def _ordered(numbers: RobotNumbers, offsets: bool) -> tuple[NumberPlace, ...]:
 
 
 def columns_of(
-    tree: LoopTree, numbers: RobotNumbers, places: tuple[NumberPlace, ...], motion: MassMotion
-) -> FloatArray:
-    """Return the derivatives of all masses' equations by the parameters, (samples, masses, parameters).
+    tree: LoopTree, numbers: RobotNumbers, places: tuple[NumberPlace, ...], motion: MassMotion, rows: IntArray
+) -> list[tuple[IntArray, FloatArray]]:
+    """Return, for each of some masses, the derivatives of its equation by the parameters that act in it.
 
-    At a known motion, so these are the regressor's columns; its product with the parameters is the motors' torques,
-    and 0 for the links of flexible joints.
+    At a known motion, so these are the regressor's columns; their product with the parameters is the motor's torque,
+    and 0 for the link of a flexible joint. Each is the places of the parameters, (own,), and their columns,
+    (samples, own), which stand one after the other.
 
     Args:
-        tree: parents, kinds, axes, rotations, origins, gravity.
+        tree: of `RobotInput`.
         numbers: of which only the rotors are read.
         places: of the parameters.
         motion: of all masses.
+        rows: of the masses.
     """
-    from jointid.models.robots.dynamics import regressor_of
+    from jointid.models.robots.equations import regressor_columns
 
-    samples, masses = motion.position.shape
-    n, rotors = numbers.rotors.size, numbers.rotors
-    q, v, a = (
-        np.ascontiguousarray(values[:, :n]) for values in (motion.position, motion.velocity, motion.acceleration)
-    )
-    of_links = regressor_of(*tree, q, v, a)
-    out = np.zeros((samples, masses, len(places)))
-    of_mass = motion.acceleration, motion.velocity, motion.direction, np.ones((samples, masses))
-    picked = [(c, place) for c, place in enumerate(places) if place.of is NumberOf.LINK]
-    if picked:
-        at = [len(SYMBOLS) * place.row + place.column for _, place in picked]
-        out[:, :n, [c for c, _ in picked]] = of_links[:, :, at]
-    for c, place in enumerate(places):
-        if place.of is NumberOf.MASS:
-            out[:, place.row, c] = of_mass[place.column][:, place.row]
-        elif place.of is NumberOf.SPRING:
-            moved = motion.position if place.column == 0 else motion.velocity
-            stretch = moved[:, rotors[place.row]] - moved[:, place.row]
-            out[:, rotors[place.row], c], out[:, place.row, c] = stretch, -stretch
-    return out
+    samples, n = len(motion.position), numbers.rotors.size
+    carried = _carried(tree[0]) if tree[-1].size == 0 else np.ones((n, n), dtype=np.bool_)
+    felt = [np.array([c for c, p in enumerate(places) if _acts(p, int(row), numbers, carried)], int) for row in rows]
+    ends = np.cumsum([own.size for own in felt])
+    lines, of_links = np.empty((int(ends[-1]), samples)), []
+    position, velocity, acceleration = motion.position, motion.velocity, motion.acceleration
+    for row, own, end in zip(rows, felt, ends, strict=True):
+        for line, place in zip(range(int(end) - own.size, int(end)), (places[c] for c in own), strict=True):
+            if place.of is NumberOf.LINK:
+                of_links.append((row, len(SYMBOLS) * place.row + place.column, line))
+            elif place.of is NumberOf.MASS:
+                lines[line] = _of_mass(motion, int(row), place.column)
+            else:
+                moved, motor = (velocity if place.column else position), numbers.rotors[place.row]
+                stretch = moved[:, motor] - moved[:, place.row]
+                lines[line] = stretch if row == motor else -stretch
+    if of_links:
+        q, v, a = (np.ascontiguousarray(values[:, :n]) for values in (position, velocity, acceleration))
+        whose, which, where = np.array(of_links, dtype=np.int64).T.copy()
+        spans = np.array_split(np.arange(samples), threads())
+
+        def fill(span: NDArray[np.intp]) -> None:
+            inside = slice(span[0], span[-1] + 1)
+            regressor_columns(*tree, q[inside], v[inside], a[inside], whose, which, where, lines[:, inside])
+
+        in_threads(fill, [span for span in spans if span.size])
+    return [(own, lines[end - own.size : end].T) for own, end in zip(felt, ends, strict=True)]
+
+
+def _carried(parents: IntArray) -> NDArray[np.bool_]:
+    """Return which link carries which, itself included, (n, n)."""
+    found = np.eye(parents.size, dtype=np.bool_)
+    for i, parent in enumerate(parents):
+        if parent >= 0:
+            found[:, i] |= found[:, parent]
+    return found
+
+
+def _acts(place: NumberPlace, row: int, numbers: RobotNumbers, carried: NDArray[np.bool_]) -> bool:
+    """True of a parameter that is in the equation of a mass."""
+    if place.of is NumberOf.LINK:
+        return row < len(carried) and bool(carried[row, place.row])
+    return row == place.row or (place.of is NumberOf.SPRING and row == numbers.rotors[place.row])
+
+
+def _of_mass(motion: MassMotion, row: int, column: int) -> FloatArray | float:
+    """Return what a number of a mass is multiplied with in its equation, (samples,)."""
+    velocity = motion.velocity[:, row]
+    if column in (0, 2):
+        return motion.acceleration[:, row] if column == 0 else motion.direction[:, row]
+    if column == 3:
+        return 1.0
+    one_way = np.maximum(velocity, 0.0) if column == 4 else np.minimum(velocity, 0.0)
+    return velocity if column == 1 else np.asarray(one_way)
 
 
 def _random_columns(robot: Robot, numbers: RobotNumbers, places: tuple[NumberPlace, ...]) -> FloatArray:
@@ -171,7 +215,10 @@ def _random_columns(robot: Robot, numbers: RobotNumbers, places: tuple[NumberPla
     motion = MassMotion(
         random.uniform(-math.pi, math.pi, shape), velocity, 5.0 * random.normal(size=shape), np.sign(velocity)
     )
-    columns = columns_of((*robot.tree, robot.gravity), numbers, places, motion)
+    tree, masses = (*robot.tree, robot.gravity, robot.joints_of_shafts), np.arange(len(numbers.masses))
+    columns = np.zeros((_MOTIONS, masses.size, len(places)))
+    for row, (own, values) in enumerate(columns_of(tree, numbers, places, motion, masses)):
+        columns[:, row, own] = values
     return columns.reshape(-1, len(places))
 
 
@@ -204,7 +251,7 @@ def _named(place: NumberPlace, robot: Robot, numbers: RobotNumbers, logarithmic:
         joint = int(np.flatnonzero(numbers.rotors == place.row)[0]) if place.row in numbers.rotors else place.row
         symbol = _OF_MASS[place.column]
         name = symbol if place.row == numbers.rotors[joint] else f"link_{symbol}"
-    lower = 0.0 if symbol in ("viscous", "coulomb", "damping") else -math.inf
+    lower = 0.0 if symbol == "coulomb" or _QUANTITIES[symbol] is Quantity.VISCOUS else -math.inf
     if _positive(place, numbers) and not logarithmic:
         lower = 1e-12
     return Parameter(f"{robot.joints[joint].name}.{name}", symbol, _QUANTITIES[symbol], lower=lower)

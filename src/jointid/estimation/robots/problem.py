@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -9,21 +10,26 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.common.parallel import threads
 from jointid.common.parameters import Parameter
 from jointid.estimation.robots.numbers import RobotParameters, columns_of
+from jointid.models.robots.dynamics import IntArray
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, decimate_all
-from jointid.simulation.robot_sensitivities import differentiate_torques
+from jointid.simulation.closed_loop import in_threads
+from jointid.simulation.robot_sensitivities import NumberPlace, differentiate_torques
 from jointid.simulation.robots import (
     RobotInput,
     RobotLoop,
     RobotOutcome,
     RobotRun,
+    motion_at,
     prepare_robot,
     run_robot,
-    simulation_of,
 )
 
+_FEWEST = 16  # parameters whose derivatives are worth a thread
+_BRIEF = 0.1  # of the records: a beginning has at least that
 _FAILED = 1e3  # times the measured torques: the error of a candidate that cannot be simulated
 
 
@@ -55,28 +61,39 @@ class RobotProblem:
     @property
     def sample_time(self) -> float:
         """Of the log, s."""
-        return self.experiment.first.sample_time
+        return self.experiment.clock.sample_time
 
     def weighted(self, sigma: FloatArray) -> RobotProblem:
         """Return the problem with other sizes of the joints' errors."""
         return replace(self, sigma=sigma)
 
+    def begun(self, share: float) -> RobotProblem:
+        """Return the problem of the records' beginnings, in which every reference travels this share of its way."""
+        clock, references = self.experiment.clock, self.experiment.references
+        way = np.cumsum(np.abs(np.diff(references, axis=0)), axis=0)
+        steps = int(np.max(np.sum(way < share * way[-1], axis=0))) + 1
+        brief = replace(self.experiment, clock=clock.until(max(steps, round(_BRIEF * clock.steps))))
+        return replace(self, experiment=brief, measured=self.measured[: brief.clock.samples])
+
     def run(self, x: FloatArray, *, keep: bool = True) -> RobotRun:
         """Simulate a candidate."""
         return run_robot(self.experiment, self.parameters.numbers(self.parameters.values(x)), keep=keep)
 
-    def decimated(self, columns: FloatArray) -> FloatArray:
-        """Return signals, (samples, n) or (samples, n, columns), filtered, one joint after the other, not weighted."""
-        n = columns.shape[1]
-        if columns.ndim == 2:
-            return np.concatenate(decimate_all([columns[:, j] for j in range(n)], self.filtering, self.sample_time))
-        felt = [np.flatnonzero(np.any(columns[:, j] != 0.0, axis=0)) for j in range(n)]
-        parts = [np.ascontiguousarray(columns[:, j, felt[j]].T).T for j in range(n)]
-        seen = decimate_all(parts, self.filtering, self.sample_time)
-        out = np.zeros((n, len(seen[0]), columns.shape[2]))
-        for j, values in enumerate(seen):
-            out[j][:, felt[j]] = values
-        return out.reshape(-1, columns.shape[2])
+    def decimated(self, signals: FloatArray) -> FloatArray:
+        """Return signals, (samples, n), filtered, one joint after the other, (rows,), not weighted."""
+        return np.concatenate(decimate_all(list(signals.T), self.filtering, self.sample_time))
+
+    def decimated_columns(self, parts: Sequence[tuple[IntArray, FloatArray]]) -> FloatArray:
+        """Return the columns of each joint, as `columns_of` gives them, filtered, (rows, parameters), not weighted."""
+        count = len(self.parameters.places)
+
+        def filtered(part: tuple[IntArray, FloatArray]) -> FloatArray:
+            (seen,) = decimate_all([part[1]], self.filtering, self.sample_time)
+            rows = np.zeros((len(seen), count))
+            rows[:, part[0]] = seen
+            return rows
+
+        return np.concatenate(in_threads(filtered, parts))
 
     def by_joint(self, rows: FloatArray) -> FloatArray:
         """Return rows as (n, instants)."""
@@ -92,15 +109,27 @@ class RobotProblem:
 
     def slopes(self, run: RobotRun, x: FloatArray) -> FloatArray:
         """Return the derivatives of a run's filtered torques by what is searched, (rows, free), not weighted."""
-        each = differentiate_torques(run, self.parameters.places)
-        J = np.concatenate(decimate_all(each, self.filtering, self.sample_time))
+        places = self.parameters.places
+        share = max(math.ceil(len(places) / threads()), _FEWEST)
+
+        def of(some: tuple[NumberPlace, ...]) -> FloatArray:
+            each = differentiate_torques(run, some)
+            return np.concatenate(decimate_all(each, self.filtering, self.sample_time))
+
+        J = np.column_stack(in_threads(of, [places[i : i + share] for i in range(0, len(places), share)]))
         return np.asarray(J * np.where(self.parameters.logarithmic, self.parameters.values(x), 1.0))
 
     def regressor(self, run: RobotRun) -> FloatArray:
         """Return the columns of the motors' equations on the simulated motion, filtered, (rows, free), not weighted."""
-        motion, numbers = simulation_of(run).motion, run.numbers
-        columns = columns_of(self.experiment.tree, numbers, self.parameters.places, motion)
-        return self.decimated(columns[:, numbers.rotors])
+        begun, rotors = self.experiment.clock.begun, run.numbers.rotors
+        left, parts = list(range(rotors.size)), dict[int, tuple[IntArray, FloatArray]]()
+        while left:  # torques that begin to act together
+            together = [j for j in left if np.array_equal(begun[j], begun[left[0]])]
+            motion = motion_at(run, begun[together[0]])
+            found = columns_of(self.experiment.tree, run.numbers, self.parameters.places, motion, rotors[together])
+            parts |= dict(zip(together, found, strict=True))
+            left = [j for j in left if j not in together]
+        return self.decimated_columns([parts[j] for j in range(rotors.size)])
 
     def residual(self, x: FloatArray) -> FloatArray:
         """Return the weighted residual, (rows,); large where the candidate cannot be simulated."""
@@ -137,11 +166,11 @@ def robot_problem(
     for record in records:
         record.require(("torque",), "DIDIM of a robot")
     experiment = prepare_robot(loop, records)
-    samples = experiment.first.samples
+    samples = experiment.clock.samples
     measured = np.column_stack([r.torque.values[:samples] for r in records if r.torque is not None])
     if not np.all(np.any(measured != 0.0, axis=0)):
         dead = [loop.robot.joints[j].name for j in np.flatnonzero(~np.any(measured != 0.0, axis=0))]
         raise MethodError(f"The torque of {', '.join(dead)} is 0 throughout; log it, or leave its joint out.")
     model = "flexible" if any(loop.robot.flexible) else "rigid"
-    resolved = (filtering or Filtering()).resolved(experiment.first.sample_time, model)
+    resolved = (filtering or Filtering()).resolved(experiment.clock.sample_time, model)
     return RobotProblem(experiment, measured, resolved, parameters, np.std(measured, axis=0) + 1e-300)

@@ -27,9 +27,9 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import compiled, inlined
+from jointid.models.robots.spatial import Vector, add, cross, dot, get, inertia_times, put, times
 
 IntArray: TypeAlias = NDArray[np.int64]
-Vector: TypeAlias = tuple[float, float, float]
 
 REVOLUTE, PRISMATIC = 0, 1
 PARAMETERS = 10
@@ -37,43 +37,13 @@ PARAMETERS = 10
 
 
 @inlined
-def _get(values: FloatArray, i: int, j: int) -> Vector:
-    return values[i, j], values[i, j + 1], values[i, j + 2]
-
-
-@inlined
-def _put(values: FloatArray, i: int, j: int, a: Vector) -> None:
-    values[i, j], values[i, j + 1], values[i, j + 2] = a
-
-
-@inlined
-def _add(a: Vector, b: Vector) -> Vector:
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
-
-
-@inlined
-def _times(factor: float, a: Vector) -> Vector:
-    return factor * a[0], factor * a[1], factor * a[2]
-
-
-@inlined
-def _dot(a: Vector, b: Vector) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@inlined
-def _cross(a: Vector, b: Vector) -> Vector:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-@inlined
 def _to_parent(place: FloatArray, i: int, a: Vector) -> Vector:
-    return _dot(_get(place, i, 0), a), _dot(_get(place, i, 3), a), _dot(_get(place, i, 6), a)
+    return dot(get(place, i, 0), a), dot(get(place, i, 3), a), dot(get(place, i, 6), a)
 
 
 @inlined
 def _to_link(place: FloatArray, i: int, a: Vector) -> Vector:
-    x, y, z = _get(place, i, 0), _get(place, i, 3), _get(place, i, 6)
+    x, y, z = get(place, i, 0), get(place, i, 3), get(place, i, 6)
     return (
         x[0] * a[0] + y[0] * a[1] + z[0] * a[2],
         x[1] * a[0] + y[1] * a[1] + z[1] * a[2],
@@ -82,26 +52,19 @@ def _to_link(place: FloatArray, i: int, a: Vector) -> Vector:
 
 
 @inlined
-def _turn(body: FloatArray, i: int, a: Vector) -> Vector:
-    """Return the inertia of a link times a vector."""
-    xx, xy, xz, yy, yz, zz = body[i, 4], body[i, 5], body[i, 6], body[i, 7], body[i, 8], body[i, 9]
-    return xx * a[0] + xy * a[1] + xz * a[2], xy * a[0] + yy * a[1] + yz * a[2], xz * a[0] + yz * a[1] + zz * a[2]
-
-
-@inlined
 def _place(
     kinds: IntArray, axes: FloatArray, rotations: FloatArray, origins: FloatArray, q: FloatArray, place: FloatArray
 ) -> None:
     """Fill `place`, (n, 12): each link's rotation to its parent, row by row, and its origin there."""
     for i in range(q.size):
-        x, y, z = _get(axes, i, 0)
+        x, y, z = get(axes, i, 0)
         for row in range(3):
             a, b, c = rotations[i, row, 0], rotations[i, row, 1], rotations[i, row, 2]
             along = a * x + b * y + c * z
             if kinds[i] == REVOLUTE:
                 cosine, sine = math.cos(q[i]), math.sin(q[i])
                 rest = (1.0 - cosine) * along
-                _put(
+                put(
                     place,
                     i,
                     3 * row,
@@ -113,7 +76,7 @@ def _place(
                 )
                 place[i, 9 + row] = origins[i, row]
             else:
-                _put(place, i, 3 * row, (a, b, c))
+                put(place, i, 3 * row, (a, b, c))
                 place[i, 9 + row] = origins[i, row] + q[i] * along
 
 
@@ -134,23 +97,23 @@ def _move(
         turning, changing = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         rising = (-gravity[0], -gravity[1], -gravity[2])
         if parent >= 0:
-            turning, changing, rising = _get(motion, parent, 0), _get(motion, parent, 3), _get(motion, parent, 6)
-        r, axis = _get(place, i, 9), _get(axes, i, 0)
-        rising = _add(rising, _add(_cross(changing, r), _cross(turning, _cross(turning, r))))
+            turning, changing, rising = get(motion, parent, 0), get(motion, parent, 3), get(motion, parent, 6)
+        r, axis = get(place, i, 9), get(axes, i, 0)
+        rising = add(rising, add(cross(changing, r), cross(turning, cross(turning, r))))
         turning, changing, rising = (
             _to_link(place, i, turning),
             _to_link(place, i, changing),
             _to_link(place, i, rising),
         )
-        across, along = _times(v[i], _cross(turning, axis)), _times(a[i], axis)
+        across, along = times(v[i], cross(turning, axis)), times(a[i], axis)
         if kinds[i] == REVOLUTE:
-            changing = _add(changing, _add(across, along))
-            turning = _add(turning, _times(v[i], axis))
+            changing = add(changing, add(across, along))
+            turning = add(turning, times(v[i], axis))
         else:
-            rising = _add(rising, _add(_times(2.0, across), along))
-        _put(motion, i, 0, turning)
-        _put(motion, i, 3, changing)
-        _put(motion, i, 6, rising)
+            rising = add(rising, add(times(2.0, across), along))
+        put(motion, i, 0, turning)
+        put(motion, i, 3, changing)
+        put(motion, i, 6, rising)
 
 
 @compiled
@@ -187,21 +150,21 @@ def inverse_dynamics(
     _place(kinds, axes, rotations, origins, q, place)
     _move(parents, kinds, axes, gravity, place, v, a, motion)
     for i in range(n):
-        w, dw, rising = _get(motion, i, 0), _get(motion, i, 3), _get(motion, i, 6)
-        h = _get(inertials, i, 1)
-        swing = _add(_cross(dw, h), _cross(w, _cross(w, h)))
-        _put(wrench, i, 0, _add(_times(inertials[i, 0], rising), swing))
-        turn = _add(_turn(inertials, i, dw), _cross(w, _turn(inertials, i, w)))
-        _put(wrench, i, 3, _add(turn, _cross(h, rising)))
+        w, dw, rising = get(motion, i, 0), get(motion, i, 3), get(motion, i, 6)
+        h = get(inertials, i, 1)
+        swing = add(cross(dw, h), cross(w, cross(w, h)))
+        put(wrench, i, 0, add(times(inertials[i, 0], rising), swing))
+        turn = add(inertia_times(inertials, i, 4, dw), cross(w, inertia_times(inertials, i, 4, w)))
+        put(wrench, i, 3, add(turn, cross(h, rising)))
     for i in range(n - 1, -1, -1):
-        force, moment = _get(wrench, i, 0), _get(wrench, i, 3)
-        torque[i] = _dot(_get(axes, i, 0), moment if kinds[i] == REVOLUTE else force)
+        force, moment = get(wrench, i, 0), get(wrench, i, 3)
+        torque[i] = dot(get(axes, i, 0), moment if kinds[i] == REVOLUTE else force)
         parent = parents[i]
         if parent >= 0:
             force = _to_parent(place, i, force)
-            moment = _add(_to_parent(place, i, moment), _cross(_get(place, i, 9), force))
-            _put(wrench, parent, 0, _add(_get(wrench, parent, 0), force))
-            _put(wrench, parent, 3, _add(_get(wrench, parent, 3), moment))
+            moment = add(_to_parent(place, i, moment), cross(get(place, i, 9), force))
+            put(wrench, parent, 0, add(get(wrench, parent, 0), force))
+            put(wrench, parent, 3, add(get(wrench, parent, 3), moment))
 
 
 @compiled
@@ -232,24 +195,24 @@ def regressor(
         for j in range(i, n):
             parent = parents[j]
             if j == i:
-                axis = _get(axes, i, 0)
+                axis = get(axes, i, 0)
                 turn, slide = (axis, (0.0, 0.0, 0.0)) if kinds[i] == REVOLUTE else ((0.0, 0.0, 0.0), axis)
             elif parent >= 0 and moves[parent]:
-                turn, slide = _get(twist, parent, 0), _get(twist, parent, 3)
-                slide = _to_link(place, j, _add(slide, _cross(turn, _get(place, j, 9))))
+                turn, slide = get(twist, parent, 0), get(twist, parent, 3)
+                slide = _to_link(place, j, add(slide, cross(turn, get(place, j, 9))))
                 turn = _to_link(place, j, turn)
             else:
                 continue
             moves[j] = True
-            _put(twist, j, 0, turn)
-            _put(twist, j, 3, slide)
-            w, dw, rising = _get(motion, j, 0), _get(motion, j, 3), _get(motion, j, 6)
+            put(twist, j, 0, turn)
+            put(twist, j, 3, slide)
+            w, dw, rising = get(motion, j, 0), get(motion, j, 3), get(motion, j, 6)
             at = PARAMETERS * j
-            out[i, at] = _dot(slide, rising)
-            first = _add(_cross(slide, dw), _cross(rising, turn))
-            first = _add(first, _add(_times(_dot(slide, w), w), _times(-_dot(w, w), slide)))
-            _put(out, i, at + 1, first)
-            u = _cross(turn, w)  # u I w is the part of w x I w along the axis
+            out[i, at] = dot(slide, rising)
+            first = add(cross(slide, dw), cross(rising, turn))
+            first = add(first, add(times(dot(slide, w), w), times(-dot(w, w), slide)))
+            put(out, i, at + 1, first)
+            u = cross(turn, w)  # u I w is the part of w x I w along the axis
             out[i, at + 4] = turn[0] * dw[0] + u[0] * w[0]
             out[i, at + 5] = turn[0] * dw[1] + turn[1] * dw[0] + u[0] * w[1] + u[1] * w[0]
             out[i, at + 6] = turn[0] * dw[2] + turn[2] * dw[0] + u[0] * w[2] + u[2] * w[0]
@@ -261,19 +224,19 @@ def regressor(
 @inlined
 def _carry(place: FloatArray, i: int, parent: int, body: FloatArray) -> None:
     """Add a link's inertials to its parent's, seen from the parent's frame."""
-    m, r = body[i, 0], _get(place, i, 9)
-    h = _to_parent(place, i, _get(body, i, 1))
+    m, r = body[i, 0], get(place, i, 9)
+    h = _to_parent(place, i, get(body, i, 1))
     body[parent, 0] += m
-    _put(body, parent, 1, _add(_get(body, parent, 1), _add(h, _times(m, r))))
-    x, y, z = _get(place, i, 0), _get(place, i, 3), _get(place, i, 6)
-    of_x, of_y, of_z = _turn(body, i, x), _turn(body, i, y), _turn(body, i, z)
-    reach = 2.0 * _dot(r, h) + m * _dot(r, r)
-    body[parent, 4] += _dot(x, of_x) + reach - 2.0 * r[0] * h[0] - m * r[0] * r[0]
-    body[parent, 5] += _dot(x, of_y) - r[0] * h[1] - h[0] * r[1] - m * r[0] * r[1]
-    body[parent, 6] += _dot(x, of_z) - r[0] * h[2] - h[0] * r[2] - m * r[0] * r[2]
-    body[parent, 7] += _dot(y, of_y) + reach - 2.0 * r[1] * h[1] - m * r[1] * r[1]
-    body[parent, 8] += _dot(y, of_z) - r[1] * h[2] - h[1] * r[2] - m * r[1] * r[2]
-    body[parent, 9] += _dot(z, of_z) + reach - 2.0 * r[2] * h[2] - m * r[2] * r[2]
+    put(body, parent, 1, add(get(body, parent, 1), add(h, times(m, r))))
+    x, y, z = get(place, i, 0), get(place, i, 3), get(place, i, 6)
+    of_x, of_y, of_z = inertia_times(body, i, 4, x), inertia_times(body, i, 4, y), inertia_times(body, i, 4, z)
+    reach = 2.0 * dot(r, h) + m * dot(r, r)
+    body[parent, 4] += dot(x, of_x) + reach - 2.0 * r[0] * h[0] - m * r[0] * r[0]
+    body[parent, 5] += dot(x, of_y) - r[0] * h[1] - h[0] * r[1] - m * r[0] * r[1]
+    body[parent, 6] += dot(x, of_z) - r[0] * h[2] - h[0] * r[2] - m * r[0] * r[2]
+    body[parent, 7] += dot(y, of_y) + reach - 2.0 * r[1] * h[1] - m * r[1] * r[1]
+    body[parent, 8] += dot(y, of_z) - r[1] * h[2] - h[1] * r[2] - m * r[1] * r[2]
+    body[parent, 9] += dot(z, of_z) + reach - 2.0 * r[2] * h[2] - m * r[2] * r[2]
 
 
 @compiled
@@ -296,19 +259,19 @@ def mass_matrix(
     _place(kinds, axes, rotations, origins, q, place)
     out[:] = 0.0
     for i in range(n - 1, -1, -1):
-        axis, h = _get(axes, i, 0), _get(body, i, 1)
+        axis, h = get(axes, i, 0), get(body, i, 1)
         if kinds[i] == REVOLUTE:
-            force, moment = _cross(axis, h), _turn(body, i, axis)
-            out[i, i] = _dot(axis, moment)
+            force, moment = cross(axis, h), inertia_times(body, i, 4, axis)
+            out[i, i] = dot(axis, moment)
         else:
-            force, moment = _times(body[i, 0], axis), _cross(h, axis)
-            out[i, i] = _dot(axis, force)
+            force, moment = times(body[i, 0], axis), cross(h, axis)
+            out[i, i] = dot(axis, force)
         j = i
         while parents[j] >= 0:
             force = _to_parent(place, j, force)
-            moment = _add(_to_parent(place, j, moment), _cross(_get(place, j, 9), force))
+            moment = add(_to_parent(place, j, moment), cross(get(place, j, 9), force))
             j = parents[j]
-            out[i, j] = out[j, i] = _dot(_get(axes, j, 0), moment if kinds[j] == REVOLUTE else force)
+            out[i, j] = out[j, i] = dot(get(axes, j, 0), moment if kinds[j] == REVOLUTE else force)
         if parents[i] >= 0:
             _carry(place, i, parents[i], body)
 

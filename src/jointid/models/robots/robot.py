@@ -78,6 +78,12 @@ class RobotJoint:
     viscous: float = setting(0.0, "viscous friction of the motor's side", unit="N m s/rad or N s/m", at_least=0)
     coulomb: float = setting(0.0, "Coulomb friction of the motor's side", unit="N m or N", at_least=0)
     offset: float = setting(0.0, "constant part of the motor's torque", unit="N m or N")
+    viscous_backwards: float | None = setting(
+        None, "viscous friction of the motor's side backwards, if another", unit="N m s/rad or N s/m", at_least=0
+    )
+    coulomb_backwards: float | None = setting(
+        None, "Coulomb friction of the motor's side backwards, if another", unit="N m or N", at_least=0
+    )
     spring: JointSpring | None = setting(None, "between motor and link; without it the joint is rigid")
     coupling: Mapping[str, float] = field(
         default_factory=dict,
@@ -91,6 +97,22 @@ class RobotJoint:
                 f"The joint {self.name} has a spring, but no rotor_inertia; expected a positive one: add it, or leave "
                 "the spring out for a rigid joint."
             )
+
+    @property
+    def asymmetric(self) -> bool:
+        """True of a friction that is another in the other direction."""
+        return self.viscous_backwards is not None or self.coulomb_backwards is not None
+
+    @property
+    def viscous_back(self) -> float:
+        """Viscous friction backwards."""
+        return self.viscous if self.viscous_backwards is None else self.viscous_backwards
+
+    @property
+    def coulomb_both(self) -> tuple[float, float]:
+        """Coulomb friction the same in both directions, and the offset beside it: the same torques, at rest too."""
+        back = self.coulomb if self.coulomb_backwards is None else self.coulomb_backwards
+        return 0.5 * (self.coulomb + back), self.offset + 0.5 * (self.coulomb - back)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,6 +203,12 @@ class Robot:
             for other, factor in joint.coupling.items():
                 found[i, self.names.index(other)] = factor
         return found
+
+    @property
+    def joints_of_shafts(self) -> FloatArray:
+        """The inverse of C, (n, n), or (0, 0) where no motors are coupled, as `equations` takes it."""
+        coupled = any(joint.coupling for joint in self.joints)
+        return np.asarray(np.linalg.inv(self.coupling)) if coupled else np.zeros((0, 0))
 
     @property
     def flexible(self) -> tuple[bool, ...]:

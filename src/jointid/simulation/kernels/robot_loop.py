@@ -20,8 +20,12 @@ problem, Opsearch 11, 1974), which ends for every positive definite M. A velocit
 back within a step is looked for by the cubic through its ends; a resting mass that comes loose and rests again
 within one step is not.
 
-Masses are the links, in their order, then the rotors of flexible joints. Coefficients of masses are rows of inertia
-(of a rotor; 0 for the link of a flexible joint), viscous, Coulomb and constant friction.
+Masses are the links, in their order, then the rotors of flexible joints. Where motors are coupled a link's position is
+that of the shaft that its motor turns, ``C q``, so that friction and springs are each one shaft's
+(`models.robots.equations`). Coefficients of masses are rows of inertia (of a rotor; 0 for the link of a flexible
+joint),
+viscous, Coulomb and constant friction, and of viscous friction what is added forwards, and backwards: friction is one
+line on each side of 0. A Coulomb friction of two sizes is one of their mean and a constant friction.
 """
 
 from __future__ import annotations
@@ -32,8 +36,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.compiled import compiled
-from jointid.models.robots.dynamics import inverse_dynamics, mass_matrix
+from jointid.common.compiled import compiled, inlined
+from jointid.models.robots.equations import ROOM, equations_of_motion
 from jointid.simulation.kernels.drive import CHATTERING, DIVERGED, FINISHED, Feedback, IntArray, control_any
 
 NOT_POSITIVE = 4
@@ -44,21 +48,25 @@ _HOLD = 1.0 + 1e-9  # of the Coulomb friction: what holds a mass, so that one at
 _ROOT = 1e-11  # of a step: where an event is located to
 _CLOSER = 80  # evaluations of an event's guard at most
 _PIVOTS = 50  # per mass; a handful is usual, least-index pivoting ends anyway
-_INERTIA, _VISCOUS, _COULOMB, _OFFSET = range(4)
+_INERTIA, _VISCOUS, _COULOMB, _OFFSET, _FORWARDS, _BACKWARDS = range(6)
 
 
-@compiled
+@inlined
 def load_forces(
     parents: IntArray, kinds: IntArray, axes: FloatArray, rotations: FloatArray, origins: FloatArray,
-    gravity: FloatArray, inertials: FloatArray, rotors: IntArray, masses: FloatArray, springs: FloatArray,
-    q: FloatArray, v: FloatArray, still: FloatArray, M: FloatArray, bias: FloatArray, push: FloatArray,
+    gravity: FloatArray, joints: FloatArray, inertials: FloatArray, rotors: IntArray, masses: FloatArray,
+    springs: FloatArray,
+    q: FloatArray, v: FloatArray, still: FloatArray, room: FloatArray, M: FloatArray, bias: FloatArray,
+    push: FloatArray,
 ) -> None:  # fmt: skip
     """Fill the mass matrix of the links, and what pushes every mass beside motor torque and Coulomb friction."""
     n = parents.size
-    inverse_dynamics(parents, kinds, axes, rotations, origins, gravity, inertials, q[:n], v[:n], still, bias)
-    mass_matrix(parents, kinds, axes, rotations, origins, inertials, q[:n], M)
+    equations_of_motion(
+        parents, kinds, axes, rotations, origins, gravity, joints, inertials, q[:n], v[:n], still, room, M, bias
+    )  # fmt: skip
     for i in range(push.size):
-        push[i] = -masses[i, _VISCOUS] * v[i] - masses[i, _OFFSET]
+        viscous = masses[i, _VISCOUS] + masses[i, _BACKWARDS if v[i] < 0.0 else _FORWARDS]
+        push[i] = -viscous * v[i] - masses[i, _OFFSET]
     for i in range(n):
         push[i] -= bias[i]
         r = rotors[i]
@@ -70,16 +78,16 @@ def load_forces(
             push[r] -= spring
 
 
-@compiled
+@inlined
 def accelerate(
     M: FloatArray, L: FloatArray, push: FloatArray, torque: FloatArray, rotors: IntArray, masses: FloatArray,
     modes: FloatArray, links: IntArray, a: FloatArray, held: FloatArray,
 ) -> bool:  # fmt: skip
     """Fill the accelerations in given modes, and what friction holds in masses that rest; False if M is not positive.
 
-    M is (n, n), L of its shape and links, (n,), are scratch; push, (masses,), is of `load_forces`, torque, (n,), of the
-    motors, rotors, (n,), the mass each acts on; masses is (masses, 4), and modes, (masses,), the direction in which
-    each slides, 0 of one that rests. Out are a and held, (masses,).
+    M is (n, n), L of its shape (its root, with one over the diagonal) and links, (n,), are scratch; push, (masses,), is
+    of `load_forces`, torque, (n,), of the motors, rotors, (n,), the mass each acts on; masses is (masses, 6), and
+    modes, (masses,), the direction in which each slides, 0 of one that rests. Out are a and held, (masses,).
     """
     n, free = torque.size, 0
     for i in range(push.size):
@@ -99,20 +107,20 @@ def accelerate(
             cell = M[i, links[y]]
             for k in range(y):
                 cell -= L[x, k] * L[y, k]
-            L[x, y] = cell / L[y, y]
+            L[x, y] = cell * L[y, y]
             total -= L[x, y] * a[links[y]]
         pivot = M[i, i]
         for k in range(x):
             pivot -= L[x, k] * L[x, k]
         if not pivot > 0.0:
             return False
-        L[x, x] = math.sqrt(pivot)
-        a[i] = total / L[x, x]
+        L[x, x] = 1.0 / math.sqrt(pivot)
+        a[i] = total * L[x, x]
     for x in range(free - 1, -1, -1):
         total = a[links[x]]
         for y in range(x + 1, free):
             total -= L[y, x] * a[links[y]]
-        a[links[x]] = total / L[x, x]
+        a[links[x]] = total * L[x, x]
     if free < n:
         for i in range(n):
             if modes[i] == 0.0:
@@ -148,9 +156,11 @@ def settle(
 @compiled
 def _step(
     parents: IntArray, kinds: IntArray, axes: FloatArray, rotations: FloatArray, origins: FloatArray,
-    gravity: FloatArray, inertials: FloatArray, rotors: IntArray, masses: FloatArray, springs: FloatArray,
+    gravity: FloatArray, joints: FloatArray, inertials: FloatArray, rotors: IntArray, masses: FloatArray,
+    springs: FloatArray,
     torque: FloatArray, h: float, q: FloatArray, v: FloatArray, a: FloatArray, modes: FloatArray, still: FloatArray,
-    M: FloatArray, L: FloatArray, bias: FloatArray, push: FloatArray, links: IntArray, slopes: FloatArray,
+    room: FloatArray, M: FloatArray, L: FloatArray, bias: FloatArray, push: FloatArray, links: IntArray,
+    slopes: FloatArray,
     q1: FloatArray, v1: FloatArray, a1: FloatArray, held1: FloatArray,
 ) -> bool:  # fmt: skip
     """Fill where one step of the method leads, and the forces and accelerations there, in the modes of its start."""
@@ -169,8 +179,8 @@ def _step(
                 q1[i] = q[i] + h * v[i] + h * h / 6.0 * (a[i] + between)
                 v1[i] = v[i] + h / 6.0 * (a[i] + 2.0 * between + a1[i])
         load_forces(
-            parents, kinds, axes, rotations, origins, gravity, inertials, rotors, masses, springs,
-            q1, v1, still, M, bias, push,
+            parents, kinds, axes, rotations, origins, gravity, joints, inertials, rotors, masses, springs,
+            q1, v1, still, room, M, bias, push,
         )  # fmt: skip
         if not accelerate(M, L, push, torque, rotors, masses, modes, links, a1, held1):
             return False
@@ -218,9 +228,11 @@ def _earliest(
 @compiled
 def _advance(
     parents: IntArray, kinds: IntArray, axes: FloatArray, rotations: FloatArray, origins: FloatArray,
-    gravity: FloatArray, inertials: FloatArray, rotors: IntArray, masses: FloatArray, springs: FloatArray,
+    gravity: FloatArray, joints: FloatArray, inertials: FloatArray, rotors: IntArray, masses: FloatArray,
+    springs: FloatArray,
     torque: FloatArray, length: float, steps: int, q: FloatArray, v: FloatArray, a: FloatArray, held: FloatArray,
-    modes: FloatArray, still: FloatArray, M: FloatArray, L: FloatArray, bias: FloatArray, push: FloatArray,
+    modes: FloatArray, still: FloatArray, room: FloatArray, M: FloatArray, L: FloatArray, bias: FloatArray,
+    push: FloatArray,
     links: IntArray, slopes: FloatArray, q1: FloatArray, v1: FloatArray, a1: FloatArray, held1: FloatArray,
     lasting: FloatArray, places: FloatArray, speeds: FloatArray, begun: FloatArray, ended: FloatArray,
     directions: FloatArray, stopped: IntArray, counts: IntArray,
@@ -236,15 +248,17 @@ def _advance(
         while left > 0.0:
             h, mass = left, -1
             if not _step(
-                parents, kinds, axes, rotations, origins, gravity, inertials, rotors, masses, springs, torque, h,
-                q, v, a, modes, still, M, L, bias, push, links, slopes, q1, v1, a1, held1,
+                parents, kinds, axes, rotations, origins, gravity, joints, inertials, rotors, masses, springs, torque,
+                h,
+                q, v, a, modes, still, room, M, L, bias, push, links, slopes, q1, v1, a1, held1,
             ):  # fmt: skip
                 return NOT_POSITIVE
             mass, at = _earliest(masses, modes, h, v, a, held, v1, a1, held1)
             if mass >= 0 and at < 1.0:  # a dip that the cubic has: whether the motion has it, too
                 if not _step(
-                    parents, kinds, axes, rotations, origins, gravity, inertials, rotors, masses, springs, torque,
-                    at * h, q, v, a, modes, still, M, L, bias, push, links, slopes, q1, v1, a1, held1,
+                    parents, kinds, axes, rotations, origins, gravity, joints, inertials, rotors, masses, springs,
+                    torque,
+                    at * h, q, v, a, modes, still, room, M, L, bias, push, links, slopes, q1, v1, a1, held1,
                 ):  # fmt: skip
                     return NOT_POSITIVE
                 if _guard(mass, masses, modes, v1, held1) > 0.0:
@@ -253,28 +267,34 @@ def _advance(
             for _other in range(nd + 1):
                 if mass < 0:
                     break
-                # Between a guard that is positive and one that is not: the secant, its idle end halved (Illinois). A
-                # guard that begins at 0 is divided by the time since.
+                # Between a guard that is positive and one that is not: of a velocity by Newton's steps, to a little
+                # beyond the root, of others by the secant, its idle end halved (Illinois). A guard that begins at 0 is
+                # divided by the time since, and has the secant.
                 low, above = 0.0, _guard(mass, masses, modes, v, held)
                 begins = not above > 0.0
                 if begins:
                     above = modes[mass] * a[mass] * h if modes[mass] != 0.0 else 0.0
                 below = _guard(mass, masses, modes, v1, held1)
                 below = below / high if begins else below
-                kept = 0
+                kept, last = 0, high
                 if not above > 0.0:
                     high = 0.0
                 for _closer in range(_CLOSER):
-                    if not high - low > _ROOT or below == 0.0:
+                    slope = modes[mass] * a1[mass] * h if not begins else 0.0
+                    if not high - low > _ROOT or below == 0.0 or (last == high and 0.0 < -below < -_ROOT * slope):
                         break
                     place = (low * below - high * above) / (below - above)
+                    if slope < 0.0:
+                        root = last - modes[mass] * v1[mass] / slope + 0.3 * _ROOT
+                        place = root if low < root < high else place
                     place = min(max(place, low + 0.1 * _ROOT), high - 0.1 * _ROOT)
                     if not _step(
-                        parents, kinds, axes, rotations, origins, gravity, inertials, rotors, masses, springs, torque,
-                        place * h, q, v, a, modes, still, M, L, bias, push, links, slopes, q1, v1, a1, held1,
+                        parents, kinds, axes, rotations, origins, gravity, joints, inertials, rotors, masses, springs,
+                        torque,
+                        place * h, q, v, a, modes, still, room, M, L, bias, push, links, slopes, q1, v1, a1, held1,
                     ):  # fmt: skip
                         return NOT_POSITIVE
-                    value = _guard(mass, masses, modes, v1, held1)
+                    value, last = _guard(mass, masses, modes, v1, held1), place
                     value = value / place if begins else value
                     if value > 0.0:
                         low, above = place, value
@@ -284,9 +304,10 @@ def _advance(
                         high, below = place, value
                         above = 0.5 * above if kept < 0 else above
                         kept = -1
-                if not _step(
-                    parents, kinds, axes, rotations, origins, gravity, inertials, rotors, masses, springs, torque,
-                    high * h, q, v, a, modes, still, M, L, bias, push, links, slopes, q1, v1, a1, held1,
+                if last != high and not _step(
+                    parents, kinds, axes, rotations, origins, gravity, joints, inertials, rotors, masses, springs,
+                    torque,
+                    high * h, q, v, a, modes, still, room, M, L, bias, push, links, slopes, q1, v1, a1, held1,
                 ):  # fmt: skip
                     return NOT_POSITIVE
                 other = -1
@@ -318,8 +339,8 @@ def _advance(
                 if modes[mass] != 0.0:
                     v[mass], modes[mass] = 0.0, 0.0
                     load_forces(
-                        parents, kinds, axes, rotations, origins, gravity, inertials, rotors, masses, springs,
-                        q, v, still, M, bias, push,
+                        parents, kinds, axes, rotations, origins, gravity, joints, inertials, rotors, masses, springs,
+                        q, v, still, room, M, bias, push,
                     )  # fmt: skip
                 if not settle(M, L, push, torque, rotors, masses, v, modes, links, a, held):
                     return NOT_POSITIVE
@@ -329,8 +350,9 @@ def _advance(
 @compiled
 def run(
     parents: IntArray, kinds: IntArray, axes: FloatArray, rotations: FloatArray, origins: FloatArray,
-    gravity: FloatArray, inertials: FloatArray, rotors: IntArray, masses: FloatArray, springs: FloatArray,
-    lengths: FloatArray, lags: IntArray, steps: int, z: FloatArray,
+    gravity: FloatArray, joints: FloatArray, inertials: FloatArray, rotors: IntArray, masses: FloatArray,
+    springs: FloatArray,
+    lengths: FloatArray, lags: IntArray, every: IntArray, steps: int, z: FloatArray,
     A: FloatArray, Bq: FloatArray, F: FloatArray, C: FloatArray, D: FloatArray, E: FloatArray,
     limits: FloatArray, gates: IntArray, driven: FloatArray, outputs: IntArray, taps: IntArray,
     w: FloatArray, post: FloatArray, before: FloatArray, q: FloatArray, v: FloatArray, far: FloatArray,
@@ -342,27 +364,31 @@ def run(
 
     The arguments, those that belong together in a line::
 
-        parents, kinds, axes, rotations, origins, gravity, inertials: of the links (`models.robots.dynamics`).
+        parents, kinds, axes, rotations, origins, gravity, joints, inertials: of the links (`models.robots.equations`).
         rotors: (n,) the mass that each motor drives: its link, or the rotor of a flexible joint.
-        masses: (masses, 4) inertia of the rotor, viscous, Coulomb and constant friction.
+        masses: (masses, 6) inertia of the rotor, viscous, Coulomb and constant friction, and what viscous friction has
+            more forwards, and backwards.
         springs: (n, 2) stiffness and damping; not read for rigid joints.
-        lengths, lags: (parts,) of a period, as in `kernels.drive.run`; the same for all joints.
+        lengths: (parts,) of a step of the clock. lags: (n, parts) how many of its steps ago the output that acts was
+            put out. every: (n,) the period of each controller, in steps of the clock.
         steps: of the integrator in each part.
         z: (n, states) of the controllers, overwritten.
         A, Bq, F, C, D, E, limits, gates, driven, outputs, taps: of `Feedback`, with the joint as first axis, filled up
             with zeros to equal sizes.
-        w: (n, elements, periods), post: (n, periods), before: (n,) as in `kernels.drive.run`.
+        w: (n, elements, periods) as in `kernels.drive.run`, each of its own periods; post: (n, clock), before: (n,)
+        too.
         q, v: (masses,) initial state, overwritten.
         far: (n,) positions of motors beyond which the loop counts as diverged.
-        command, tapped: (n, periods) out, the torque that acts, and the output behind its limit.
+        command, tapped: (n, clock) out, the torque that acts, and the output behind its limit; held between periods.
         cuts: (n, periods, elements) out, where limits and gates act; or (n, 0, 0).
-        first: (periods * parts,) out, the piece that each part begins with.
+        first: (clock * parts,) out, the piece that each part begins with.
         lasting, stopped: (rows,) out, the duration of a piece, and the mass whose event ended it or -1; or (0,).
         places, speeds, begun, ended, directions: (rows, masses) out: positions, velocities and accelerations a piece
             begins with, accelerations it ends with, and its modes.
-        counts: (3,) out: events, pieces, periods simulated.
+        counts: (3,) out: events, pieces, steps of the clock simulated.
     """
     n, nd, parts = parents.size, q.size, lengths.size
+    room = np.empty((n, ROOM))
     still, bias, torque = np.zeros(n), np.empty(n), np.empty(n)
     M, L, push, links = np.empty((n, n)), np.empty((n, n)), np.empty(nd), np.empty(n, dtype=np.int64)
     a, held, modes, slopes = np.empty(nd), np.empty(nd), np.empty(nd), np.empty((2, nd))
@@ -375,33 +401,36 @@ def run(
         else:
             modes[i] = 1.0
     load_forces(
-        parents, kinds, axes, rotations, origins, gravity, inertials, rotors, masses, springs,
-        q, v, still, M, bias, push,
+        parents, kinds, axes, rotations, origins, gravity, joints, inertials, rotors, masses, springs,
+        q, v, still, room, M, bias, push,
     )  # fmt: skip
-    for k in range(w.shape[2]):
+    for k in range(command.shape[1]):
         for j in range(n):
-            position = q[rotors[j]]
+            if k % every[j] != 0:  # this controller holds
+                command[j, k], tapped[j, k] = command[j, k - 1], tapped[j, k - 1]
+                continue
+            own, position = k // every[j], q[rotors[j]]
             law = Feedback(
                 A[j], Bq[j], F[j], C[j], D[j], E[j], limits[j], gates[j], driven[j], outputs[j], taps[j]
             )  # fmt: skip
-            control_any(law, w[j], k, position, z[j], new, out, cut)
+            control_any(law, w[j], own, position, z[j], new, out, cut)
             command[j, k] = out[outputs[j]]
             tapped[j, k] = out[taps[j]]
             if cuts.shape[1] > 0:
                 for i in range(elements):
-                    cuts[j, k, i] = cut[i] != 0.0
+                    cuts[j, own, i] = cut[i] != 0.0
             if not (abs(position) <= far[j] and abs(command[j, k]) < np.inf):
                 return DIVERGED
         for part in range(parts):
-            source = k - lags[part]
             for j in range(n):
+                source = k - lags[j, part]
                 torque[j] = command[j, source] + post[j, source] if source >= 0 else before[j]
             if not settle(M, L, push, torque, rotors, masses, v, modes, links, a, held):
                 return NOT_POSITIVE
             first[k * parts + part] = counts[1]
             status = _advance(
-                parents, kinds, axes, rotations, origins, gravity, inertials, rotors, masses, springs, torque,
-                lengths[part], steps, q, v, a, held, modes, still, M, L, bias, push, links, slopes,
+                parents, kinds, axes, rotations, origins, gravity, joints, inertials, rotors, masses, springs, torque,
+                lengths[part], steps, q, v, a, held, modes, still, room, M, L, bias, push, links, slopes,
                 q1, v1, a1, held1, lasting, places, speeds, begun, ended, directions, stopped, counts,
             )  # fmt: skip
             if status != FINISHED:

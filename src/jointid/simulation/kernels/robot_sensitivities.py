@@ -23,13 +23,13 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import compiled
-from jointid.models.robots.dynamics import inverse_dynamics, mass_matrix, regressor
+from jointid.models.robots.dynamics import regressor
+from jointid.models.robots.equations import ROOM, linearised_equations, of_joints
 from jointid.simulation.kernels.drive import IntArray
 
 OF_LINK, OF_MASS, OF_SPRING = range(3)
 """What a parameter is a number of: row of the inertials, the masses or the springs."""
 
-_SMALL = 1e-7  # rad, rad/s: differences of the inverse dynamics
 _TURNING = 1e-9  # of the largest acceleration: a velocity that comes to 0 with less of its own hardly turns
 
 
@@ -107,44 +107,52 @@ def _control(
 @compiled
 def differentiate_run(
     parents: IntArray, kinds: IntArray, axes: FloatArray, rotations: FloatArray, origins: FloatArray,
-    gravity: FloatArray, inertials: FloatArray, rotors: IntArray, masses: FloatArray, springs: FloatArray,
-    lags: IntArray, A: FloatArray, Bq: FloatArray, F: FloatArray, C: FloatArray, D: FloatArray, E: FloatArray,
+    gravity: FloatArray, joints: FloatArray, inertials: FloatArray, rotors: IntArray, masses: FloatArray,
+    springs: FloatArray,
+    lags: IntArray, every: IntArray, A: FloatArray, Bq: FloatArray, F: FloatArray, C: FloatArray, D: FloatArray,
+    E: FloatArray,
     outputs: IntArray, taps: IntArray, cuts: NDArray[np.bool_],
     first: IntArray, lasting: FloatArray, places: FloatArray, speeds: FloatArray, begun: FloatArray,
     ended: FloatArray, directions: FloatArray, stopped: IntArray,
     parameters: IntArray, dq: FloatArray, dz: FloatArray, before: FloatArray, command: FloatArray, tapped: FloatArray,
 ) -> None:  # fmt: skip
-    """Fill the derivatives of the torques, period by period.
+    """Fill the derivatives of the torques, step of the clock by step.
 
     The arguments, those that belong together in a line::
 
-        parents, ..., taps: of `kernels.robot_loop.run`, as the run had them.
+        parents, ..., every, ..., taps: of `kernels.robot_loop.run`, as the run had them.
         cuts, first, lasting, places, speeds, begun, ended, directions, stopped: what it wrote.
         parameters: (parameters, 3) what each is a number of, in which row and column.
         dq: (masses, parameters) derivatives of the positions at the beginning, overwritten.
         dz: (n, states, parameters) of the controllers' states there, overwritten.
         before: (n, parameters) of the torques before the first period.
-        command: (n, periods, parameters) out. tapped: the same, or (n, 0, 0) where it is the same.
+        command: (n, clock, parameters) out. tapped: the same, or (n, 0, 0) where it is the same.
     """
     n, nd, count = parents.size, len(dq), len(parameters)
-    parts, periods, pieces = lags.size, command.shape[1], lasting.size
+    parts, clock, pieces = lags.shape[1], command.shape[1], lasting.size
     dv, dtau, rows, other = np.zeros((nd, count)), np.zeros((n, count)), np.zeros((n, count)), np.zeros((nd, count))
     moved, fresh, raw = np.zeros(count), np.zeros((dz.shape[1], count)), np.zeros((cuts.shape[2], count))
     nothing = np.zeros(count)
     q, v, a = np.zeros(nd), np.zeros(nd), np.zeros(nd)
-    place, speed, turn, shifted = q[:n], v[:n], a[:n], np.zeros(n)  # of the links
+    place, speed, turn, room, coupled = q[:n], v[:n], a[:n], np.empty((n, ROOM)), joints.shape[0] > 0  # of the links
     M, K, Cv, left, Y = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, 10 * n))
-    here, there = np.zeros(n), np.zeros(n)
-    pull, own, tie = np.zeros(n), np.zeros(n), np.zeros(n)
+    of_links = np.zeros(Y.shape if coupled else (0, 0))
+    pull, alone, tie = np.zeros(n), np.zeros(n), np.zeros(n)
     linked = False
     for c in range(count):
         linked = linked or parameters[c, 0] == OF_LINK
-    for k in range(periods):
+    for k in range(clock):
         for j in range(n):
+            own = k // every[j]
+            if k % every[j] != 0:  # this controller holds
+                command[j, k] = command[j, k - 1]
+                if tapped.shape[1] > 0:
+                    tapped[j, k] = tapped[j, k - 1]
+                continue
             for c in range(count):
                 moved[c] = dq[rotors[j], c]
             _control(
-                k % A.shape[1], A[j], Bq[j], F[j], C[j], D[j], E[j], cuts[j, k], outputs[j], taps[j], moved,
+                own % A.shape[1], A[j], Bq[j], F[j], C[j], D[j], E[j], cuts[j, own], outputs[j], taps[j], moved,
                 dz[j], fresh, raw, command[j, k], tapped[j, k] if tapped.shape[1] > 0 else nothing,
             )  # fmt: skip
         for part in range(parts):
@@ -152,8 +160,8 @@ def differentiate_run(
             if at >= first.size:
                 return
             end = first[at + 1] if at + 1 < first.size else pieces
-            source = k - lags[part]
             for j in range(n):
+                source = k - lags[j, part]
                 for c in range(count):
                     dtau[j, c] = command[j, source, c] if source >= 0 else before[j, c]
             for piece in range(first[at], end):
@@ -166,50 +174,19 @@ def differentiate_run(
                         q[i] = 0.5 * (q0 + q1) + 0.125 * h * (v0 - v1)
                         v[i] = 0.5 * (v0 + v1) + 0.125 * h * (begun[piece, i] - ended[piece, i])
                         a[i] = 0.5 * (begun[piece, i] + ended[piece, i])
-                    mass_matrix(parents, kinds, axes, rotations, origins, inertials, place, M)
-                    inverse_dynamics(
-                        parents, kinds, axes, rotations, origins, gravity, inertials, place, speed, turn, here
-                    )
-                    for j in range(n):
-                        for side in range(2):
-                            for i in range(n):
-                                shifted[i] = v[i] if side else q[i]
-                            shifted[j] += _SMALL
-                            if side:
-                                inverse_dynamics(
-                                    parents,
-                                    kinds,
-                                    axes,
-                                    rotations,
-                                    origins,
-                                    gravity,
-                                    inertials,
-                                    place,
-                                    shifted,
-                                    turn,
-                                    there,
-                                )
-                            else:
-                                inverse_dynamics(
-                                    parents,
-                                    kinds,
-                                    axes,
-                                    rotations,
-                                    origins,
-                                    gravity,
-                                    inertials,
-                                    shifted,
-                                    speed,
-                                    turn,
-                                    there,
-                                )
-                            for i in range(n):
-                                if side:
-                                    Cv[i, j] = (there[i] - here[i]) / _SMALL
-                                else:
-                                    K[i, j] = (there[i] - here[i]) / _SMALL
+                    linearised_equations(
+                        parents, kinds, axes, rotations, origins, gravity, joints, inertials, place, speed, turn, room,
+                        M, K, Cv,
+                    )  # fmt: skip
                     # G, and what the motors do.
-                    if linked:
+                    if linked and coupled:
+                        regressor(
+                            parents, kinds, axes, rotations, origins, gravity,
+                            of_joints(joints, place), of_joints(joints, speed), of_joints(joints, turn), of_links,
+                        )  # fmt: skip
+                        for c in range(10 * n):
+                            Y[:, c] = of_joints(joints.T, of_links[:, c])
+                    elif linked:
                         regressor(parents, kinds, axes, rotations, origins, gravity, place, speed, turn, Y)
                     for i in range(nd):
                         for c in range(count):
@@ -225,12 +202,12 @@ def differentiate_run(
                         elif kind == OF_MASS:
                             if which == 0:
                                 other[row, c] -= a[row]
-                            elif which == 1:
+                            elif which == 1 or which == (4 if v[row] >= 0.0 else 5):
                                 other[row, c] -= v[row]
                             elif which == 2:
                                 sliding = directions[piece, row] if masses[row, 2] > 0.0 else np.sign(v[row])
                                 other[row, c] -= sliding
-                            else:
+                            elif which == 3:
                                 other[row, c] -= 1.0
                         else:
                             r = rotors[row]
@@ -241,8 +218,8 @@ def differentiate_run(
                     half = 0.5 * h
                     for i in range(n):
                         M[i, i] += masses[i, 0] if rotors[i] == i else 0.0
-                        Cv[i, i] += masses[i, 1]
-                        pull[i], own[i], tie[i] = 0.0, 1.0, 0.0
+                        Cv[i, i] += masses[i, 1] + masses[i, 4 if v[i] >= 0.0 else 5]
+                        pull[i], alone[i], tie[i] = 0.0, 1.0, 0.0
                         if rotors[i] != i:
                             K[i, i] += springs[i, 0]
                             Cv[i, i] += springs[i, 1]
@@ -259,10 +236,10 @@ def differentiate_run(
                             continue
                         stiffness, damping = springs[i, 0], springs[i, 1]
                         tie[i] = damping + half * stiffness
-                        own[i] = 2.0 / h * masses[r, 0] + masses[r, 1] + tie[i]
+                        alone[i] = 2.0 / h * masses[r, 0] + masses[r, 1] + masses[r, 4 if v[r] >= 0.0 else 5] + tie[i]
                         inert = 2.0 / h * masses[r, 0]
                         resting = masses[r, 2] > 0.0 and directions[piece, r] == 0.0
-                        pull[i] = 0.0 if resting else tie[i] / own[i]
+                        pull[i] = 0.0 if resting else tie[i] / alone[i]
                         for c in range(count):
                             rows[i, c] += stiffness * dq[r, c]
                             other[r, c] += inert * dv[r, c] - stiffness * (dq[r, c] - dq[i, c])
@@ -281,7 +258,7 @@ def differentiate_run(
                             for c in range(count):
                                 x = 0.0
                                 if pull[i] != 0.0:
-                                    x = (other[r, c] + tie[i] * rows[i, c]) / own[i]
+                                    x = (other[r, c] + tie[i] * rows[i, c]) / alone[i]
                                 dq[r, c] += h * x
                                 dv[r, c] = 2.0 * x - dv[r, c]
                         for c in range(count):

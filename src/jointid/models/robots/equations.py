@@ -1,0 +1,331 @@
+"""The equations of motion of a tree of links in one pass, and their derivatives by positions and velocities.
+
+All is seen from the base: with twists and wrenches about its origin the bodies beyond a joint are a sum. Of link i, S
+is the twist of its joint, V its velocity and A its acceleration (less gravity), I the inertia and f the force of all
+bodies that it carries::
+
+    M_ij = S_i' I_i S_j            tau_i = S_i' f_i            for each j that carries i, and i itself
+
+    d tau_i / d q_j = 2 S_i' B_i P_j + S_i' I_i R_j
+    d tau_j / d q_i = S_j' (2 B_i P_i + I_i R_i + S_i x* f_i)
+    d tau_i / d v_j = 2 S_i' (B_i S_j + I_i P_j)
+    d tau_j / d v_i = 2 S_j' (B_i S_i + I_i P_i)
+
+with ``P_j = V x S_j`` and ``R_j = A x S_j + V x P_j`` of what carries joint j [S. Singh, R. P. Russell and P. M.
+Wensing: Efficient analytical derivatives of rigid-body dynamics using spatial vector algebra, IEEE Robotics and
+Automation Letters 7, 2022]. Of a body with angular velocity w, velocity u of the point at the base's origin, momentum
+p,
+first moment h and second moments E about that origin, ``B (x, y) = (W x, x x p)`` with ``W x = -w x (E x) + (h'u) x -
+u (h'x)``: nine numbers and three, which add up along the chain as inertias do.
+
+The arguments are those of `dynamics`, but positions are those of the shafts that the motors turn: of the joints where
+no motors are coupled, and else ``C q`` (`robot.Robot.coupling`). `joints` is the inverse of C, or (0, 0) without
+coupling; `room` is scratch, (n, ROOM).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.compiled import compiled, inlined
+from jointid.models.robots.dynamics import PARAMETERS, REVOLUTE, IntArray, regressor
+from jointid.models.robots.spatial import (
+    ZERO,
+    Vector,
+    add,
+    cross,
+    dot,
+    get,
+    inertia_times,
+    put,
+    rotated,
+    times,
+)
+
+ROOM = 64
+"""Numbers of scratch for each link."""
+
+# Columns of the scratch: rotation, row by row, and origin; twists of the joint, of velocity and of acceleration,
+# and how the joint's turns; inertia of what is carried, and its force; W and momentum, of which B is made.
+_ROTATION, _ORIGIN, _JOINT, _VELOCITY, _ACCELERATION, _TURNING = 0, 9, 12, 18, 24, 30
+_MASS, _MOMENT, _INERTIA, _FORCE, _W, _MOMENTUM = 36, 37, 40, 46, 52, 61
+
+
+@inlined
+def of_joints(joints: FloatArray, values: FloatArray) -> FloatArray:
+    """Return positions or velocities of the joints from those of the shafts."""
+    out = np.zeros(values.size)
+    for i in range(values.size):
+        for j in range(values.size):
+            out[i] += joints[i, j] * values[j]
+    return out
+
+
+@inlined
+def to_shafts(joints: FloatArray, matrix: FloatArray) -> None:
+    """Take a matrix of the joints, torques by positions, to one of the shafts, in place."""
+    n = len(joints)
+    half = np.zeros((n, n))
+    for i in range(n):
+        for j in range(n):
+            for k in range(n):
+                half[i, j] += matrix[i, k] * joints[k, j]
+    for i in range(n):
+        for j in range(n):
+            matrix[i, j] = 0.0
+            for k in range(n):
+                matrix[i, j] += joints[k, i] * half[k, j]
+
+
+@inlined
+def _frame(room: FloatArray, parent: int) -> tuple[Vector, Vector, Vector, Vector]:
+    """Return the rows of a link's rotation to the base, and its origin there."""
+    if parent < 0:
+        return (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), ZERO
+    return get(room, parent, 0), get(room, parent, 3), get(room, parent, 6), get(room, parent, _ORIGIN)
+
+
+@inlined
+def _columns(rotations: FloatArray, i: int) -> tuple[Vector, Vector, Vector]:
+    r = rotations[i]
+    return (r[0, 0], r[1, 0], r[2, 0]), (r[0, 1], r[1, 1], r[2, 1]), (r[0, 2], r[1, 2], r[2, 2])
+
+
+@inlined
+def _body(inertials: FloatArray, i: int, x: Vector, y: Vector, z: Vector, p: Vector, room: FloatArray) -> None:
+    """Write the inertia of a link about the base's origin: x, y, z are the rows of its rotation, p its origin."""
+    m = inertials[i, 0]
+    h = rotated(x, y, z, get(inertials, i, 1))
+    of_x, of_y, of_z = (
+        inertia_times(inertials, i, 4, x),
+        inertia_times(inertials, i, 4, y),
+        inertia_times(inertials, i, 4, z),
+    )
+    reach = 2.0 * dot(p, h) + m * dot(p, p)
+    room[i, _MASS] = m
+    put(room, i, _MOMENT, add(h, times(m, p)))
+    room[i, _INERTIA] = dot(x, of_x) + reach - 2.0 * p[0] * h[0] - m * p[0] * p[0]
+    room[i, _INERTIA + 1] = dot(x, of_y) - p[0] * h[1] - h[0] * p[1] - m * p[0] * p[1]
+    room[i, _INERTIA + 2] = dot(x, of_z) - p[0] * h[2] - h[0] * p[2] - m * p[0] * p[2]
+    room[i, _INERTIA + 3] = dot(y, of_y) + reach - 2.0 * p[1] * h[1] - m * p[1] * p[1]
+    room[i, _INERTIA + 4] = dot(y, of_z) - p[1] * h[2] - h[1] * p[2] - m * p[1] * p[2]
+    room[i, _INERTIA + 5] = dot(z, of_z) + reach - 2.0 * p[2] * h[2] - m * p[2] * p[2]
+
+
+@inlined
+def _times_inertia(room: FloatArray, i: int, a: Vector, b: Vector) -> tuple[Vector, Vector]:
+    """Return the moment and the force that a link's inertia makes of a twist."""
+    h, m = get(room, i, _MOMENT), room[i, _MASS]
+    return add(inertia_times(room, i, _INERTIA, a), cross(h, b)), add(times(m, b), cross(a, h))
+
+
+@inlined
+def _outwards(
+    parents: IntArray, kinds: IntArray, axes: FloatArray, rotations: FloatArray, origins: FloatArray,
+    gravity: FloatArray, inertials: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray, room: FloatArray,
+) -> None:  # fmt: skip
+    """Write frames, twists of joints, velocities and accelerations, and inertias."""
+    for i in range(parents.size):
+        parent = parents[i]
+        x, y, z, p = _frame(room, parent)
+        w, u, dw, du = ZERO, ZERO, ZERO, (-gravity[0], -gravity[1], -gravity[2])
+        if parent >= 0:
+            w, u = get(room, parent, _VELOCITY), get(room, parent, _VELOCITY + 3)
+            dw, du = get(room, parent, _ACCELERATION), get(room, parent, _ACCELERATION + 3)
+        p = add(p, rotated(x, y, z, get(origins, i, 0)))
+        first, second, third = _columns(rotations, i)
+        x = dot(x, first), dot(x, second), dot(x, third)
+        y = dot(y, first), dot(y, second), dot(y, third)
+        z = dot(z, first), dot(z, second), dot(z, third)
+        axis = get(axes, i, 0)
+        s = rotated(x, y, z, axis)
+        if kinds[i] == REVOLUTE:
+            cosine, sine = math.cos(q[i]), math.sin(q[i])
+            x = _about(x, axis, cosine, sine, s[0])
+            y = _about(y, axis, cosine, sine, s[1])
+            z = _about(z, axis, cosine, sine, s[2])
+            turns, slides = s, cross(p, s)
+        else:
+            p = add(p, times(q[i], s))
+            turns, slides = ZERO, s
+        put(room, i, 0, x)
+        put(room, i, 3, y)
+        put(room, i, 6, z)
+        put(room, i, _ORIGIN, p)
+        put(room, i, _JOINT, turns)
+        put(room, i, _JOINT + 3, slides)
+        turning, sliding = cross(w, turns), add(cross(w, slides), cross(u, turns))
+        put(room, i, _TURNING, turning)
+        put(room, i, _TURNING + 3, sliding)
+        put(room, i, _VELOCITY, add(w, times(v[i], turns)))
+        put(room, i, _VELOCITY + 3, add(u, times(v[i], slides)))
+        put(room, i, _ACCELERATION, add(dw, add(times(v[i], turning), times(a[i], turns))))
+        put(room, i, _ACCELERATION + 3, add(du, add(times(v[i], sliding), times(a[i], slides))))
+        _body(inertials, i, x, y, z, p, room)
+
+
+@inlined
+def _about(row: Vector, axis: Vector, cosine: float, sine: float, along: float) -> Vector:
+    """Return a row of a rotation that is turned about an axis, on which the row is `along`."""
+    return add(add(times(cosine, row), times(sine, cross(row, axis))), times((1.0 - cosine) * along, axis))
+
+
+@inlined
+def _force(room: FloatArray, i: int) -> None:
+    """Write the force that moves a link as it moves."""
+    w, u = get(room, i, _VELOCITY), get(room, i, _VELOCITY + 3)
+    moment, force = _times_inertia(room, i, get(room, i, _ACCELERATION), get(room, i, _ACCELERATION + 3))
+    N, p = _times_inertia(room, i, w, u)
+    put(room, i, _FORCE, add(moment, add(cross(w, N), cross(u, p))))
+    put(room, i, _FORCE + 3, add(force, cross(w, p)))
+
+
+@inlined
+def _hand_down(room: FloatArray, i: int, parent: int, first: int, last: int) -> None:
+    """Add columns of a link to those of the link that carries it."""
+    for column in range(first, last):
+        room[parent, column] += room[i, column]
+
+
+@compiled
+def equations_of_motion(
+    parents: IntArray, kinds: IntArray, axes: FloatArray, rotations: FloatArray, origins: FloatArray,
+    gravity: FloatArray, joints: FloatArray, inertials: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray,
+    room: FloatArray,
+    M: FloatArray, torque: FloatArray,
+) -> None:  # fmt: skip
+    """Fill the mass matrix, (n, n), and the torques of a motion, (n,)."""
+    n, coupled = parents.size, joints.shape[0] > 0
+    if coupled:
+        q, v, a = of_joints(joints, q), of_joints(joints, v), of_joints(joints, a)
+    _outwards(parents, kinds, axes, rotations, origins, gravity, inertials, q, v, a, room)
+    for i in range(n):
+        _force(room, i)
+        for j in range(n):
+            M[i, j] = 0.0
+    for i in range(n - 1, -1, -1):
+        s, t = get(room, i, _JOINT), get(room, i, _JOINT + 3)
+        torque[i] = dot(s, get(room, i, _FORCE)) + dot(t, get(room, i, _FORCE + 3))
+        moment, force = _times_inertia(room, i, s, t)
+        j = i
+        while j >= 0:
+            M[i, j] = M[j, i] = dot(moment, get(room, j, _JOINT)) + dot(force, get(room, j, _JOINT + 3))
+            j = parents[j]
+        if parents[i] >= 0:
+            _hand_down(room, i, parents[i], _MASS, _W)
+    if coupled:
+        to_shafts(joints, M)
+        torque[:] = of_joints(joints.T, torque)
+
+
+@inlined
+def _own_slopes(room: FloatArray, i: int) -> None:
+    """Write W and the momentum of a link, of which its B is made."""
+    w, u, h = get(room, i, _VELOCITY), get(room, i, _VELOCITY + 3), get(room, i, _MOMENT)
+    xx, xy, xz = room[i, _INERTIA], room[i, _INERTIA + 1], room[i, _INERTIA + 2]
+    yy, yz, zz = room[i, _INERTIA + 3], room[i, _INERTIA + 4], room[i, _INERTIA + 5]
+    half, along = 0.5 * (xx + yy + zz), dot(h, u)
+    # Columns of -w x E, with E = half the trace of the inertia less the inertia.
+    first, second, third = (
+        cross((half - xx, -xy, -xz), w),
+        cross((-xy, half - yy, -yz), w),
+        cross((-xz, -yz, half - zz), w),
+    )
+    put(room, i, _W, (first[0] + along - u[0] * h[0], second[0] - u[0] * h[1], third[0] - u[0] * h[2]))
+    put(room, i, _W + 3, (first[1] - u[1] * h[0], second[1] + along - u[1] * h[1], third[1] - u[1] * h[2]))
+    put(room, i, _W + 6, (first[2] - u[2] * h[0], second[2] - u[2] * h[1], third[2] + along - u[2] * h[2]))
+    put(room, i, _MOMENTUM, _times_inertia(room, i, w, u)[1])
+
+
+@inlined
+def _changing(room: FloatArray, i: int, parent: int, gravity: FloatArray) -> tuple[Vector, Vector]:
+    """Return R of a joint: how the twist of its joint turns with what carries it, a second time."""
+    w, u, dw, du = ZERO, ZERO, ZERO, (-gravity[0], -gravity[1], -gravity[2])
+    if parent >= 0:
+        w, u = get(room, parent, _VELOCITY), get(room, parent, _VELOCITY + 3)
+        dw, du = get(room, parent, _ACCELERATION), get(room, parent, _ACCELERATION + 3)
+    s, t = get(room, i, _JOINT), get(room, i, _JOINT + 3)
+    P, Q = get(room, i, _TURNING), get(room, i, _TURNING + 3)
+    return add(cross(dw, s), cross(w, P)), add(add(cross(dw, t), cross(du, s)), add(cross(w, Q), cross(u, P)))
+
+
+@compiled
+def linearised_equations(
+    parents: IntArray, kinds: IntArray, axes: FloatArray, rotations: FloatArray, origins: FloatArray,
+    gravity: FloatArray, joints: FloatArray, inertials: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray,
+    room: FloatArray,
+    M: FloatArray, by_place: FloatArray, by_speed: FloatArray,
+) -> None:  # fmt: skip
+    """Fill the mass matrix, and the derivatives of the torques by positions and by velocities, (n, n) each."""
+    n, coupled = parents.size, joints.shape[0] > 0
+    if coupled:
+        q, v, a = of_joints(joints, q), of_joints(joints, v), of_joints(joints, a)
+    _outwards(parents, kinds, axes, rotations, origins, gravity, inertials, q, v, a, room)
+    for i in range(n):
+        for j in range(n):
+            M[i, j] = by_place[i, j] = by_speed[i, j] = 0.0
+    for i in range(n):
+        _force(room, i)
+        _own_slopes(room, i)
+    for i in range(n - 1, -1, -1):
+        s, t = get(room, i, _JOINT), get(room, i, _JOINT + 3)
+        g, h = _times_inertia(room, i, s, t)  # I S
+        x, y, z = get(room, i, _W), get(room, i, _W + 3), get(room, i, _W + 6)
+        p = get(room, i, _MOMENTUM)
+        # B' S and B S
+        c = add(add(times(s[0], x), add(times(s[1], y), times(s[2], z))), cross(p, t))
+        d, e = rotated(x, y, z, s), cross(s, p)
+        # 2 B P + I R + S x* f, and B S + I P
+        turning, sliding = get(room, i, _TURNING), get(room, i, _TURNING + 3)
+        spinning, swaying = _changing(room, i, parents[i], gravity)
+        pulled, pushed = _times_inertia(room, i, spinning, swaying)
+        moment, force = get(room, i, _FORCE), get(room, i, _FORCE + 3)
+        pulled = add(add(pulled, times(2.0, rotated(x, y, z, turning))), add(cross(s, moment), cross(t, force)))
+        pushed = add(add(pushed, times(2.0, cross(turning, p))), cross(s, force))
+        turned, slid = _times_inertia(room, i, turning, sliding)
+        d, e = add(d, turned), add(e, slid)
+        j = i
+        while j >= 0:
+            a_j, b_j = get(room, j, _JOINT), get(room, j, _JOINT + 3)
+            P, Q = get(room, j, _TURNING), get(room, j, _TURNING + 3)
+            spinning, swaying = _changing(room, j, parents[j], gravity)
+            M[i, j] = M[j, i] = dot(g, a_j) + dot(h, b_j)
+            by_place[j, i] = dot(pulled, a_j) + dot(pushed, b_j)
+            by_place[i, j] = 2.0 * dot(c, P) + dot(g, spinning) + dot(h, swaying)
+            by_speed[j, i] = 2.0 * (dot(d, a_j) + dot(e, b_j))
+            by_speed[i, j] = 2.0 * (dot(c, a_j) + dot(g, P) + dot(h, Q))
+            j = parents[j]
+        if parents[i] >= 0:
+            _hand_down(room, i, parents[i], _MASS, ROOM)
+    if coupled:
+        to_shafts(joints, M)
+        to_shafts(joints, by_place)
+        to_shafts(joints, by_speed)
+
+
+@compiled
+def regressor_columns(
+    parents: IntArray, kinds: IntArray, axes: FloatArray, rotations: FloatArray, origins: FloatArray,
+    gravity: FloatArray, joints: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray,
+    rows: IntArray, columns: IntArray, at: IntArray, out: FloatArray,
+) -> None:  # fmt: skip
+    """Fill lines of `out`, (lines, samples), with some numbers of the regressor along a motion, (samples, n) each.
+
+    Rows, columns and `at`, (numbers,), are whose torque by which of the 10 n inertial parameters goes to which line.
+    """
+    n, coupled = parents.size, joints.shape[0] > 0
+    Y, turned = np.empty((n, PARAMETERS * n)), np.empty(n)
+    for t in range(len(q)):
+        if coupled:
+            place, speed, turn = of_joints(joints, q[t]), of_joints(joints, v[t]), of_joints(joints, a[t])
+            regressor(parents, kinds, axes, rotations, origins, gravity, place, speed, turn, Y)
+            for c in range(PARAMETERS * n):
+                turned[:] = of_joints(joints.T, Y[:, c])
+                Y[:, c] = turned
+        else:
+            regressor(parents, kinds, axes, rotations, origins, gravity, q[t], v[t], a[t], Y)
+        for k in range(at.size):
+            out[at[k], t] = Y[rows[k], columns[k]]

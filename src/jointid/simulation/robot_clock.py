@@ -1,0 +1,122 @@
+"""One clock for a robot whose controllers may differ in period and delay: its step divides them all, and the log's.
+
+A controller acts on every so many steps and its output is held in between. A step is cut where a torque changes within
+it, which is where a delay ends.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.text import listed
+from jointid.models.linear import SNAP
+from jointid.models.robots.dynamics import IntArray
+from jointid.simulation.loop_input import LoopInput
+
+_FINEST = 16  # steps of the shortest period, at most: the time of a simulation grows with them
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotClock:
+    """The clock of a robot's controllers.
+
+    Attributes:
+        steps: that are simulated.
+        lengths: (parts,) s, of a step: in none does a torque change.
+        lags: (n, parts) how many steps ago the output that acts there was put out, or a later one that is held.
+        every: (n,) steps of each controller's period.
+        sample_time: of the log, s.
+        looked: (samples,) which of all parts, step after step, begin at the log's instants.
+        begun: (n, samples) those at which the newest torque of each joint, as the log shows it, begins to act.
+    """
+
+    steps: int
+    lengths: FloatArray
+    lags: IntArray
+    every: IntArray
+    sample_time: float
+    looked: IntArray
+    begun: IntArray
+
+    @property
+    def samples(self) -> int:
+        """Of the log."""
+        return self.looked.size
+
+    def until(self, steps: int) -> RobotClock:
+        """Return the clock of the first steps alone."""
+        parts = self.lengths.size
+        looked = self.looked[self.looked < steps * parts]
+        begun = np.minimum(self.begun[:, : looked.size], steps * parts - 1)
+        return replace(self, steps=min(steps, self.steps), looked=looked, begun=begun)
+
+    def held(self, joint: int, values: FloatArray) -> FloatArray:
+        """Return values of a controller's periods at every step of the clock, (steps,)."""
+        return np.repeat(values, self.every[joint])[: self.steps]
+
+    def own(self, joint: int, values: FloatArray, periods: int) -> FloatArray:
+        """Return values of every step at a controller's own periods, (periods, ...), the last one held."""
+        every = int(self.every[joint])
+        if every == 1 and len(values) == periods:
+            return values
+        return np.asarray(values[np.minimum(np.arange(periods) * every, (len(values) - 1) // every * every)])
+
+
+def common_clock(alone: Sequence[LoopInput], names: Sequence[str]) -> RobotClock:
+    """Return the clock of controllers that were prepared each alone.
+
+    Raises:
+        MethodError: logs differ in rate or length, or the periods have no common step that is worth simulating.
+    """
+    sample_time = alone[0].sample_time
+    periods = np.array([each.law.period for each in alone])
+    lasts = np.array([each.periods for each in alone]) * periods
+    longest = max(float(np.max(periods)), sample_time)
+    other = [
+        name
+        for name, each, last in zip(names, alone, lasts, strict=True)
+        if abs(each.sample_time - sample_time) > SNAP * sample_time or abs(last - lasts[0]) > (1 + SNAP) * longest
+    ]
+    if other:
+        raise MethodError(
+            f"A robot is simulated along one log; the records of {listed(other)} differ from that of {names[0]} in "
+            "sample time or length: give all joints the same."
+        )
+    shortest = min(float(np.min(periods)), sample_time)
+    step = next((shortest / n for n in range(1, _FINEST + 1) if _divides(shortest / n, [*periods, sample_time])), None)
+    if step is None:
+        said = listed([f"{name} {1e3 * period:.6g} ms" for name, period in zip(names, periods, strict=True)])
+        raise MethodError(
+            f"A robot's controllers share a clock, of which each period is so many steps; received {said}, and no step "
+            f"of a {_FINEST}th of the shortest or more divides them: correct the periods."
+        )
+    every = np.array([round(period / step) for period in periods], dtype=np.int64)
+    late = np.array([each.law.delay / step for each in alone])
+    whole = np.floor(late + SNAP)
+    within = np.where(late - whole < SNAP, 0.0, late - whole)
+    cuts = [0.0]
+    for cut in sorted(within):
+        if cut - cuts[-1] > SNAP:
+            cuts.append(float(cut))
+    lengths = np.diff([*cuts, 1.0]) * step
+    lags = (whole[:, np.newaxis] + (np.array(cuts) < within[:, np.newaxis] - SNAP)).astype(np.int64)
+    steps, parts = int(min(each.periods * n for each, n in zip(alone, every, strict=True))), len(cuts)
+    samples = min(each.samples for each in alone)
+    at = np.arange(samples) * round(sample_time / step)
+    newest = np.argmin(lags, axis=1)
+    begun = [
+        np.minimum(at // every[j] * every[j] + lags[j, newest[j]], steps - 1) * parts + newest[j]
+        for j in range(len(alone))
+    ]
+    return RobotClock(steps, lengths, lags, every, sample_time, at * parts, np.array(begun))
+
+
+def _divides(step: float, whole: Sequence[float]) -> bool:
+    """True if each is a whole number of steps."""
+    return all(math.isclose(one / step, round(one / step), rel_tol=SNAP) for one in whole)

@@ -1,0 +1,110 @@
+"""How a robot's simulation begins: at rest, or as its references move.
+
+At rest the controllers' torques hold its weight, and friction holds none of it. In motion every shaft has the velocity
+and the acceleration of its reference, and the controllers' torques are those that this takes: the reference leads by
+what puts them out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.models.controllers import REFERENCE
+from jointid.simulation.closed_loop import first_state
+from jointid.simulation.loop_input import LoopInput
+
+if TYPE_CHECKING:
+    from jointid.simulation.robots import RobotInput, RobotNumbers
+
+_SETTLING = 200  # of the iterations that find where the robot begins
+_AT_REST = 1e-13  # of a position
+_FIRST = 7  # instants of a reference, through which a cubic says how it moves
+_NUDGE = 1e-3  # rad: a controller's stiffness is the slope over it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotStart:
+    """Where a robot's simulation begins.
+
+    Attributes:
+        places, speeds: (masses,) of all masses.
+        torques: (n,) that the motors put out, what is added behind the limits left out; None without an integrator,
+            whose controllers put out what their own state says.
+    """
+
+    places: FloatArray
+    speeds: FloatArray
+    torques: tuple[float | None, ...]
+
+
+def reference_motion(each: LoopInput) -> tuple[float, float]:
+    """Return velocity and acceleration of a joint's reference at its first sample."""
+    reference = each.inputs[:_FIRST, REFERENCE]
+    cubic = np.polyfit(np.arange(reference.size) * each.law.period, reference - reference[0], 3)
+    return float(cubic[2]), float(2.0 * cubic[1])
+
+
+def friction_at(numbers: RobotNumbers, speeds: FloatArray) -> FloatArray:
+    """Return viscous, Coulomb and constant friction of all masses at their velocities, (masses,)."""
+    masses = numbers.masses
+    viscous = masses[:, 1] + np.where(speeds < 0.0, masses[:, 5], masses[:, 4])
+    return np.asarray(viscous * speeds + masses[:, 2] * np.sign(speeds) + masses[:, 3])
+
+
+def controllers_at(experiment: RobotInput, places: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the torques of controllers without memory of a load at positions of the motors, and their slopes, (n,)."""
+    torques = np.array(
+        [
+            [first_state(each, at, speed, None)[1] for at in (place, place + _NUDGE)]
+            for each, place, speed in zip(experiment.experiments, places, experiment.speeds, strict=True)
+        ]
+    )
+    return torques[:, 0], (torques[:, 1] - torques[:, 0]) / _NUDGE
+
+
+def begin(experiment: RobotInput, numbers: RobotNumbers) -> RobotStart:
+    """Return where all masses are at the first sample, and the torques that integrators then hold.
+
+    A law with an integral holds the load on the reference; one without is off by the torque over its gain. Springs are
+    stretched by the load.
+    """
+    n, rotors = numbers.rotors.size, numbers.rotors
+    references, accelerations = experiment.references[0], experiment.accelerations
+    speeds = np.zeros(len(numbers.masses))
+    speeds[:n], speeds[rotors] = experiment.speeds, experiment.speeds
+    friction = friction_at(numbers, speeds)
+    of_links = np.where(numbers.flexible, friction[:n], 0.0)
+    of_motors = numbers.masses[rotors, 0] * accelerations + friction[rotors]
+    at_reference, slope = controllers_at(experiment, references)
+    asked = at_reference + experiment.after_limit[:, 0]
+    integrates = np.array([each.integral is not None for each in experiment.experiments])
+    soft = np.where(integrates | (slope >= 0.0), -np.inf, slope)
+    stiffness = np.where(numbers.flexible, numbers.springs[:, 0], np.inf)
+    motors, load = references.copy(), np.zeros(n)
+    for _ in range(_SETTLING):
+        load = weigh(experiment, numbers, motors - load / stiffness) + of_links
+        after = references + (load + of_motors - asked) / soft
+        moved = float(np.max(np.abs(after - motors)))
+        motors = after
+        if moved <= _AT_REST * (1.0 + float(np.max(np.abs(motors)))):
+            break
+    places = np.zeros(speeds.size)
+    places[:n], places[rotors] = motors - load / stiffness, motors
+    holding = load + of_motors - experiment.after_limit[:, 0]
+    return RobotStart(places, speeds, tuple(float(t) if i else None for t, i in zip(holding, integrates, strict=True)))
+
+
+def weigh(experiment: RobotInput, numbers: RobotNumbers, places: FloatArray) -> FloatArray:
+    """Return the torques that the links take at positions of their shafts, as they move at the first sample, (n,)."""
+    from jointid.models.robots.equations import ROOM, equations_of_motion
+
+    n = places.size
+    found, M, room = np.empty(n), np.empty((n, n)), np.empty((n, ROOM))
+    equations_of_motion(
+        *experiment.tree, numbers.inertials, places, experiment.speeds, experiment.accelerations, room, M, found
+    )
+    return found
