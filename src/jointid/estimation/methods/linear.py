@@ -39,6 +39,7 @@ from jointid.simulation.closed_loop import Initial, Outcome, simulate
 from jointid.simulation.loop_input import prepare
 from jointid.solvers.regression import Fit, least_squares
 from jointid.uncertainty.covariance import Covariance, sandwich, with_bands
+from jointid.uncertainty.covariance import robust as robust_covariance
 from jointid.uncertainty.model_tests import ChiSquareTest, durbin_wu_hausman
 
 _PULL = 10.0  # deviations in units of which the pull of a homogeneous equation stays below one
@@ -109,6 +110,8 @@ def _covariance(rows: Rows, Z: FloatArray, J: FloatArray, error: FloatArray) -> 
 
     That equation has no torque, and so hardly any noise: what it leaves is what the model lacks, and repeats.
     """
+    if rows.driven > 1:  # the motors of a robot
+        return robust_covariance(Z, J, error, equations=rows.equations)
     found = sandwich(Z, J, error, rows.equations)
     if rows.equations == rows.driven:
         return found
