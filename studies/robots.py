@@ -295,9 +295,7 @@ def _with_idim(about: Found, made: Drives, estimator: str) -> Found:
     """Return the answer with IDIM's beside it, from the positions that the drives had."""
     robot = made.loop.robot
     found = identify_robot(robot, made.records, RobotIDIM(estimator), filtering=Filtering())  # type: ignore[arg-type]
-    joints = [(joint.viscous, joint.coulomb, joint.offset) for joint in robot.joints]
-    truth = np.concatenate([found.base.of(robot), np.ravel(joints)])
-    z, shares = (found.values - truth) / found.covariance.std, found.relative_deviations
+    z, shares = (found.values - found.base.with_friction(robot)) / found.covariance.std, found.relative_deviations
     return replace(about, idim=tuple(z.tolist()), idim_shares=tuple(shares.tolist()))
 
 

@@ -107,7 +107,7 @@ class RobotEstimate(Documented):
     @property
     def rows(self) -> Mapping[str, Mapping[str, object]]:
         """Value, deviation, unit, nominal value and sum of each parameter, by its symbol."""
-        formulas = (*self.base.formulas, *self.names[len(self.base) :])
+        formulas = self._formulas
         columns = (self.values.tolist(), self.covariance.std.tolist(), self._units, self.nominal.tolist(), formulas)
         keys = ("value", "std", "unit", "nominal", "formula")
         return {name: dict(zip(keys, row, strict=True)) for name, *row in zip(self.names, *columns, strict=True)}
@@ -154,7 +154,7 @@ class RobotEstimate(Documented):
         errors = {"estimate": self.joint_errors}
         if self.robot.has_masses:
             errors["nominal"] = self.nominal_errors
-        sums = tuple(f"{a} is {b}" for a, b in zip(self.base.symbols, self.base.formulas, strict=True) if a != b)
+        sums = tuple(f"{a} is {b}" for a, b in zip(self.names, self._formulas, strict=True) if a != b)
         hidden = len(self.names) - len(shown)
         left_out = f"; {hidden} more are not told from 0 by this record" if hidden else ""
         caption = f"{len(self.told)} of {len(self.names)} parameters are known to a tenth, 1 sigma{left_out}"
@@ -168,6 +168,12 @@ class RobotEstimate(Documented):
                 *((Heading("Sums that the parameters stand for"), Listing(sums)) if details else ()),
             ),
         )
+
+    @property
+    def _formulas(self) -> tuple[str, ...]:
+        friction = list(self.names[len(self.base) :])
+        friction[2::3] = self.base.offset_formulas
+        return (*self.base.formulas, *friction)
 
     @property
     def _units(self) -> tuple[str, ...]:

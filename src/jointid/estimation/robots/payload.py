@@ -126,13 +126,16 @@ def payload_difference(empty: RobotEstimate, loaded: RobotEstimate) -> Payload:
     if empty.names != loaded.names or not np.allclose(empty.base.grouping, loaded.base.grouping):
         raise MethodError("The estimates are of two robots; expected one, without its payload and with it.")
     n, size = len(empty.robot), len(empty.base)
-    columns = empty.base.grouping[:, 10 * (n - 1) : 10 * n]
-    matrix = (empty.covariance.matrix + loaded.covariance.matrix)[:size, :size]
+    offsets = size + 2 + 3 * np.flatnonzero(np.any(empty.base.offsets, axis=1))
+    read = np.concatenate([np.arange(size), offsets])  # a weight that is a constant torque is an offset's
+    columns = np.vstack([empty.base.grouping, empty.base.offsets[np.any(empty.base.offsets, axis=1)]])
+    columns = columns[:, 10 * (n - 1) : 10 * n]
+    matrix = (empty.covariance.matrix + loaded.covariance.matrix)[np.ix_(read, read)]
     std = np.sqrt(np.diag(matrix))
     values, vectors = np.linalg.eigh(matrix / np.outer(std, std))
     whiten = (vectors / np.sqrt(np.maximum(values, 1e-10 * values[-1]))).T / std
     seen = whiten @ columns
-    found = np.linalg.lstsq(seen, whiten @ (loaded.values - empty.values)[:size], rcond=None)[0]
+    found = np.linalg.lstsq(seen, whiten @ (loaded.values - empty.values)[read], rcond=None)[0]
     return _payload(empty.robot, found, covariance_of(np.linalg.pinv(seen.T @ seen), 0))
 
 

@@ -102,9 +102,7 @@ def validate_robot(estimate: RobotEstimate, records: Sequence[Record]) -> RobotV
     rows = base_rows(estimate.robot, estimate.base, motion)
     bodies = None
     if np.all(estimate.robot.inertials[:, 0] > 0):
-        found = consistent_robot(estimate).robot
-        friction = np.column_stack([found.of_joints(name) for name in ("viscous", "coulomb", "offset")]).ravel()
-        bodies = relative_errors(rows, np.concatenate([estimate.base.of(found), friction]))
+        bodies = relative_errors(rows, estimate.base.with_friction(consistent_robot(estimate).robot))
     return RobotValidation(
         estimate.robot, relative_errors(rows, estimate.values), relative_errors(rows, estimate.nominal), bodies
     )
