@@ -131,7 +131,9 @@ def _identified(
 
     file = _loaded(path, changes, outputs, record)
     if isinstance(file.method, RobotIDIM):
-        return file, identify_robot(file.robot, file.records(record), file.method, filtering=file.filtering)
+        simulates = file.method.estimator == "iv"
+        records, loop = (file.driven(record), file.loop) if simulates else (file.records(record), None)
+        return file, identify_robot(file.robot, records, file.method, filtering=file.filtering, loop=loop)
     found = identify_robot_from_torques(
         file.loop, file.driven(record), file.method, filtering=file.filtering, progress=progress
     )

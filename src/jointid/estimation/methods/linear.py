@@ -218,7 +218,7 @@ def simulated_instruments(
 
 
 def by_instruments(rows: Rows, instruments: Instruments, kept: FloatArray, free: Sequence[int]) -> Solution:
-    """Return the fixed point of simulating and solving, from ordinary least squares.
+    """Return the fixed point of simulating and solving, from ordinary least squares, of several motors weighted.
 
     Args:
         rows: the regression of the free parameters.
@@ -229,7 +229,7 @@ def by_instruments(rows: Rows, instruments: Instruments, kept: FloatArray, free:
     Raises:
         MethodError: a simulation fails, or the instruments do not determine the parameters.
     """
-    solution, chosen = ordinary(rows), list(free)
+    solution, chosen = ordinary(rows) if rows.driven == 1 else weighted(rows), list(free)
     trace = [_line(0, rows, solution, None, None)]
     Z = rows.W
     for number in range(1, _SIMULATIONS + 1):

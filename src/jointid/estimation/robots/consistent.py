@@ -157,6 +157,7 @@ def _prior_bodies(prior: Robot) -> tuple[FloatArray, FloatArray]:
 
 def _whitening(estimate: RobotEstimate) -> FloatArray:
     """Return what takes errors of the estimate to independent ones of deviation 1."""
-    std = np.maximum(estimate.covariance.std, 1e-300)
+    std = estimate.covariance.std
+    std = np.where(std > 0, std, np.min(std[std > 0], initial=1.0))  # a fixed one is kept as well as the best known
     values, vectors = np.linalg.eigh(estimate.covariance.correlation)
     return np.asarray((vectors / np.sqrt(np.maximum(values, _FLOOR * values[-1]))).T / std)
