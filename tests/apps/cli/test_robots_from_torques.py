@@ -142,6 +142,8 @@ def test_what_is_refused(tmp_path: Path) -> None:
     joint = tmp_path / "robot.toml"
     with pytest.raises(MethodError, match="--method is for a joint file; a robot file says it itself"):
         run("identify", joint, "--method", "idim")
+    with pytest.raises(MethodError, match="weighed by IDIM, from motor positions and torques"):
+        run("payload", joint, "--without", tmp_path / "references.csv", "--with", tmp_path / "others.csv")
     with pytest.raises(JointFileError, match=r"method\.estimator is a setting of another method than didim"):
         run("identify", joint, "--set", "method.name=didim", "--set", "method.estimator=ols")
     text = joint.read_text(encoding="utf-8")

@@ -93,7 +93,25 @@ def identify_payload(
         MethodError: the records do not determine it, or its mass comes out negative.
         RecordError: as of `identify_robot`.
     """
-    settings, filtering = settings or RobotIDIM(), filtering or Filtering()
+    rows = both_records(robot, empty, loaded, filtering or Filtering())
+    solution = (settings or RobotIDIM()).solve(rows)
+    own = slice(len(rows.names) - len(SYMBOLS), None)
+    of_payload = covariance_of(solution.covariance.matrix[own, own], solution.covariance.bandwidth)
+    return _payload(robot, solution.fit.values[own], of_payload)
+
+
+def both_records(robot: Robot, empty: Sequence[Record], loaded: Sequence[Record], filtering: Filtering) -> Rows:
+    """Return the regression of both records: base parameters, friction, and the payload's ten in the second alone.
+
+    Args:
+        robot: its geometry, gravity and coupling.
+        empty: the record of each joint without the payload.
+        loaded: the record of each joint with it.
+        filtering: of positions and rows.
+
+    Raises:
+        RecordError: as of `identify_robot`.
+    """
     base, n = base_parameters(robot), len(robot)
     without, carrying = (motion_of_robot(robot, records, filtering) for records in (empty, loaded))
     first, second = base_rows(robot, base, without), base_rows(robot, base, carrying)
@@ -106,11 +124,7 @@ def identify_payload(
 
     W = np.block([[cut(first.W), np.zeros((n * instants, 10))], [cut(second.W), cut(extra)]])
     names = (*first.names, *(f"payload {symbol}" for symbol in SYMBOLS))
-    rows = Rows(np.concatenate([cut(first.Y), cut(second.Y)]), W, names, 2 * n, 2 * n)
-    solution = settings.solve(rows)
-    own = slice(len(first.names), None)
-    of_payload = covariance_of(solution.covariance.matrix[own, own], solution.covariance.bandwidth)
-    return _payload(robot, solution.fit.values[own], of_payload)
+    return Rows(np.concatenate([cut(first.Y), cut(second.Y)]), W, names, 2 * n, 2 * n)
 
 
 def payload_difference(empty: RobotEstimate, loaded: RobotEstimate) -> Payload:

@@ -340,6 +340,14 @@ SHAPES: Mapping[str, Shape] = {
         "nominal_left": "nominal_errors",
         "bodies_left": "body_errors",
     },
+    "WeighedPayload": {
+        "schema": always("jointid.payload/1"),
+        "link": "link",
+        "parameters": "rows",
+        "ways_agree": "agrees",
+        "body_possible": "possible",
+    },
+    "DriveGains": {"schema": always("jointid.drive_gains/1"), "gains": "rows"},
     # Files and reports
     "Inspection": {
         "schema": always("jointid.inspection/1"),
