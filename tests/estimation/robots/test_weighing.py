@@ -10,6 +10,8 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.estimation.robots.drive_gains import identify_drive_gains
+from jointid.estimation.robots.idim import RobotIDIM, identify_robot
+from jointid.estimation.robots.payload import payload_difference
 from jointid.estimation.robots.weighing import weigh_payload
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Robot
@@ -49,6 +51,17 @@ def test_a_payload_is_weighed_within_a_percent_both_ways() -> None:
     assert max(map(len, said.splitlines())) <= 100
     answer = answers.to_dict(found)
     assert answer["schema"] == "jointid.payload/1" and answer["ways_agree"] is True
+
+
+def test_a_number_of_the_empty_robot_may_be_fixed() -> None:
+    """It is not the loaded one's, so the estimates that are compared leave it free."""
+    records, settings = pair(12), RobotIDIM(fixed={"Ia6": 0.3})
+    found = weigh_payload(ARM, *records, settings)
+    assert found.agrees
+    assert found.rows["mass"]["value"] == pytest.approx(3.0, rel=0.01)
+    one, other = (identify_robot(ARM, each, settings) for each in records)
+    with pytest.raises(MethodError, match="A parameter is fixed, which a payload would change"):
+        payload_difference(one, other)
 
 
 def test_two_deviations_hold_the_payload() -> None:

@@ -1,10 +1,10 @@
 """DIDIM of a robot with flexible joints: rotors, springs, friction on both sides and the links, from torques alone.
 
 A robot of rigid joints is identified first. It fixes sums: of both sides' friction, of rotor and link. These are split,
-each spring is begun at a frequency, given or the best of a row of them with the other joints stiff, and the torque
-error of all joints is made least by Levenberg and Marquardt's steps with derivatives by variation
-(`solvers.bounded_least_squares`), rotors' inertias and stiffnesses on a logarithmic scale. The joints weigh by their
-errors, which are estimated twice.
+what it says of each by how well it knows it; each spring is begun at a frequency, given or the best of a row of them
+with the other joints stiff, and the torque error of all joints is made least by Levenberg and Marquardt's steps with
+derivatives by variation (`solvers.bounded_least_squares`), rotors' inertias and stiffnesses on a logarithmic scale. The
+joints weigh by their errors, which are estimated twice.
 
 Whether a record shows a spring is asked of each joint alone, by its compliance c = 1/K, in which a rigid joint is not
 at infinity but at 0: it is shown where c is more than four of its standard deviations above 0, with the spring not at

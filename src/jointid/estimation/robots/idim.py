@@ -89,6 +89,8 @@ class RobotIDIM:
                 raise MethodError(f"A name in fixed{no_choice(name, rows.names)}")
         kept = np.array([self.fixed.get(name, 0.0) for name in rows.names])
         free = [i for i, name in enumerate(rows.names) if name not in self.fixed]
+        if not free:
+            raise MethodError("All parameters are fixed, so there is nothing to identify; leave some of them out.")
         left = replace(rows, Y=rows.Y - rows.W @ kept, W=rows.W[:, free], names=tuple(rows.names[i] for i in free))
         solution = self._solved(left, instruments, kept, free)
         return with_fixed(solution, kept, free) if self.fixed else solution

@@ -139,6 +139,10 @@ def payload_difference(empty: RobotEstimate, loaded: RobotEstimate) -> Payload:
     """
     if empty.names != loaded.names or not np.allclose(empty.base.grouping, loaded.base.grouping):
         raise MethodError("The estimates are of two robots; expected one, without its payload and with it.")
+    if empty.settings.fixed or loaded.settings.fixed:
+        raise MethodError(
+            "A parameter is fixed, which a payload would change; expected estimates of all: leave it free."
+        )
     n, size = len(empty.robot), len(empty.base)
     offsets = size + 2 + 3 * np.flatnonzero(np.any(empty.base.offsets, axis=1))
     read = np.concatenate([np.arange(size), offsets])  # a weight that is a constant torque is an offset's

@@ -7,7 +7,7 @@ links. Where they differ by more than three deviations of the difference alone, 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -144,6 +144,8 @@ def weigh_payload(
         MethodError: a record does not determine the robot, or the payload's mass comes out negative.
         RecordError: as of `identify_robot`.
     """
-    one, other = (identify_robot(robot, records, settings, filtering=filtering) for records in (empty, loaded))
+    # What is fixed is the empty robot's: with the payload it is another number.
+    free = replace(settings or RobotIDIM(), fixed={})
+    one, other = (identify_robot(robot, records, free, filtering=filtering) for records in (empty, loaded))
     both = identify_payload(robot, empty, loaded, settings, filtering=filtering)
     return WeighedPayload(both, payload_difference(one, other))
