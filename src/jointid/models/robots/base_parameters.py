@@ -116,10 +116,11 @@ def base_parameters(robot: Robot, seed: int = 0) -> BaseParameters:
     grouping, offsets = np.zeros((first.size, 11 * n)), np.zeros((n, 11 * n))
     grouping[:, order], offsets[:, order] = sums[n:, n:], sums[:n, n:]
     symbols, units = standard_symbols(robot), (*n * UNITS, *n * ("kg m2",))
+    names = tuple(f"{FRICTION[2]}{k + 1}" for k in range(n))
     return BaseParameters(
         tuple(symbols[i] for i in first),
-        tuple(_formula(symbols[i], row, symbols) for row, i in zip(grouping, first, strict=True)),
-        tuple(_formula(f"{FRICTION[2]}{k + 1}", row, symbols) for k, row in enumerate(offsets)),
+        tuple(formula_of(row, int(i), symbols) for row, i in zip(grouping, first, strict=True)),
+        tuple(formula_of(row, k, (*names, *symbols)) for k, row in enumerate(np.hstack([np.eye(n), offsets]))),
         tuple(units[i] for i in first),
         first,
         grouping,
@@ -157,10 +158,18 @@ def _is_rounding(columns: FloatArray, n: int) -> NDArray[np.bool_]:
     return np.asarray(norms <= _NOTHING * largest[dimensions])
 
 
-def _formula(first: str, weights: FloatArray, symbols: tuple[str, ...]) -> str:
-    terms = [first]
-    for symbol, weight in zip(symbols, weights, strict=True):
-        if weight and symbol != first:
-            times = "" if abs(abs(weight) - 1.0) < _ZERO else f" * {number(abs(weight), 4)}"
-            terms.append(f"{'-' if weight < 0 else '+'} {symbol}{times}")
+def formula_of(weights: FloatArray, first: int, symbols: tuple[str, ...]) -> str:
+    """Return a sum as text, which begins with its first symbol: "Izz1 + m2 * 0.09 + Ia1".
+
+    Args:
+        weights: (symbols,) of the sum.
+        first: place of the symbol that names it.
+        symbols: all there are.
+    """
+    terms = [symbols[first]]
+    for i in np.flatnonzero(weights):
+        if i != first:
+            factor = abs(weights[i])
+            times = "" if abs(factor - 1.0) < _ZERO else f" * {number(factor, 4)}"
+            terms.append(f"{'-' if weights[i] < 0 else '+'} {symbols[i]}{times}")
     return " ".join(terms)

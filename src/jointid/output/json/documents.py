@@ -317,6 +317,7 @@ SHAPES: Mapping[str, Shape] = {
         "robot": "robot.name",
         "joints": "robot.names",
         "estimator": "settings.estimator",
+        "converged": "converged",
         "parameters": "rows",
         "left": "joint_errors",
         "nominal_left": "nominal_errors",
