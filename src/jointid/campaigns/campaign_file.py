@@ -17,6 +17,7 @@ from jointid import DIDIM
 from jointid.campaigns.campaign_tables import BootstrapTable, CampaignTable, MultistartTable
 from jointid.campaigns.cases import Case, Redrawn, Simulated, Started
 from jointid.campaigns.fleet import FleetRecords, Logged, named_record
+from jointid.campaigns.robot_cases import is_robot, load_any
 from jointid.common.errors import JointFileError
 from jointid.common.text import listed as in_a_row
 from jointid.config import loads
@@ -89,6 +90,9 @@ class Campaign:
         asked = self.table.monte_carlo
         assert asked is not None
         text = read_text(self.folder / asked.joint)
+        if is_robot(text):
+            logged = self._named_record(asked.joint, asked.record)
+            return logged.joint_file, logged, tuple((name, float(value)) for name, value in asked.values.items())
         file = loads(text)
         known = {p.name: file.parameters.get(p.name, p).start for p in file.joint.parameters} | asked.values
         unknown = [name for name in asked.values if name not in {p.name for p in file.joint.parameters}]
@@ -107,6 +111,9 @@ class Campaign:
     def _of_resamples(self, changes: tuple[str, ...], asked: BootstrapTable) -> Iterator[Case]:
         logged = self._named_record(asked.joint, asked.record)
         text = logged.joint_file
+        if is_robot(text):
+            raise JointFileError(f"[bootstrap] draws the error of a joint's record; {asked.joint} is a robot file: use "
+                                 "[fleet] or [monte_carlo].")  # fmt: skip
         for number in range(asked.runs):
             drawn = Redrawn(asked.seed + number)
             yield Case(logged.joint, text, logged.address, logged.stamp, "", changes, drawn)
@@ -114,6 +121,9 @@ class Campaign:
     def _of_starts(self, changes: tuple[str, ...], asked: MultistartTable) -> Iterator[Case]:
         logged = self._named_record(asked.joint, asked.record)
         text = logged.joint_file
+        if is_robot(text):
+            raise JointFileError(f"[multistart] draws starts of a joint file; {asked.joint} is a robot file, whose "
+                                 "search begins by itself: use [fleet] or [monte_carlo].")  # fmt: skip
         given = {name: p.start for name, p in loads(text, changes=changes).parameters.items() if p.free and p.start}
         if not given:
             raise JointFileError(
@@ -166,4 +176,4 @@ def _check_changes(campaign: Campaign) -> None:
     if both := [key for key in campaign.table.sweep if key in own]:
         raise JointFileError(f"{in_a_row(both)} is set by [sweep] and by the fleet's table; leave one of them out.")
     for changes in campaign._combinations:
-        loads(first.joint_file, changes=(*first.settings, *changes))
+        load_any(first.joint_file, (*first.settings, *changes))

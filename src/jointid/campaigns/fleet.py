@@ -16,10 +16,10 @@ import numpy as np
 from jointid.campaigns.addresses import is_remote, listed, stamp_of
 from jointid.campaigns.campaign_tables import PLACEHOLDER, PLACEHOLDERS, FleetTable, unknown_placeholders
 from jointid.campaigns.fleet_table import FleetRow, RowFaults, read_fleet_table
+from jointid.campaigns.robot_cases import carried, load_any, record_of
 from jointid.common.errors import JointFileError, RecordError
 from jointid.common.text import counted
 from jointid.common.text import listed as in_a_row
-from jointid.config import loads
 from jointid.config.loading import read_text
 
 _NAMED = 5  # files or joints that a sentence names
@@ -181,7 +181,7 @@ class FleetRecords:
     def _text(self, folder: Path, joint: str, name: str) -> str:
         path = folder / joint.replace("{joint}", name)
         if path not in self._texts:
-            self._texts[path] = read_text(path)
+            self._texts[path] = carried(read_text(path), path.parent)
         return self._texts[path]
 
     def _match(self, pattern: str, folder: Path) -> Mapping[str, list[tuple[str, str, str]]]:
@@ -225,8 +225,8 @@ def named_record(joint: Path, record: Path | None, settings: tuple[str, ...] = (
         RecordError: the record is not there.
     """
     path = joint.absolute()
-    text = read_text(path)
-    named = loads(text, changes=settings).source.file if record is None else record
+    text = carried(read_text(path), path.parent)
+    named = record_of(text, settings) if record is None else record
     if named is None:
         raise JointFileError(f"{path} names no record; add file to its [record], or name records in this file.")
     place = path.parent / named
@@ -279,7 +279,7 @@ def _number(text: str) -> float | None:
 @lru_cache(maxsize=1024)
 def _faults(text: str, settings: tuple[str, ...]) -> tuple[str, ...]:
     try:
-        loads(text, changes=settings)
+        load_any(text, settings)
     except JointFileError as error:
         return error.faults
     return ()

@@ -16,6 +16,7 @@ import numpy as np
 from jointid import Estimate, JointFile, Record, __version__, simulated_record
 from jointid.campaigns.addresses import digest, fetched
 from jointid.campaigns.cases import Case, Redrawn, Simulated, Started
+from jointid.campaigns.robot_cases import identify_robot_case, is_robot
 from jointid.campaigns.rows import Found, Outcome, Row, finite
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError, RecordError
@@ -109,6 +110,8 @@ def _resample(case: Case, record: Record, record_sha256: str, path: Path, seed: 
 
 def _identify(case: Case, path: Path, record_sha256: str) -> dict[str, Any]:
     """Return the entries of a row that an estimate gives."""
+    if is_robot(case.joint_file):
+        return identify_robot_case(case, path)
     begun = case.varied.starts if isinstance(case.varied, Started) else ()
     changes = [f"parameters.{name}.start={value!r}" for name, value in begun]
     file = _joint_file(case.joint_file, (*case.settings, *case.changes, *changes))

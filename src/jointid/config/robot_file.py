@@ -47,7 +47,7 @@ _OF_JOINT = ("rotor_inertia", "viscous", "coulomb", "offset", "viscous_backwards
 
 FeedForward: TypeAlias = Literal["none", "gravity", "inverse-model", "logged"]
 Angles = Annotated[list[Number], Field(min_length=3, max_length=3), Says("a list of three numbers")]
-Couplings = Annotated[dict[str, Number], Says("a table of numbers by the joints' names")]
+NumbersByName = Annotated[dict[str, Number], Says("a table of numbers by names")]
 
 
 class RobotTable(Table):
@@ -78,7 +78,7 @@ class JointLimitsTable(Table):
     """joints.limits: what the joint may do in a test that is planned, behind its gear."""
 
 
-@keys_from(RobotJoint, types={"spring": (JointSpringTable, None), "coupling": (Couplings, dict)})
+@keys_from(RobotJoint, types={"spring": (JointSpringTable, None), "coupling": (NumbersByName, dict)})
 class RobotJointTable(Table):
     """[[joints]]: one joint, in the order in which they are reported; what is left out is as the model says it."""
 
@@ -105,7 +105,7 @@ class RobotJointTable(Table):
         return replace(joint, **given)
 
 
-@keys_from(RobotIDIM, RobotDIDIM)
+@keys_from(RobotIDIM, RobotDIDIM, types={"fixed": (NumbersByName, dict)})
 class RobotMethodTable(Table):
     """[method]: how the robot is identified; some keys are for one method only."""
 

@@ -241,9 +241,15 @@ def sum_over_frequencies(columns: FloatArray, weights: FloatArray) -> FloatArray
     return np.asarray(np.real((weights[:, np.newaxis] * spectra.conj()).T @ spectra))
 
 
-def robust(Z: FloatArray, J: FloatArray, error: FloatArray, series: Sequence[int] | None = None) -> Covariance:
-    """Return the larger of `sandwich` and `by_spectrum` in every direction; the arguments are theirs."""
-    return larger(sandwich(Z, J, error, series=series), by_spectrum(Z, J, error, series))
+def robust(
+    Z: FloatArray, J: FloatArray, error: FloatArray, series: Sequence[int] | None = None, equations: int = 1
+) -> Covariance:
+    """Return the larger of `sandwich` and `by_spectrum` in every direction; the arguments are theirs.
+
+    The spectrum of each of several equations of one record is its own: what they share is seen by `sandwich` alone.
+    """
+    own = [len(Z) // equations] * equations if equations > 1 else series
+    return larger(sandwich(Z, J, error, equations, series), by_spectrum(Z, J, error, own))
 
 
 def larger(first: Covariance, second: Covariance) -> Covariance:

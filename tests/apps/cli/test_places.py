@@ -56,6 +56,7 @@ COMMANDS = (
     "diagnose springs joint.toml --json record.csv",
     "diagnose friction joint.toml --json record.csv",
     "doctor joint.toml --json record.csv",
+    "payload joint.toml --without record.csv --with other.csv --json other.csv",
     "design joint.toml --json record.csv",
 )
 
@@ -229,6 +230,7 @@ OUTPUTS: dict[str, tuple[str, dict[str, str]]] = {
     "doctor": ("joint.toml", {"--json": "x.json"}),
     "export": ("joint.toml --estimate estimate.json", {"--out": "x.urdf"}),
     "identify": ("joint.toml", {"--json": "x.json", "--figure": "x.png"}),
+    "payload": ("joint.toml --without a.csv --with b.csv", {"--json": "x.json"}),
     "report": ("joint.toml", {"--html": "x.html", "--json": "x.json", "--markdown": "x", "--figures": "."}),
     "reproduce": ("", {"--out": "x"}),
     "serve": ("", {"--folder": "x"}),
@@ -242,6 +244,9 @@ OUTPUTS: dict[str, tuple[str, dict[str, str]]] = {
 """Where every command writes, and what else it is given."""
 _READ = {
     "JOINT",
+    "ROBOT",
+    "--without",
+    "--with",
     "CAMPAIGN",
     "RESULTS",
     "--shared",

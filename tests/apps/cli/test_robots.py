@@ -12,8 +12,9 @@ import pytest
 from jointid.apps.cli.app import app
 from jointid.common.errors import MethodError
 from jointid.config.robot_model import load_robot
+from jointid.models.robots.inertial import MassProperties
 from jointid.output.export.robot_model import robot_mjcf
-from tests.estimation.robots.twin import arm, records_of
+from tests.estimation.robots.twin import arm, records_of, with_payload
 
 pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
 
@@ -37,8 +38,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (place / "arm.xml").write_text(robot_mjcf(replace(truth, links=links, joints=joints))[0], encoding="utf-8")
     text = HEAD + "".join(f'[[joints]]\nname = "joint{k}"\n' for k in range(1, 7))
     (place / "robot.toml").write_text(text, encoding="utf-8")
-    for name, seed in (("one.csv", 2), ("two.csv", 9)):
-        records = records_of(truth, seed, noise=0.2)
+    carrying = with_payload(truth, MassProperties(3.0, np.array([0.02, -0.03, 0.08]), 0.01 * np.eye(3)).inertial)
+    for name, seed, robot in (("one.csv", 2, truth), ("two.csv", 9, truth), ("loaded.csv", 12, carrying)):
+        records = records_of(robot, seed, noise=0.2)
         columns = [channel.values for r in records for channel in (r.torque, r.motor_position) if channel is not None]
         header = ",".join(f"tau{k},q{k}" for k in range(1, 7))
         np.savetxt(place / name, np.column_stack(columns), fmt="%.9g", delimiter=",", header=header, comments="")
@@ -121,3 +123,19 @@ def test_options_of_a_joint_file_are_refused(folder: Path, tmp_path: Path) -> No
     (tmp_path / "joint.toml").write_text('[joint]\nkind = "revolute"\n', encoding="utf-8")
     with pytest.raises(MethodError, match="expected --estimate FILE"):
         run("export", tmp_path / "joint.toml", "--out", tmp_path / "a.xml")
+
+
+def test_payload(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    joint, found = folder / "robot.toml", tmp_path / "found.json"
+    records = "--without", folder / "one.csv", "--with", folder / "loaded.csv"
+    run("payload", joint, *records, "--json", found)
+    assert "The payload weighs 3.0" in " ".join(capsys.readouterr().out.split())
+    answer = json.loads(found.read_text(encoding="utf-8"))
+    mass = answer["parameters"]["mass"]
+    assert answer["link"] == "link6" and answer["ways_agree"] and mass["unit"] == "kg"
+    assert mass["value"] == pytest.approx(3.0, rel=0.01) == mass["by_difference"]
+    # The file says torques, so a payload of the known mass finds that they are.
+    run("payload", joint, *records, "--mass", "3", "--json", found)
+    assert "Gains of the drives" in capsys.readouterr().out
+    gains = json.loads(found.read_text(encoding="utf-8"))["gains"]
+    assert all(abs(one["value"] - 1) < 3.5 * one["std"] < 0.05 for one in gains.values())

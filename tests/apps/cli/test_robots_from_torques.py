@@ -106,6 +106,22 @@ def test_six_rigid_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "The estimate predicts this record better than the nominal model" in capsys.readouterr().out
 
 
+def test_instruments_and_a_parameter_that_is_known(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_files(tmp_path, two(), 4.0)
+    joint, one, found = tmp_path / "robot.toml", tmp_path / "one.csv", tmp_path / "found.json"
+    text = joint.read_text(encoding="utf-8")
+    text = text.replace("[record.channels]", '[record.channels]\nmotor_position = { column = "q{axis}" }')
+    joint.write_text(text + '\n[method]\nname = "idim"\nestimator = "iv"\nfixed = { Fv2 = 1.2 }\n', "utf-8")
+    run("simulate", joint, "--out", one)
+    logged(tmp_path, "one.csv", 0.01, 5)
+    run("identify", joint, "--record", one, "--json", found)
+    assert "instruments from simulations of the closed loop" in " ".join(capsys.readouterr().out.split())
+    answer = json.loads(found.read_text(encoding="utf-8"))
+    assert answer["parameters"]["Fv2"] == answer["parameters"]["Fv2"] | {"value": 1.2, "std": 0.0}
+    row = answer["parameters"]["Fc1"]
+    assert abs(row["value"] - 4.0) < 4 * row["std"] < 0.4
+
+
 def test_two_flexible_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     twin = two((9.0, 16.0))
     write_files(tmp_path, twin, 6.0, multisine=0.01)
@@ -167,6 +183,8 @@ def test_what_is_refused(tmp_path: Path) -> None:
     joint = tmp_path / "robot.toml"
     with pytest.raises(MethodError, match="--method is for a joint file; a robot file says it itself"):
         run("identify", joint, "--method", "idim")
+    with pytest.raises(MethodError, match="weighed by IDIM, from motor positions and torques"):
+        run("payload", joint, "--without", tmp_path / "references.csv", "--with", tmp_path / "others.csv")
     with pytest.raises(JointFileError, match=r"method\.estimator is a setting of another method than didim"):
         run("identify", joint, "--set", "method.name=didim", "--set", "method.estimator=ols")
     text = joint.read_text(encoding="utf-8")

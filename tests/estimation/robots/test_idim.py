@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError, RecordError
+from jointid.estimation.robots.consistent import consistent_robot
 from jointid.estimation.robots.idim import RobotIDIM, identify_robot
 from jointid.estimation.robots.validation import RobotValidation, validate_robot
+from jointid.records.record import Record
+from jointid.simulation.robots import RobotLoop
+from tests.estimation.robots.test_rigid_robots import recorded
 from tests.estimation.robots.twin import COULOMB, OFFSETS, VISCOUS, arm, records_of
+from tests.robots_plants import two
 
 ARM = arm()
 FRICTION = np.column_stack([VISCOUS, COULOMB, OFFSETS]).ravel()
@@ -35,6 +41,18 @@ def test_intervals_hold_the_truth_and_weights_help_the_wrist() -> None:
     plain = identify_robot(ARM, records, RobotIDIM("ols"))
     last = [i for i, name in enumerate(found.names) if name.endswith("6")]
     assert np.mean(found.covariance.std[last] / plain.covariance.std[last]) < 0.6
+
+
+def test_intervals_hold_where_there_is_little_noise() -> None:
+    """Samples about reversals are left out: with them hardly any interval of a Coulomb friction would hold."""
+    off = []
+    for seed in range(10, 14):
+        found = identify_robot(ARM, records_of(ARM, seed, noise=0.01))
+        off.append((found.values - truth(found.base)) / found.covariance.std)
+    inside = np.abs(off) < 2
+    assert 0.91 < np.mean(inside) < 0.99
+    for first in (18, 17):  # Fv, Fc
+        assert np.mean(inside[:, -first::3]) > 0.85
 
 
 def test_outliers_do_not_reach_the_robust_estimate() -> None:
@@ -70,6 +88,47 @@ def test_a_worse_estimate_says_so_first() -> None:
     assert "predict better than these: 5 %" in said
 
 
+@pytest.mark.parametrize("estimator", ["ols", "weighted", "robust"])
+def test_a_parameter_that_is_known_is_kept_and_helps_the_others(
+    estimator: Literal["ols", "weighted", "robust"],
+) -> None:
+    records = records_of(ARM, 2, noise=0.5)
+    free, kept = (identify_robot(ARM, records, RobotIDIM(estimator, one)) for one in ({}, {"Fv4": VISCOUS[3]}))
+    at, beside = free.names.index("Fv4"), free.names.index("Fc4")
+    assert kept.values[at] == VISCOUS[3] != free.values[at]
+    assert kept.covariance.std[at] == 0
+    assert kept.covariance.std[beside] < 0.8 * free.covariance.std[beside]
+    assert consistent_robot(kept).robot.joints[3].viscous == pytest.approx(VISCOUS[3], rel=1e-3)
+
+
+def noisy(seed: int) -> tuple[RobotLoop, tuple[Record, ...]]:
+    """Return two joints under their controllers, and what their drives log of positions with much noise."""
+    twin = two()
+    loop, random = twin.loop(), np.random.default_rng(seed)
+    made = []
+    for record in recorded(loop, twin.records(8.0, seed=seed), 0.03, seed)[0]:
+        assert record.motor_position is not None
+        seen = record.motor_position.values
+        seen = seen + random.normal(0.0, 2e-4, seen.size)
+        made.append(replace(record, motor_position=replace(record.motor_position, values=seen)))
+    return loop, tuple(made)
+
+
+def test_instruments_from_the_loop_are_free_of_the_positions_noise() -> None:
+    """Least squares are off by many deviations where positions are noisy, all one way; instruments are not."""
+    off: dict[str, list[np.ndarray]] = {"weighted": [], "iv": []}
+    for seed in range(1, 5):
+        loop, records = noisy(seed)
+        for name, found in off.items():
+            estimate = identify_robot(loop.robot, records, RobotIDIM(name), loop=loop)  # type: ignore[arg-type]
+            assert estimate.converged
+            found.append((estimate.values - estimate.base.with_friction(loop.robot)) / estimate.covariance.std)
+    mean = {name: np.mean(found, axis=0) for name, found in off.items()}
+    assert np.abs(mean["weighted"]).max() > 5
+    assert np.abs(mean["iv"]).max() < 2
+    assert np.mean(np.abs(off["iv"]) < 2) > 0.85
+
+
 def test_coupled_motors() -> None:
     joints = (*ARM.joints[:5], replace(ARM.joints[5], coupling={"joint5": -0.3}))
     robot = replace(ARM, joints=joints)
@@ -93,8 +152,12 @@ def test_what_is_refused() -> None:
         identify_robot(ARM, records[:5])
     with pytest.raises(RecordError, match=r"joint1: .*motor_position"):
         identify_robot(ARM, (replace(records[0], motor_position=None), *records[1:]))
-    with pytest.raises(MethodError, match='estimator is "iv"'):
-        RobotIDIM("iv")  # type: ignore[arg-type]
+    with pytest.raises(MethodError, match='estimator is "tls"'):
+        RobotIDIM("tls")  # type: ignore[arg-type]
+    with pytest.raises(MethodError, match="expected a controller of each joint"):
+        identify_robot(ARM, records, RobotIDIM("iv"))
+    with pytest.raises(MethodError, match='A name in fixed is "Ia1"; expected'):
+        identify_robot(ARM, records, RobotIDIM(fixed={"Ia1": 2.0}))
     still = replace(records[5], motor_position=replace(records[5].motor_position, values=np.zeros(5001)))
     with pytest.raises(MethodError, match=r"Nothing in this record excites|cannot be told apart"):
         identify_robot(ARM, (*records[:5], still))

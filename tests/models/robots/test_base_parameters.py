@@ -58,9 +58,22 @@ def test_base_columns_and_parameters_give_the_torque(seed: int) -> None:
     torque += robot.of_joints("rotor_inertia") * a
     columns = inverse_columns(robot, q, v, a)
     assert columns @ standard_values(robot) == pytest.approx(torque, rel=1e-9, abs=1e-9)
-    assert columns[:, :, base.chosen] @ base.of(robot) == pytest.approx(torque, rel=1e-7, abs=1e-7)
-    rank = np.linalg.matrix_rank(columns.reshape(300, -1) / np.linalg.norm(columns.reshape(300, -1), axis=0).clip(1e-9))
-    assert len(base) == rank
+    constant = base.offsets @ standard_values(robot)
+    assert columns[:, :, base.chosen] @ base.of(robot) + constant == pytest.approx(torque, rel=1e-7, abs=1e-7)
+    whole = np.column_stack([columns.reshape(300, -1), np.tile(np.eye(6), (50, 1))])  # with the motors' offsets
+    assert len(base) + 6 == np.linalg.matrix_rank(whole / np.linalg.norm(whole, axis=0).clip(1e-9))
+
+
+def test_the_rotor_of_a_slide_that_always_points_the_same_way_joins_its_mass_and_its_offset() -> None:
+    arm = chain(3)
+    links = (
+        replace(arm.links[0], kind="prismatic", axis=np.array([0.0, 0.0, 1.0]), rotation=np.eye(3)),
+        *arm.links[1:],
+    )
+    base = base_parameters(replace(arm, links=links))
+    assert base.offset_formulas[0] == "offset1 - Ia1 * 9.810"
+    assert base.offset_formulas[1:] == ("offset2", "offset3")
+    assert dict(zip(base.symbols, base.formulas, strict=True))["m1"] == "m1 + m2 + m3 + Ia1"
 
 
 def test_a_coupled_motor_turns_with_both_joints() -> None:

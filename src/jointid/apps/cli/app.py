@@ -29,6 +29,7 @@ from jointid.apps.cli.diagnose import friction, intervals, loop, methods, robot,
 from jointid.apps.cli.identify import controller, doctor, identify, tune
 from jointid.apps.cli.plan import design
 from jointid.apps.cli.results import compare, export, report, validate
+from jointid.apps.cli.robots import payload
 from jointid.apps.cli.serve import serve
 from jointid.apps.cli.simulate import demo, reproduce, simulate
 from jointid.common.errors import JointidError, RecordError
@@ -53,7 +54,7 @@ campaign = App(name="campaign", help="Many joints and many runs, here or on a cl
 for parent, commands in (
     (app, (demo, doctor, identify, validate, report, compare)),
     (diagnose, (methods, springs, friction, intervals, loop, sensors)),
-    (app, (diagnose, controller, tune, design, simulate, export, data, campaign, serve, reproduce)),
+    (app, (diagnose, controller, tune, design, simulate, export, payload, data, campaign, serve, reproduce)),
     (data, (inspect, convert)),
     (campaign, (campaigns.run, campaigns.work, campaigns.status, campaigns.report, campaigns.export)),
 ):

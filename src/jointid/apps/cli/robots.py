@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from jointid.apps.cli.console import Options, deliver, make_folder, show
+from cyclopts import Parameter
+
+from jointid.apps.cli.console import Changes, Options, deliver, make_folder, show
 from jointid.apps.cli.places import Outputs
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, silent
@@ -151,6 +153,49 @@ def report_robot_file(
     show("\nWritten: " + ", ".join(map(str, written)))
 
 
+def payload(
+    robot: Path,
+    /,
+    *,
+    without: Path,
+    with_: Annotated[Path, Parameter(name="--with")],
+    mass: float | None = None,
+    changes: Changes = (),
+    json: Path | None = None,
+) -> None:
+    """Weigh what a robot carries: mass, centre and inertia, from a record without it and one with it.
+
+    Of a payload whose mass is known, --mass asks for the gains of the drives instead: what each joint's torque, or its
+    current, as the robot file reads it, is to be multiplied with.
+
+    Args:
+        robot: the robot file (TOML), which has the table [robot].
+        without: the record without the payload.
+        with_: the record with it, of the same or another motion.
+        mass: of the payload as it was weighed, kg.
+        changes: a key of the robot file and its value, as method.estimator=robust; may be given several times.
+        json: also write the answer as JSON to this file.
+    """
+    from jointid.estimation.robots.drive_gains import identify_drive_gains
+    from jointid.estimation.robots.idim import RobotIDIM
+    from jointid.estimation.robots.weighing import weigh_payload
+
+    outputs = Outputs({"--json": json})
+    outputs.spare("--without", without)
+    outputs.spare("--with", with_)
+    file = _loaded(robot, changes, outputs)
+    if not isinstance(file.method, RobotIDIM):
+        raise MethodError(
+            "A payload is weighed by IDIM, from motor positions and torques, and this robot file asks for DIDIM; add "
+            "--set method.name=idim, with records that have them."
+        )
+    empty, loaded = file.records(without), file.records(with_)
+    if mass is None:
+        deliver(weigh_payload(file.robot, empty, loaded, file.method, filtering=file.filtering), json)
+    else:
+        deliver(identify_drive_gains(file.robot, empty, loaded, {"m": mass}, filtering=file.filtering), json)
+
+
 def export_robot_file(path: Path, changes: Sequence[str], out: Path) -> None:
     """Identify a robot from the record that its file names, and write bodies that fit, as URDF or MJCF."""
     from jointid.common.files import write_whole
@@ -237,8 +282,9 @@ def _identified(
 
     file = _loaded(path, changes, outputs, record)
     if isinstance(file.method, RobotIDIM):
-        records = file.records(record)
-        return file, records, identify_robot(file.robot, records, file.method, filtering=file.filtering)
+        simulates = file.method.estimator == "iv"
+        records, loop = (file.driven(record), file.loop) if simulates else (file.records(record), None)
+        return file, records, identify_robot(file.robot, records, file.method, filtering=file.filtering, loop=loop)
     records = file.driven(record)
     found = identify_robot_from_torques(file.loop, records, file.method, filtering=file.filtering, progress=progress)
     return file, records, found

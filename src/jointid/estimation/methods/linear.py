@@ -39,6 +39,7 @@ from jointid.simulation.closed_loop import Initial, Outcome, simulate
 from jointid.simulation.loop_input import prepare
 from jointid.solvers.regression import Fit, least_squares
 from jointid.uncertainty.covariance import Covariance, sandwich, with_bands
+from jointid.uncertainty.covariance import robust as robust_covariance
 from jointid.uncertainty.model_tests import ChiSquareTest, durbin_wu_hausman
 
 _PULL = 10.0  # deviations in units of which the pull of a homogeneous equation stays below one
@@ -109,6 +110,8 @@ def _covariance(rows: Rows, Z: FloatArray, J: FloatArray, error: FloatArray) -> 
 
     That equation has no torque, and so hardly any noise: what it leaves is what the model lacks, and repeats.
     """
+    if rows.driven > 1:  # the motors of a robot
+        return robust_covariance(Z, J, error, equations=rows.equations)
     found = sandwich(Z, J, error, rows.equations)
     if rows.equations == rows.driven:
         return found
@@ -215,7 +218,7 @@ def simulated_instruments(
 
 
 def by_instruments(rows: Rows, instruments: Instruments, kept: FloatArray, free: Sequence[int]) -> Solution:
-    """Return the fixed point of simulating and solving, from ordinary least squares.
+    """Return the fixed point of simulating and solving, from ordinary least squares, of several motors weighted.
 
     Args:
         rows: the regression of the free parameters.
@@ -226,7 +229,7 @@ def by_instruments(rows: Rows, instruments: Instruments, kept: FloatArray, free:
     Raises:
         MethodError: a simulation fails, or the instruments do not determine the parameters.
     """
-    solution, chosen = ordinary(rows), list(free)
+    solution, chosen = ordinary(rows) if rows.driven == 1 else weighted(rows), list(free)
     trace = [_line(0, rows, solution, None, None)]
     Z = rows.W
     for number in range(1, _SIMULATIONS + 1):

@@ -1,4 +1,4 @@
-"""Where a mass rests: there friction takes what it must, and the inverse model's ``Fc sign(v)`` does not hold."""
+"""Where a mass rests or turns round: friction takes what it must there, and ``Fc sign(v)`` does not hold."""
 
 from __future__ import annotations
 
@@ -27,4 +27,21 @@ def moving_weights(velocity: FloatArray, long: int = _LONG, reach: int = _REACH)
     for start, end in zip(edges[::2], edges[1::2], strict=True):
         if end - start >= long:
             weights[max(start - reach, 0) : end + reach] = 0.0
+    return weights
+
+
+def turning_weights(velocity: FloatArray, reach: int = _REACH) -> FloatArray:
+    """Return 0 for the samples about each at which a mass turns round, and 1 for the others.
+
+    The sign of a filtered velocity changes some samples before or after the mass did, so rows there are off by up to
+    twice the Coulomb friction, every time alike: far more than the noise of many a record.
+
+    Args:
+        velocity: (samples,).
+        reach: samples on each side.
+    """
+    sign = np.sign(velocity)
+    weights = np.ones(sign.size)
+    for after in np.flatnonzero(sign[1:] != sign[:-1]) + 1:
+        weights[max(after - reach, 0) : after + reach] = 0.0
     return weights

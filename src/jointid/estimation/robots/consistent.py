@@ -66,7 +66,13 @@ def consistent_robot(estimate: RobotEstimate, prior: Robot | None = None, spread
     sizes = np.maximum(rotors0, 0.1 * np.diag(mass_matrix_at(prior, np.zeros(n))))
     whiten = _whitening(estimate)
     friction = estimate.values[len(base) :]
-    of_friction = len(friction)
+    sums = np.block(
+        [
+            [base.grouping, np.zeros((len(base), friction.size))],
+            [np.zeros((friction.size, 11 * n)), np.eye(friction.size)],
+        ]
+    )
+    sums[len(base) + 2 :: 3, : 11 * n] = base.offsets
 
     def unpack(x: FloatArray) -> tuple[FloatArray, FloatArray]:
         bodies = [from_log_cholesky(theta) for theta in x[: 10 * n].reshape(n, 10)]
@@ -79,17 +85,15 @@ def consistent_robot(estimate: RobotEstimate, prior: Robot | None = None, spread
 
     def residual(x: FloatArray) -> FloatArray:
         standard, _ = unpack(x)
-        off = np.concatenate([base.grouping @ standard, x[11 * n :]]) - estimate.values
+        off = sums @ np.concatenate([standard, x[11 * n :]]) - estimate.values
         near = np.concatenate([(x[: 10 * n] - theta0) / scales, (x[10 * n : 11 * n] - rotors0) / sizes]) / spread
         return np.concatenate([whiten @ off, near])
 
     def jacobian(x: FloatArray) -> FloatArray:
         _, slopes = unpack(x)
         found = np.zeros((len(whiten) + 11 * n, x.size))
-        of_values = np.zeros((len(estimate.values), x.size))
-        of_values[: len(base), : 11 * n] = base.grouping @ slopes
-        of_values[len(base) :, 11 * n :] = np.eye(of_friction)
-        found[: len(whiten)] = whiten @ of_values
+        found[: len(whiten), : 11 * n] = whiten @ sums[:, : 11 * n] @ slopes
+        found[: len(whiten), 11 * n :] = whiten @ sums[:, 11 * n :]
         found[len(whiten) :, : 11 * n] = np.diag(1 / np.concatenate([scales, sizes])) / spread
         return found
 
@@ -153,6 +157,7 @@ def _prior_bodies(prior: Robot) -> tuple[FloatArray, FloatArray]:
 
 def _whitening(estimate: RobotEstimate) -> FloatArray:
     """Return what takes errors of the estimate to independent ones of deviation 1."""
-    std = np.maximum(estimate.covariance.std, 1e-300)
+    std = estimate.covariance.std
+    std = np.where(std > 0, std, np.min(std[std > 0], initial=1.0))  # a fixed one is kept as well as the best known
     values, vectors = np.linalg.eigh(estimate.covariance.correlation)
     return np.asarray((vectors / np.sqrt(np.maximum(values, _FLOOR * values[-1]))).T / std)

@@ -47,7 +47,7 @@ from jointid.records.signals.filtering import (
     window_torque,
 )
 from jointid.simulation.robots import MassMotion, RobotLoop, RobotOutcome, RobotRun
-from jointid.uncertainty.covariance import Covariance, sandwich
+from jointid.uncertainty.covariance import Covariance, robust
 
 _SETTLED = 0.02  # standard deviations: the largest change of a parameter that ends the search
 _EXACT = 1e-6  # of the torques: an error that the simulation itself may have
@@ -193,7 +193,7 @@ def conclude(
     Z = J if by_slopes else problem.regressor(run)
     problem = problem.weighted(joint_sizes(problem, error, x.size, floor))
     weights = problem.weights(error.size)
-    covariance = sandwich(
+    covariance = robust(
         Z * weights[:, np.newaxis], J * weights[:, np.newaxis], error * weights, equations=problem.sigma.size
     )
     of_values = np.where(problem.parameters.logarithmic, problem.parameters.values(x), 1.0)

@@ -1,10 +1,10 @@
 """DIDIM of a robot with flexible joints: rotors, springs, friction on both sides and the links, from torques alone.
 
 A robot of rigid joints is identified first. It fixes sums: of both sides' friction, of rotor and link. These are split,
-each spring is begun at a frequency, given or the best of a row of them with the other joints stiff, and the torque
-error of all joints is made least by Levenberg and Marquardt's steps with derivatives by variation
-(`solvers.bounded_least_squares`), rotors' inertias and stiffnesses on a logarithmic scale. The joints weigh by their
-errors, which are estimated twice.
+what it says of each by how well it knows it; each spring is begun at a frequency, given or the best of a row of them
+with the other joints stiff, and the torque error of all joints is made least by Levenberg and Marquardt's steps with
+derivatives by variation (`solvers.bounded_least_squares`), rotors' inertias and stiffnesses on a logarithmic scale. The
+joints weigh by their errors, which are estimated twice.
 
 Whether a record shows a spring is asked of each joint alone, by its compliance c = 1/K, in which a rigid joint is not
 at infinity but at 0: it is shown where c is more than four of its standard deviations above 0, with the spring not at
@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress
 from jointid.common.parameters import Parameter
@@ -41,6 +41,8 @@ _BELOW = 4.0  # Hz: below the modes, where a robot is as good as rigid
 _POSES = 40  # along the references, over which inertias are averaged
 _SHARE = 0.5  # of the inertia about a joint, at most, that its rotor begins with
 _ROOM = 0.6  # of what the rotors can take before the links' mass matrix is not positive
+_SPREADS = (1.0, 0.3, 0.1, 0.03, 0.01)  # of the inertia about a joint: how far its rotor may be from what is wanted
+_FLOOR = 1e-10  # of the largest variance of a correlation: rounding
 _LIGHTEST = 0.05  # of the inertia about a joint: a rotor that a search begins with
 _DAMPING = 0.03  # of critical, of the springs a search begins with
 _MODES = tuple(5.0 * 1.25**i for i in range(10))  # Hz: 5 to 37, the row in which a frequency is looked for
@@ -218,18 +220,35 @@ class _Start:
 
     @classmethod
     def of(cls, problem: RobotProblem, rigid: RobotFit, names: tuple[str, ...]) -> _Start:
-        """Split a rigid robot: friction in halves, rotors as large as the links' mass matrix lets them be."""
-        parameters, numbers = problem.parameters, problem.parameters.base
+        """Split a rigid robot: friction in halves, rotors as large as the links' mass matrix lets them be.
+
+        Of the rotors that the rigid robot tells apart from their links some it hardly knows, and with these as they are
+        the links' mass matrix may not be positive. So what is taken for granted of the rotors is more and more, until
+        the robot can be simulated on stiff springs.
+        """
+        numbers = problem.parameters.base
         whole = rigid.parameters.numbers(rigid.values)
         poses = problem.experiment.references
-        poses = poses[:: max(len(poses) // _POSES, 1)]
-        masses = [_mass_matrix(problem, whole, pose) for pose in poses]
-        about = np.mean([np.diag(M) for M in masses], axis=0)
-        root = 1.0 / np.sqrt(about)
-        taken = min(float(np.linalg.eigvalsh(M * np.outer(root, root))[0]) for M in masses)
-        rotors = np.where(numbers.flexible, min(_SHARE, _ROOM * taken) * about, 0.0)
-        split, rotors = _split(parameters, rigid, numbers, rotors, _LIGHTEST * about)
-        return cls(problem, names, split, rotors, np.maximum(about - rotors, _LIGHTEST * about))
+        masses = np.array([_mass_matrix(problem, whole, pose) for pose in poses[:: max(len(poses) // _POSES, 1)]])
+        about = np.mean(np.diagonal(masses, axis1=1, axis2=2), axis=0)
+        # Of a matrix M that is positive M - diag(r) is, too, for r up to this share of what each joint feels alone.
+        alone = np.min(1.0 / np.diagonal(np.linalg.inv(masses), axis1=1, axis2=2), axis=0)
+        root = 1.0 / np.sqrt(np.outer(alone, alone))
+        taken = min(float(np.linalg.eigvalsh(M * root)[0]) for M in masses)
+        wanted = np.where(numbers.flexible, np.minimum(_SHARE * about, _ROOM * taken * alone), 0.0)
+        for spread in _SPREADS:
+            split, rotors = _split(problem.parameters, rigid, numbers, wanted, spread * about, _LIGHTEST * about)
+            start = cls(problem, names, split, rotors, np.maximum(about - rotors, _LIGHTEST * about))
+            x = problem.parameters.searched(start.values(start.stiff))
+            if problem.run(x, keep=False).outcome is RobotOutcome.FINISHED:
+                break
+        return start
+
+    @property
+    def stiff(self) -> dict[str, float]:
+        """Frequencies of the flexible joints, Hz, with which they are as good as rigid."""
+        flexible = np.flatnonzero(self.problem.parameters.base.flexible)
+        return {self.names[i]: _STIFF / self.problem.sample_time for i in flexible}
 
     def values(self, hertz: Mapping[str, float]) -> FloatArray:
         """Return all parameters with springs of these frequencies, (parameters,)."""
@@ -243,9 +262,8 @@ class _Start:
 
     def search(self, progress: Progress) -> dict[str, float]:
         """Return for each flexible joint the frequency, of a row, that explains the torques best, the others stiff."""
-        flexible = [self.names[i] for i in np.flatnonzero(self.problem.parameters.base.flexible)]
-        stiff = dict.fromkeys(flexible, _STIFF / self.problem.sample_time)
-        tried = [(name, f) for name in flexible for f in _MODES if f < stiff[name]]
+        stiff = self.stiff
+        tried = [(name, f) for name in stiff for f in _MODES if f < stiff[name]]
         brief = self.problem.begun(_LOOKED)  # a frequency is told by a few of its periods
 
         def cost(one: tuple[str, float]) -> float:
@@ -254,7 +272,7 @@ class _Start:
 
         costs = in_threads(cost, tried)
         best = {}
-        for name in flexible:
+        for name in stiff:
             own = [(c, f) for c, (joint, f) in zip(costs, tried, strict=True) if joint == name]
             best[name] = min(own)[1]
             progress(f"{name}: its mode is looked for from {best[name]:.3g} Hz")
@@ -272,12 +290,26 @@ def _mass_matrix(problem: RobotProblem, numbers: RobotNumbers, pose: FloatArray)
 
 
 def _split(
-    parameters: RobotParameters, rigid: RobotFit, numbers: RobotNumbers, rotors: FloatArray, lightest: FloatArray
+    parameters: RobotParameters,
+    rigid: RobotFit,
+    numbers: RobotNumbers,
+    wanted: FloatArray,
+    spread: FloatArray,
+    lightest: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the parameters that move as the rigid robot does with stiff springs, and their rotors, (n,).
 
-    Of all that do, those nearest to the given rotors. A rotor that is a joint's own in the rigid robot is not free.
+    Least squares of what the rigid robot's parameters say, each as well as it is known, and of the wanted rotors.
+
+    Args:
+        parameters: of the flexible robot.
+        rigid: what was found of the rigid one.
+        numbers: of the flexible robot.
+        wanted: (n,) rotors.
+        spread: (n,) of these.
+        lightest: (n,) rotors that are not gone below.
     """
+    rotors = wanted.copy()
     known = dict(zip(rigid.parameters.places, rigid.values, strict=True))
     joint_of = {int(row): j for j, row in enumerate(numbers.rotors)}
     values = np.zeros(len(parameters.places))
@@ -299,14 +331,25 @@ def _split(
     for i, c in enumerate(inertial):
         place = parameters.places[c]
         if place.of is NumberOf.MASS:
-            began[i] = rotors[joint_of[place.row]]
+            began[i] = wanted[joint_of[place.row]]
             place = NumberPlace(NumberOf.MASS, joint_of[place.row], 0)
         if place in kept:
             weights[kept.index(place), i] = 1.0
         else:
             weights[:, i] = rigid.parameters.grouping[:, dropped.index(place)]
     felt = np.any(weights != 0.0, axis=1)
-    found = began + np.linalg.lstsq(weights[felt], rigid.values[felt] - weights[felt] @ began, rcond=None)[0]
+    std, correlation = rigid.covariance.std[felt], rigid.covariance.correlation[np.ix_(felt, felt)]
+    sizes, directions = np.linalg.eigh(correlation)
+    whiten = (directions / np.sqrt(np.maximum(sizes, _FLOOR * sizes[-1]))).T / np.maximum(std, 1e-300)
+    places = [parameters.places[c] for c in inertial]
+    mine = [i for i, place in enumerate(places) if place.of is NumberOf.MASS]
+    near = np.zeros((len(mine), len(inertial)))
+    near[np.arange(len(mine)), mine] = [1.0 / spread[joint_of[places[i].row]] for i in mine]
+    left = rigid.values[felt] - weights[felt] @ began
+    rows = np.vstack([whiten @ weights[felt], near])
+    norms = column_norms(rows)
+    target = np.concatenate([whiten @ left, np.zeros(len(mine))])
+    found = began + np.linalg.lstsq(rows / norms, target, rcond=None)[0] / norms
     for i, c in enumerate(inertial):
         place = parameters.places[c]
         values[c] = found[i]

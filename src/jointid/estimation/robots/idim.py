@@ -4,6 +4,9 @@ The rows of all joints share their instants, and their errors differ in size by 
 joint's rows are divided by the size of its own error, again until that settles [Gautier 1997, who takes it once].
 Least squares without weights ("ols") lets the large joints decide the wrist's parameters.
 
+Noise of the positions pulls least squares towards 0. Instruments ("iv") are free of it: the columns on the motion that
+the robot makes under its controllers with the values found last, until these settle (`instruments`).
+
 Beside it stand the model's own masses, with friction fitted as the estimate's was: an opponent without friction would
 be none.
 """
@@ -11,7 +14,7 @@ be none.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -19,9 +22,19 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented, Facts, Heading, Listing, Paragraph, Table
 from jointid.common.errors import MethodError
-from jointid.common.settings import check_settings, documented, setting
+from jointid.common.messages import no_choice
+from jointid.common.settings import check_settings, declare, documented, setting
 from jointid.common.text import interval, number
-from jointid.estimation.methods.linear import Rows, Solution, ordinary, robust, weighted
+from jointid.estimation.methods.linear import (
+    Instruments,
+    Rows,
+    Solution,
+    by_instruments,
+    ordinary,
+    robust,
+    weighted,
+)
+from jointid.estimation.robots.instruments import robot_instruments
 from jointid.estimation.robots.regression import (
     base_rows,
     motion_of_robot,
@@ -31,6 +44,7 @@ from jointid.models.robots.base_parameters import BaseParameters, base_parameter
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
+from jointid.simulation.robots import RobotLoop
 from jointid.uncertainty.covariance import Covariance
 
 _KNOWN = 0.1  # relative deviation: a parameter that is known better is told by the record
@@ -39,6 +53,7 @@ _WORDS = {
     "ols": "ordinary least squares",
     "weighted": "least squares, each joint by the size of its error",
     "robust": "robust least squares (Tukey's bisquare), each joint by the size of its error",
+    "iv": "instruments from simulations of the closed loop, each joint by the size of its error",
 }
 
 
@@ -47,18 +62,65 @@ _WORDS = {
 class RobotIDIM:
     """Settings of IDIM of a robot."""
 
-    estimator: Literal["ols", "weighted", "robust"] = setting(
-        "weighted", "ordinary least squares, each joint weighed by the size of its error, or robust beside that"
+    estimator: Literal["ols", "weighted", "robust", "iv"] = setting(
+        "weighted",
+        "ordinary least squares, each joint weighed by the size of its error, robust beside that, or by instruments "
+        "from simulations under the controllers",
+    )
+    fixed: Mapping[str, float] = field(
+        default_factory=dict, metadata=declare("by the symbols of parameters what they are known to be")
     )
 
     def __post_init__(self) -> None:
         check_settings(self)
 
-    def solve(self, rows: Rows) -> Solution:
-        """Return the solution; one joint has nothing to weigh."""
+    def solve(self, rows: Rows, instruments: Instruments | None = None) -> Solution:
+        """Return the solution of all parameters, the fixed ones' deviations 0; one joint has nothing to weigh.
+
+        Args:
+            rows: of all parameters.
+            instruments: from `robot_instruments`, of "iv" alone.
+
+        Raises:
+            MethodError: a fixed parameter is none, or the rows do not determine the others.
+        """
+        for name in self.fixed:
+            if name not in rows.names:
+                raise MethodError(f"A name in fixed{no_choice(name, rows.names)}")
+        kept = np.array([self.fixed.get(name, 0.0) for name in rows.names])
+        free = [i for i, name in enumerate(rows.names) if name not in self.fixed]
+        if not free:
+            raise MethodError("All parameters are fixed, so there is nothing to identify; leave some of them out.")
+        left = replace(rows, Y=rows.Y - rows.W @ kept, W=rows.W[:, free], names=tuple(rows.names[i] for i in free))
+        solution = self._solved(left, instruments, kept, free)
+        return with_fixed(solution, kept, free) if self.fixed else solution
+
+    def _solved(self, rows: Rows, instruments: Instruments | None, kept: FloatArray, free: Sequence[int]) -> Solution:
+        if self.estimator == "iv":
+            if instruments is None:
+                raise MethodError(
+                    'The estimator "iv" simulates the robot under its controllers; expected a controller of each joint '
+                    'in the loop: give one, or use "weighted".'
+                )
+            return by_instruments(rows, instruments, kept, free)
         if self.estimator == "robust":
             return robust(rows)
         return ordinary(rows) if self.estimator == "ols" or rows.equations == 1 else weighted(rows)
+
+
+def with_fixed(solution: Solution, kept: FloatArray, free: Sequence[int]) -> Solution:
+    """Return a solution of the free parameters as one of all, the others at what they are kept at, without deviation.
+
+    Args:
+        solution: of the free parameters.
+        kept: (parameters,) values of the fixed ones.
+        free: which are free.
+    """
+    values, std, correlation = kept.copy(), np.zeros(kept.size), np.eye(kept.size)
+    values[list(free)], std[list(free)] = solution.fit.values, solution.covariance.std
+    correlation[np.ix_(free, free)] = solution.covariance.correlation
+    covariance = replace(solution.covariance, std=std, correlation=correlation)
+    return replace(solution, fit=replace(solution.fit, values=values), covariance=covariance)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,6 +138,7 @@ class RobotEstimate(Documented):
         nominal_errors: (n,) what these leave.
         settings: of the method.
         filtering: resolved.
+        converged: whether the values settled, where simulations give the instruments.
     """
 
     robot: Robot
@@ -88,6 +151,7 @@ class RobotEstimate(Documented):
     nominal_errors: FloatArray
     settings: RobotIDIM
     filtering: Filtering
+    converged: bool = True
 
     @property
     def params(self) -> Mapping[str, float]:
@@ -107,14 +171,15 @@ class RobotEstimate(Documented):
     @property
     def rows(self) -> Mapping[str, Mapping[str, object]]:
         """Value, deviation, unit, nominal value and sum of each parameter, by its symbol."""
-        formulas = (*self.base.formulas, *self.names[len(self.base) :])
+        formulas = self._formulas
         columns = (self.values.tolist(), self.covariance.std.tolist(), self._units, self.nominal.tolist(), formulas)
         keys = ("value", "std", "unit", "nominal", "formula")
         return {name: dict(zip(keys, row, strict=True)) for name, *row in zip(self.names, *columns, strict=True)}
 
     @property
     def objections(self) -> tuple[str, ...]:
-        """Sentences on what no robot can be: friction that drives, by more than two deviations."""
+        """Sentences on what no robot can be, friction that drives by more than two deviations, and on no settling."""
+        unsettled = () if self.converged else ("The values by instruments did not settle: do not rely on them.",)
         value, two = self.params, dict(zip(self.names, 2 * self.covariance.std, strict=True))
         joints = [
             name
@@ -122,8 +187,9 @@ class RobotEstimate(Documented):
             if any(value[f"{word}{k}"] < -two[f"{word}{k}"] for word in ("Fv", "Fc"))
         ]
         if not joints:
-            return ()
+            return unsettled
         return (
+            *unsettled,
             f"The friction of {', '.join(joints)} comes out negative, as no robot's is: check the signs of torque, "
             "motor position and gear.",
         )
@@ -154,7 +220,7 @@ class RobotEstimate(Documented):
         errors = {"estimate": self.joint_errors}
         if self.robot.has_masses:
             errors["nominal"] = self.nominal_errors
-        sums = tuple(f"{a} is {b}" for a, b in zip(self.base.symbols, self.base.formulas, strict=True) if a != b)
+        sums = tuple(f"{a} is {b}" for a, b in zip(self.names, self._formulas, strict=True) if a != b)
         hidden = len(self.names) - len(shown)
         left_out = f"; {hidden} more are not told from 0 by this record" if hidden else ""
         caption = f"{len(self.told)} of {len(self.names)} parameters are known to a tenth, 1 sigma{left_out}"
@@ -168,6 +234,12 @@ class RobotEstimate(Documented):
                 *((Heading("Sums that the parameters stand for"), Listing(sums)) if details else ()),
             ),
         )
+
+    @property
+    def _formulas(self) -> tuple[str, ...]:
+        friction = list(self.names[len(self.base) :])
+        friction[2::3] = self.base.offset_formulas
+        return (*self.base.formulas, *friction)
 
     @property
     def _units(self) -> tuple[str, ...]:
@@ -184,6 +256,7 @@ def identify_robot(
     settings: RobotIDIM | None = None,
     *,
     filtering: Filtering | None = None,
+    loop: RobotLoop | None = None,
 ) -> RobotEstimate:
     """Identify a robot's base parameters and friction from motor positions and torques of all joints.
 
@@ -192,9 +265,12 @@ def identify_robot(
         records: of each joint, with torque and motor position behind the gear, on one clock.
         settings: of the method.
         filtering: of positions and rows.
+        loop: the robot under its controllers, which the estimator "iv" simulates from the records' references, from
+            rest at the first sample.
 
     Raises:
-        MethodError: the record does not determine all base parameters; the sentence names those involved.
+        MethodError: the record does not determine all base parameters; the sentence names those involved. Or "iv" has
+            no loop, or cannot simulate it.
         RecordError: a channel is missing, or the joints' records have not one clock.
 
     Valid for joints that are rigid in the band of the filter: below about a fifth of the first resonance.
@@ -203,12 +279,13 @@ def identify_robot(
     base = base_parameters(robot)
     motion = motion_of_robot(robot, records, filtering or Filtering())
     rows = base_rows(robot, base, motion)
-    solution = settings.solve(rows)
+    by_loop = robot_instruments(loop, records, base, motion) if loop and settings.estimator == "iv" else None
+    solution = settings.solve(rows, by_loop)
     nominal = _nominal(robot, base, rows)
     values = solution.fit.values
     return RobotEstimate(
         robot, base, rows.names, values, solution.covariance, relative_errors(rows, values), nominal,
-        relative_errors(rows, nominal), settings, motion.filtering,
+        relative_errors(rows, nominal), settings, motion.filtering, solution.converged,
     )  # fmt: skip
 
 

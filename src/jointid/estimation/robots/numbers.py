@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from jointid.common.arrays import FloatArray, column_norms
+from jointid.common.arrays import FloatArray
 from jointid.common.parallel import threads
 from jointid.common.parameters import Parameter, Quantity
-from jointid.models.robots.base_parameters import formula_of
+from jointid.models.robots.base_parameters import formula_of, group_columns
 from jointid.models.robots.dynamics import IntArray
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Robot
@@ -27,9 +27,7 @@ from jointid.simulation.robot_sensitivities import NumberOf, NumberPlace, with_v
 from jointid.simulation.robots import LoopTree, MassMotion, RobotNumbers
 
 _MOTIONS = 300  # random ones, at each of which every joint has an equation
-_SPANNED = 1e-8  # of a column of norm 1: what the columns before it leave of one that they span
 _FELT = 1e-10  # of the largest column: what is smaller is rounding, and would be independent of all others
-_GROUPED = 1e-9  # of a weight: what is below it is rounding
 _OF_MASS = ("rotor_inertia", "viscous", "coulomb", "offset", "viscous_forwards", "viscous_backwards")
 _OF_SPRING = ("stiffness", "damping")
 _QUANTITIES = {
@@ -102,8 +100,7 @@ def robot_parameters(robot: Robot, *, offsets: bool = True, logarithmic: bool = 
     """
     numbers = RobotNumbers.of(robot)
     places = _ordered(robot, numbers, offsets)
-    columns = _random_columns(robot, numbers, places)
-    kept, grouping = _independent(columns)
+    kept, sums = group_columns(_random_columns(robot, numbers, places))
     base = with_values(numbers, places, np.zeros(len(places)))
     logs = [logarithmic and _positive(place, numbers) for place in places]
     parameters = [_named(place, robot, numbers, log) for place, log in zip(places, logs, strict=True)]
@@ -114,7 +111,7 @@ def robot_parameters(robot: Robot, *, offsets: bool = True, logarithmic: bool = 
         np.array([logs[i] for i in kept], dtype=np.bool_),
         base,
         tuple(places[i] for i in dropped),
-        grouping,
+        sums[:, dropped],
     )
 
 
@@ -209,7 +206,7 @@ def _of_mass(motion: MassMotion, row: int, column: int) -> FloatArray | float:
 
 
 def _random_columns(robot: Robot, numbers: RobotNumbers, places: tuple[NumberPlace, ...]) -> FloatArray:
-    """Return the columns at random motions, (rows, parameters)."""
+    """Return the columns at random motions, (rows, parameters), 0 where they are rounding."""
     random, shape = np.random.default_rng(0), (_MOTIONS, len(numbers.masses))
     velocity = 2.0 * random.normal(size=shape)
     motion = MassMotion(
@@ -219,18 +216,9 @@ def _random_columns(robot: Robot, numbers: RobotNumbers, places: tuple[NumberPla
     columns = np.zeros((_MOTIONS, masses.size, len(places)))
     for row, (own, values) in enumerate(columns_of(tree, numbers, places, motion, masses)):
         columns[:, row, own] = values
-    return columns.reshape(-1, len(places))
-
-
-def _independent(columns: FloatArray) -> tuple[list[int], FloatArray]:
-    """Return which columns those before them do not span, and what the others add to their weights, (kept, others)."""
-    norms = column_norms(columns)
-    felt = np.linalg.norm(columns, axis=0) > _FELT * np.max(norms)
-    triangle = np.linalg.qr(columns / norms, mode="r")
-    kept = [int(i) for i in np.flatnonzero(felt & (np.abs(np.diag(triangle)) > _SPANNED))]
-    others = [i for i in range(columns.shape[1]) if i not in kept]
-    grouping = np.linalg.lstsq(columns[:, kept], columns[:, others], rcond=None)[0]
-    return kept, np.where(np.abs(grouping) > _GROUPED, grouping, 0.0)
+    rows = columns.reshape(-1, len(places))
+    sizes = np.linalg.norm(rows, axis=0)
+    return np.where(sizes > _FELT * np.max(sizes), rows, 0.0)
 
 
 def _positive(place: NumberPlace, numbers: RobotNumbers) -> bool:

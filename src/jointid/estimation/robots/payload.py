@@ -93,7 +93,25 @@ def identify_payload(
         MethodError: the records do not determine it, or its mass comes out negative.
         RecordError: as of `identify_robot`.
     """
-    settings, filtering = settings or RobotIDIM(), filtering or Filtering()
+    rows = both_records(robot, empty, loaded, filtering or Filtering())
+    solution = (settings or RobotIDIM()).solve(rows)
+    own = slice(len(rows.names) - len(SYMBOLS), None)
+    of_payload = covariance_of(solution.covariance.matrix[own, own], solution.covariance.bandwidth)
+    return _payload(robot, solution.fit.values[own], of_payload)
+
+
+def both_records(robot: Robot, empty: Sequence[Record], loaded: Sequence[Record], filtering: Filtering) -> Rows:
+    """Return the regression of both records: base parameters, friction, and the payload's ten in the second alone.
+
+    Args:
+        robot: its geometry, gravity and coupling.
+        empty: the record of each joint without the payload.
+        loaded: the record of each joint with it.
+        filtering: of positions and rows.
+
+    Raises:
+        RecordError: as of `identify_robot`.
+    """
     base, n = base_parameters(robot), len(robot)
     without, carrying = (motion_of_robot(robot, records, filtering) for records in (empty, loaded))
     first, second = base_rows(robot, base, without), base_rows(robot, base, carrying)
@@ -106,11 +124,7 @@ def identify_payload(
 
     W = np.block([[cut(first.W), np.zeros((n * instants, 10))], [cut(second.W), cut(extra)]])
     names = (*first.names, *(f"payload {symbol}" for symbol in SYMBOLS))
-    rows = Rows(np.concatenate([cut(first.Y), cut(second.Y)]), W, names, 2 * n, 2 * n)
-    solution = settings.solve(rows)
-    own = slice(len(first.names), None)
-    of_payload = covariance_of(solution.covariance.matrix[own, own], solution.covariance.bandwidth)
-    return _payload(robot, solution.fit.values[own], of_payload)
+    return Rows(np.concatenate([cut(first.Y), cut(second.Y)]), W, names, 2 * n, 2 * n)
 
 
 def payload_difference(empty: RobotEstimate, loaded: RobotEstimate) -> Payload:
@@ -125,14 +139,21 @@ def payload_difference(empty: RobotEstimate, loaded: RobotEstimate) -> Payload:
     """
     if empty.names != loaded.names or not np.allclose(empty.base.grouping, loaded.base.grouping):
         raise MethodError("The estimates are of two robots; expected one, without its payload and with it.")
+    if empty.settings.fixed or loaded.settings.fixed:
+        raise MethodError(
+            "A parameter is fixed, which a payload would change; expected estimates of all: leave it free."
+        )
     n, size = len(empty.robot), len(empty.base)
-    columns = empty.base.grouping[:, 10 * (n - 1) : 10 * n]
-    matrix = (empty.covariance.matrix + loaded.covariance.matrix)[:size, :size]
+    offsets = size + 2 + 3 * np.flatnonzero(np.any(empty.base.offsets, axis=1))
+    read = np.concatenate([np.arange(size), offsets])  # a weight that is a constant torque is an offset's
+    columns = np.vstack([empty.base.grouping, empty.base.offsets[np.any(empty.base.offsets, axis=1)]])
+    columns = columns[:, 10 * (n - 1) : 10 * n]
+    matrix = (empty.covariance.matrix + loaded.covariance.matrix)[np.ix_(read, read)]
     std = np.sqrt(np.diag(matrix))
     values, vectors = np.linalg.eigh(matrix / np.outer(std, std))
     whiten = (vectors / np.sqrt(np.maximum(values, 1e-10 * values[-1]))).T / std
     seen = whiten @ columns
-    found = np.linalg.lstsq(seen, whiten @ (loaded.values - empty.values)[:size], rcond=None)[0]
+    found = np.linalg.lstsq(seen, whiten @ (loaded.values - empty.values)[read], rcond=None)[0]
     return _payload(empty.robot, found, covariance_of(np.linalg.pinv(seen.T @ seen), 0))
 
 

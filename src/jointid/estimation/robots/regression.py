@@ -1,8 +1,9 @@
 """The inverse dynamics of a robot's measured motion as one linear regression: all joints' rows at all instants.
 
 Signals go the way of one joint's (`problems.inverse_model`): positions through a low-pass both ways, torques through
-the window of their timing, both sides of the equations through one decimation. Where a motor rests, its friction takes
-what it must, and its row is left out.
+the window of their timing, both sides of the equations through one decimation. Where a motor rests or turns round, its
+friction takes what it must, and its row is left out: of a twin with little noise the rows of reversals pulled the
+Coulomb frictions so far that of their 2-sigma intervals 17 % held the truth, and without these rows all do.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.estimation.methods.linear import Rows
 from jointid.estimation.problems.inverse_model import through_window, torque_and_positions
-from jointid.estimation.problems.rest import moving_weights
+from jointid.estimation.problems.rest import moving_weights, turning_weights
 from jointid.models.joints import RigidJoint
 from jointid.models.robots.base_parameters import FRICTION, BaseParameters, friction_columns, inverse_columns
 from jointid.models.robots.robot import Robot
@@ -42,7 +43,7 @@ class RobotMotion:
     Attributes:
         q, v, a: (samples, n) positions of the joints and their derivatives.
         torque: (samples, n) of the motors, behind their gears.
-        moving: (samples, n) 0 where a motor rests, else 1.
+        moving: (samples, n) 0 where a motor rests or turns round, else 1.
         sample_time: s.
         filtering: resolved.
     """
@@ -120,7 +121,7 @@ def motion_of_robot(robot: Robot, records: Sequence[Record], filtering: Filterin
         acceleration = differentiate(velocity, sample_time)
         torques = [channel.values[:size] for channel in channels]
     smear = math.ceil(_SMEAR / (filtering.position_cutoff * sample_time))
-    moving = [moving_weights(each, max(_LONG, 4 * smear), smear) for each in velocity.T]
+    moving = [moving_weights(each, max(_LONG, 4 * smear), smear) * turning_weights(each, smear) for each in velocity.T]
     joints = np.linalg.inv(robot.coupling).T
     return RobotMotion(
         smooth @ joints,

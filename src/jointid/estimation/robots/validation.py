@@ -107,9 +107,7 @@ def validate_robot(estimate: RobotEstimate, records: Sequence[Record]) -> RobotV
     require_unseen(mine, estimate.joint_errors)
     bodies = None
     if np.all(estimate.robot.inertials[:, 0] > 0):
-        found = consistent_robot(estimate).robot
-        friction = np.column_stack([found.of_joints(name) for name in ("viscous", "coulomb", "offset")]).ravel()
-        bodies = relative_errors(rows, np.concatenate([estimate.base.of(found), friction]))
+        bodies = relative_errors(rows, estimate.base.with_friction(consistent_robot(estimate).robot))
     return RobotValidation(estimate.robot, mine, relative_errors(rows, estimate.nominal), bodies)
 
 

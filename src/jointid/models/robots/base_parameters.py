@@ -68,17 +68,20 @@ class BaseParameters:
 
     Attributes:
         symbols: (base,) of the first parameter of each sum, which names it.
-        formulas: (base,) the sums, as text.
+        formulas: (base,) the sums, as text. offset_formulas: (n,) likewise of the offsets of the motors' friction.
         units: (base,).
         chosen: (base,) which standard parameters come first; their columns are those of the base parameters.
         grouping: (base, 11 n) takes the standard parameters to the base parameters.
+        offsets: (n, 11 n) takes them to what they add to the motors' offsets.
     """
 
     symbols: tuple[str, ...]
     formulas: tuple[str, ...]
+    offset_formulas: tuple[str, ...]
     units: tuple[str, ...]
     chosen: NDArray[np.intp]
     grouping: FloatArray
+    offsets: FloatArray
 
     def __len__(self) -> int:
         return len(self.symbols)
@@ -86,6 +89,12 @@ class BaseParameters:
     def of(self, robot: Robot) -> FloatArray:
         """Return the base parameters, (base,), of a robot of this tree."""
         return np.asarray(self.grouping @ standard_values(robot))
+
+    def with_friction(self, robot: Robot) -> FloatArray:
+        """Return the base parameters of a robot of this tree, then Fv, Fc and offset of each joint, (base + 3 n,)."""
+        friction = np.column_stack([robot.of_joints(name) for name in ("viscous", "coulomb", "offset")])
+        friction[:, 2] += self.offsets @ standard_values(robot)
+        return np.concatenate([self.of(robot), friction.ravel()])
 
 
 def base_parameters(robot: Robot, seed: int = 0) -> BaseParameters:
@@ -99,27 +108,46 @@ def base_parameters(robot: Robot, seed: int = 0) -> BaseParameters:
     random = np.random.default_rng(seed)
     q, v, a = random.uniform(-np.pi, np.pi, (_POSES, n)), *random.normal(0.0, 3.0, (2, _POSES, n))
     columns = inverse_columns(robot, q, v, a).reshape(_POSES * n, -1)
+    columns[:, _is_rounding(columns, n)] = 0.0
     # Links from the base outwards, each rotor behind its link: a rotor joins its link's sum where it can.
     order = np.array([part for k in range(n) for part in (*(10 * k + i for i in _ORDER), 10 * n + k)])
-    columns[:, _is_rounding(columns, n)] = 0.0
-    scales = column_norms(columns)
-    chosen, dependent = _independent((columns / scales)[:, order])
-    first, others = order[chosen], order[dependent]
-    grouping = np.zeros((first.size, 11 * n))
-    grouping[np.arange(first.size), first] = 1.0
-    if others.size:
-        # Scaled alike on both sides, so that what is rounding of a coefficient shows.
-        factors = np.linalg.lstsq(columns[:, first] / scales[first], columns[:, others] / scales[others], rcond=None)[0]
-        factors[np.abs(factors) < _ZERO] = 0.0
-        grouping[:, others] = factors * scales[others] / scales[first][:, np.newaxis]
+    kept, sums = group_columns(np.column_stack([np.tile(np.eye(n), (_POSES, 1)), columns[:, order]]))
+    first = order[np.array(kept[n:]) - n]
+    grouping, offsets = np.zeros((first.size, 11 * n)), np.zeros((n, 11 * n))
+    grouping[:, order], offsets[:, order] = sums[n:, n:], sums[:n, n:]
     symbols, units = standard_symbols(robot), (*n * UNITS, *n * ("kg m2",))
+    names = tuple(f"{FRICTION[2]}{k + 1}" for k in range(n))
     return BaseParameters(
         tuple(symbols[i] for i in first),
         tuple(formula_of(row, int(i), symbols) for row, i in zip(grouping, first, strict=True)),
+        tuple(formula_of(row, k, (*names, *symbols)) for k, row in enumerate(np.hstack([np.eye(n), offsets]))),
         tuple(units[i] for i in first),
         first,
         grouping,
+        offsets,
     )
+
+
+def group_columns(columns: FloatArray) -> tuple[list[int], FloatArray]:
+    """Return which columns are no sum of those before them, and the sums, (kept, columns): columns = kept @ sums.
+
+    Args:
+        columns: (rows, columns); of one that is 0 there is nothing in any sum.
+    """
+    scales = column_norms(columns)
+    unit, basis, kept = columns / scales, np.zeros((len(columns), 0)), list[int]()
+    for i, column in enumerate(unit.T):
+        left = column - basis @ (basis.T @ column)
+        left -= basis @ (basis.T @ left)  # once more, for rounding
+        size = float(np.linalg.norm(left))
+        if size > _ZERO:
+            basis = np.column_stack([basis, left / size])
+            kept.append(i)
+    # Scaled alike on both sides, so that what is rounding of a weight shows.
+    sums = np.linalg.lstsq(unit[:, kept], unit, rcond=None)[0]
+    sums[np.abs(sums) < _ZERO] = 0.0
+    sums[:, kept] = np.eye(len(kept))
+    return kept, sums * scales / scales[kept][:, np.newaxis]
 
 
 def _is_rounding(columns: FloatArray, n: int) -> NDArray[np.bool_]:
@@ -128,24 +156,6 @@ def _is_rounding(columns: FloatArray, n: int) -> NDArray[np.bool_]:
     dimensions = np.array([*n * ([0] + 3 * [1] + 6 * [2]), *n * [3]])
     largest = np.array([norms[dimensions == kind].max() for kind in range(4)])
     return np.asarray(norms <= _NOTHING * largest[dimensions])
-
-
-def _independent(columns: FloatArray) -> tuple[list[int], list[int]]:
-    """Return the columns of norm 1 that are no sum of those before them, and the others that are not 0."""
-    basis = np.zeros((columns.shape[0], 0))
-    chosen, dependent = list[int](), list[int]()
-    for i, column in enumerate(columns.T):
-        if not np.any(column):
-            continue
-        left = column - basis @ (basis.T @ column)
-        left -= basis @ (basis.T @ left)  # once more, for rounding
-        size = float(np.linalg.norm(left))
-        if size > _ZERO:
-            basis = np.column_stack([basis, left / size])
-            chosen.append(i)
-        else:
-            dependent.append(i)
-    return chosen, dependent
 
 
 def formula_of(weights: FloatArray, first: int, symbols: tuple[str, ...]) -> str:

@@ -318,6 +318,7 @@ SHAPES: Mapping[str, Shape] = {
         "robot": "robot.name",
         "joints": "robot.names",
         "estimator": "settings.estimator",
+        "converged": "converged",
         "parameters": "rows",
         "left": "joint_errors",
         "nominal_left": "nominal_errors",
@@ -375,6 +376,14 @@ SHAPES: Mapping[str, Shape] = {
         "peak_speed": lambda simulation: [float(one) for one in abs(simulation.motor_velocity).max(axis=0)],
     },
     "JointLimits": same("lower", "upper", "speed", "acceleration", "torque"),
+    "WeighedPayload": {
+        "schema": always("jointid.payload/1"),
+        "link": "link",
+        "parameters": "rows",
+        "ways_agree": "agrees",
+        "body_possible": "possible",
+    },
+    "DriveGains": {"schema": always("jointid.drive_gains/1"), "gains": "rows"},
     # Files and reports
     "Inspection": {
         "schema": always("jointid.inspection/1"),

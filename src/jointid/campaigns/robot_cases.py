@@ -1,0 +1,146 @@
+"""Robots in a campaign: a case whose joint file is a robot file, identified as `jointid identify` does it.
+
+A case is known by its text, and a robot file names a model beside it. So the text of a case has the model's absolute
+path, and the digest of what it holds: another model is another case.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+from jointid import JointFile
+from jointid.campaigns.cases import Case, Simulated
+from jointid.campaigns.rows import Found, Outcome, finite
+from jointid.common.errors import JointFileError, MethodError
+from jointid.config import loads
+from jointid.config.loading import apply_changes, parse_toml
+from jointid.config.robot_file import RobotFile
+from jointid.estimation.result.answer import Trust
+from jointid.estimation.robots.idim import RobotEstimate, RobotIDIM, identify_robot
+from jointid.estimation.robots.torque_only import identify_robot_from_torques
+from jointid.records.record import Record
+from jointid.simulation.robots import RobotOutcome, robot_records, simulate_robot
+
+_KNOWN = 0.1  # relative deviation of a parameter that is known
+
+
+def is_robot(text: str) -> bool:
+    """True if the text of a joint file is a robot's; of what is no TOML the joint file's own sentences tell."""
+    try:
+        return "robot" in parse_toml(text)
+    except JointFileError:
+        return False
+
+
+def carried(text: str, folder: Path) -> str:
+    """Return the text of a joint file as a case carries it: of a robot with its model's whole path and digest.
+
+    Args:
+        text: of the joint file.
+        folder: that it is in.
+    """
+    if not is_robot(text):
+        return text
+    tables = parse_toml(text)
+    model = tables["robot"].get("model") if isinstance(tables["robot"], dict) else None
+    if not isinstance(model, str) or not (folder / model).is_file():
+        return text  # whose fault loading it says
+    path = (folder / model).absolute()
+    tables["robot"]["model"] = str(path)
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    return f"# the model's SHA-256: {digest}\n{tomli_w.dumps(tables)}"
+
+
+def load_any(text: str, changes: Sequence[str] = ()) -> JointFile | RobotFile:
+    """Return the joint file, or the robot file, that a text is.
+
+    Raises:
+        JointFileError: it has faults.
+    """
+    return _robot_file(text, tuple(changes)) if is_robot(text) else loads(text, changes=changes)
+
+
+@lru_cache(maxsize=8)
+def _robot_file(text: str, changes: tuple[str, ...]) -> RobotFile:
+    return RobotFile.of(apply_changes(parse_toml(text), changes))
+
+
+def record_of(text: str, changes: Sequence[str] = ()) -> str | None:
+    """Return the path of the record that a joint file, or a robot file, names."""
+    file = load_any(text, changes)
+    source = file.joints[0].source if isinstance(file, RobotFile) else file.source
+    return None if source.file is None else str(source.file)
+
+
+def identify_robot_case(case: Case, path: Path) -> dict[str, Any]:
+    """Return the entries of a row that a robot's estimate gives: every parameter of every joint by its name.
+
+    Args:
+        case: whose joint file is a robot file.
+        path: of its record.
+
+    Raises:
+        MethodError: of a robot neither errors nor starts are drawn; or it cannot be simulated, or identified.
+        RecordError: the record lacks a channel.
+    """
+    if case.varied is not None and not isinstance(case.varied, Simulated):
+        raise MethodError(
+            f"A robot's runs are logged or simulated; received one that is {case.varied.kind}: use [fleet] or "
+            "[monte_carlo]."
+        )
+    file = _robot_file(case.joint_file, (*case.settings, *case.changes))
+    measured = isinstance(file.method, RobotIDIM) and file.method.estimator != "iv"
+    if case.varied is not None:
+        records = _simulated(file, file.driven(path, logged=False), case.varied)
+    else:
+        records = file.records(path) if measured else file.driven(path)
+    if isinstance(file.method, RobotIDIM):
+        loop = None if measured else file.loop
+        estimate: Any = identify_robot(file.robot, records, file.method, filtering=file.filtering, loop=loop)
+        settled, made = estimate.converged, 1
+    else:
+        estimate = identify_robot_from_torques(file.loop, records, file.method, filtering=file.filtering)
+        settled, made = estimate.fit.converged, estimate.fit.iterations
+    found = {
+        name: Found(finite(row["value"]), finite(row["std"]) or None, row["unit"])
+        for name, row in estimate.rows.items()
+    }
+    known = [one for one in found.values() if one.value and (one.std or 0.0) <= _KNOWN * abs(one.value)]
+    left = 100 * estimate.joint_errors
+    worst = file.robot.names[int(np.argmax(left))]
+    objected = isinstance(estimate, RobotEstimate) and bool(estimate.objections)
+    trust = Trust.NOT_YET if objected or not settled else Trust.NOT_CHECKED
+    return {
+        "outcome": Outcome.IDENTIFIED,
+        "sentence": f"{len(known)} of {len(found)} parameters are known to a tenth; {max(left):.3g} % of the torque is "
+        f"left, of {worst}.",
+        "found": found,
+        "trust": str(trust),
+        "converged": bool(settled),
+        "error_percent": finite(float(np.sqrt(np.mean(left**2)))),
+        "simulations": int(made),
+    }
+
+
+def _simulated(file: RobotFile, driven: Sequence[Record], asked: Simulated) -> tuple[Record, ...]:
+    """Return the records of a simulated run, whose joints have noise by the size of their torques."""
+    if asked.values or asked.noise_force:
+        raise MethodError(
+            "A robot's simulated runs have the numbers of its robot file and noise_log, of the joint with the largest "
+            "torque and of the others in proportion; leave values and noise_force out of [monte_carlo]."
+        )
+    run = simulate_robot(file.loop, driven)
+    if run.outcome is not RobotOutcome.FINISHED:
+        raise MethodError(f"{file.robot.name} cannot be simulated: {run.outcome.value}.")
+    sizes = np.std(run.torque, axis=0)
+    noise = np.random.default_rng([asked.seed]).standard_normal(run.torque.shape)
+    torque = run.torque + asked.noise_log * noise * sizes / np.max(sizes)
+    return robot_records(file.loop, driven, replace(run, torque=torque))

@@ -1,0 +1,109 @@
+"""A payload weighed two ways, and the drives' gains from one that is known, on an arm of six joints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jointid.common.errors import MethodError
+from jointid.estimation.robots.drive_gains import identify_drive_gains
+from jointid.estimation.robots.idim import RobotIDIM, identify_robot
+from jointid.estimation.robots.payload import payload_difference
+from jointid.estimation.robots.weighing import weigh_payload
+from jointid.models.robots.inertial import MassProperties
+from jointid.models.robots.robot import Robot
+from jointid.output import json as answers
+from jointid.records.record import Record
+from tests.estimation.robots.twin import arm, records_of, with_payload
+
+ARM = arm()
+BODY = MassProperties(3.0, np.array([0.02, -0.03, 0.08]), np.diag([0.02, 0.015, 0.01]))
+TRUTH = np.array([3.0, 0.02, -0.03, 0.08, 0.02, 0.015, 0.01, 0.0, 0.0, 0.0])
+GAINS = np.array([85.0, 110.0, 60.0, 24.0, 31.0, 17.5])
+
+
+def pair(seed: int, noise: float = 0.2, loaded: Robot | None = None) -> tuple[Sequence[Record], Sequence[Record]]:
+    """Return the records without and with the payload."""
+    return records_of(ARM, seed, noise), records_of(loaded or with_payload(ARM, BODY.inertial), seed + 100, noise)
+
+
+def in_currents(records: Sequence[Record]) -> list[Record]:
+    """Return the records with the motors' currents in the place of their torques."""
+    made = []
+    for record, gain in zip(records, GAINS, strict=True):
+        assert record.torque is not None
+        made.append(replace(record, torque=replace(record.torque, values=record.torque.values / gain)))
+    return made
+
+
+def test_a_payload_is_weighed_within_a_percent_both_ways() -> None:
+    found = weigh_payload(ARM, *pair(11))
+    assert found.rows["mass"]["value"] == pytest.approx(3.0, rel=0.01)
+    assert found.rows["mass"]["by_difference"] == pytest.approx(3.0, rel=0.01)
+    assert found.rows["mass"]["verdict"] == "known"
+    assert found.rows["inertia yz"]["verdict"] == "not told from 0"
+    assert found.agrees
+    said = found.summary()
+    assert "The difference of two estimates says the same." in " ".join(said.split())
+    assert max(map(len, said.splitlines())) <= 100
+    answer = answers.to_dict(found)
+    assert answer["schema"] == "jointid.payload/1" and answer["ways_agree"] is True
+
+
+def test_a_number_of_the_empty_robot_may_be_fixed() -> None:
+    """It is not the loaded one's, so the estimates that are compared leave it free."""
+    records, settings = pair(12), RobotIDIM(fixed={"Ia6": 0.3})
+    found = weigh_payload(ARM, *records, settings)
+    assert found.agrees
+    assert found.rows["mass"]["value"] == pytest.approx(3.0, rel=0.01)
+    one, other = (identify_robot(ARM, each, settings) for each in records)
+    with pytest.raises(MethodError, match="A parameter is fixed, which a payload would change"):
+        payload_difference(one, other)
+
+
+def test_two_deviations_hold_the_payload() -> None:
+    inside = []
+    for seed in range(20, 26):
+        found = weigh_payload(ARM, *pair(seed, noise=0.5))
+        for way in (found.payload, found.difference):
+            values, std = way.properties
+            inside.append(np.abs(values - TRUTH) < 2 * std)
+    assert np.mean(inside) > 0.88
+
+
+def test_friction_that_changed_beside_the_payload_is_said() -> None:
+    """By both records at once one friction is both robots', by the difference each has its own."""
+    joints = tuple(replace(joint, coulomb=0.7 * joint.coulomb) for joint in ARM.joints)
+    warm = with_payload(replace(ARM, joints=joints), BODY.inertial)
+    found = weigh_payload(ARM, *pair(13, noise=0.05, loaded=warm))
+    assert found.rows["mass"]["by_difference"] == pytest.approx(3.0, rel=0.01)
+    assert not found.agrees
+    assert "something beside the payload changed between the records" in " ".join(found.summary().split())
+
+
+@pytest.mark.parametrize(
+    "known", [{"m": 3.0}, dict(zip(("m", "mx", "my", "mz"), (3.0, 0.06, -0.09, 0.24), strict=True))]
+)
+def test_a_known_payload_tells_the_drives_gains(known: dict[str, float]) -> None:
+    z = []
+    for seed in range(30, 33):
+        empty, loaded = map(in_currents, pair(seed, noise=0.5))
+        found = identify_drive_gains(ARM, empty, loaded, known)
+        assert found.values == pytest.approx(GAINS, rel=0.02)
+        z.append((found.values - GAINS) / found.std)
+    assert np.mean(np.abs(z) < 2) > 0.85
+    assert "joint3" in found.summary()
+    assert set(answers.to_dict(found)["gains"]) == set(ARM.names)
+
+
+def test_what_is_refused() -> None:
+    empty, loaded = map(in_currents, pair(30))
+    with pytest.raises(MethodError, match=r"mass is 0 kg; expected a positive one"):
+        identify_drive_gains(ARM, empty, loaded, {"mx": 0.1})
+    with pytest.raises(MethodError, match=r'A number of the payload is "mass"; expected'):
+        identify_drive_gains(ARM, empty, loaded, {"mass": 0.1})
+    with pytest.raises(MethodError, match=r"The gain of .* does not come out positive"):
+        identify_drive_gains(ARM, loaded, empty, {"m": 3.0})

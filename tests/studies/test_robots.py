@@ -1,0 +1,46 @@
+"""Random robots from no start: some of those on which a search once began where nothing could be simulated."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from studies.robots import drives, judge, summarise
+
+
+def test_a_rigid_robot_ends_at_the_noise() -> None:
+    found = judge(6, flexible=False)
+    assert found is not None
+    assert found.at_noise
+    assert found.prismatic == 2
+    assert np.mean(np.abs(found.z) < 2) > 0.85
+
+
+def test_a_flexible_robot_whose_rotors_the_rigid_one_hardly_tells_ends_at_the_noise() -> None:
+    found = judge(11, flexible=True)
+    assert found is not None
+    assert found.error == ""
+    assert found.at_noise
+    assert found.spring_shown == found.springs == 2
+    said = summarise([found, replace(found, seed=12, left=2.0)])
+    assert "1 at the noise; not: 12 (2)" in said
+
+
+@pytest.mark.parametrize("flexible", [False, True])
+def test_nothing_but_the_geometry_is_given_away(flexible: bool) -> None:
+    made = drives(3, flexible)
+    assert made is not None
+    robot = made.unknown.robot
+    assert not robot.has_masses
+    assert not np.any(robot.of_joints("viscous"))
+    assert robot.flexible == made.loop.robot.flexible
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize(("flexible", "count"), [(False, 20), (True, 8)])
+def test_two_deviations_hold_the_truth_of_random_robots(flexible: bool, count: int) -> None:
+    found = [one for one in (judge(seed, flexible) for seed in range(count)) if one is not None]
+    assert all(one.at_noise for one in found)
+    assert 0.91 < np.mean(np.abs(np.concatenate([one.z for one in found])) < 2) < 0.985
