@@ -20,9 +20,10 @@ from jointid.estimation.robots.regression import base_rows, motion_of_robot
 from jointid.estimation.robots.torque_only import RobotTorqueEstimate
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
-from jointid.records.signals.filtering import Filtering
+from jointid.records.signals.filtering import Filtering, decimate_all
 from jointid.simulation.robots import simulation_of
 
+_WHOLE = 0.9  # of the weight of a row whose samples are all seen, as a filter leaves it
 _SLOW = 0.1  # of the largest speed: where friction may rise towards standstill
 _HARMONICS = 4  # of the travel
 
@@ -85,7 +86,8 @@ def _by_inverse_model(estimate: RobotEstimate, records: Sequence[Record]) -> Rob
     rows = base_rows(robot, estimate.base, motion)
     coupling = robot.coupling.T
     q, v, a = (one @ coupling for one in (motion.q, motion.v, motion.a))
-    seen = np.any(rows.W != 0.0, axis=1).reshape(len(robot), -1)
+    # A row beside one that is left out has some of that in it, and less noise: whole ones alone are judged.
+    seen = motion.thinned(np.ones((*motion.q.shape, 1)))[:, 0].reshape(len(robot), -1) > _WHOLE
 
     def thin(columns: FloatArray) -> FloatArray:
         return motion.thinned(columns).reshape(len(robot), -1, columns.shape[2])
@@ -106,7 +108,7 @@ def _by_simulation(estimate: RobotTorqueEstimate, records: Sequence[Record]) -> 
     predicted = measured - problem.by_joint(problem.error(run))
 
     def thin(columns: FloatArray) -> FloatArray:
-        return problem.decimated(columns).reshape(len(robot), -1, columns.shape[2])
+        return np.stack(decimate_all(list(np.moveaxis(columns, 1, 0)), problem.filtering, problem.sample_time))
 
     q, v, a = (one[:, rotors] for one in (motion.position, motion.velocity, motion.acceleration))
     seen = np.ones(measured.shape, dtype=np.bool_)

@@ -67,4 +67,5 @@ def _numbers(robot: Robot, base: BaseParameters, values: FloatArray) -> RobotNum
     friction = values[len(base) :].reshape(n, 3).copy()
     friction[:, :2] = np.maximum(friction[:, :2], 0.0)  # instruments need not be perfect
     links, rotors = standard[:-n].reshape(n, -1), standard[-n:]
-    return replace(RobotNumbers.of(robot), inertials=links, masses=np.column_stack([rotors, friction]))
+    masses = np.column_stack([rotors, friction, np.zeros((n, 2))])  # the same in both directions
+    return replace(RobotNumbers.of(robot), inertials=links, masses=masses)
