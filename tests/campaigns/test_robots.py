@@ -31,6 +31,7 @@ def campaign(place: Path, text: str) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_fleet_of_robots(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = '[fleet]\njoint = "{joint}.toml"\nrecords = "{joint}_{day}.csv"\n'
     found = load_campaign(campaign(place, text))

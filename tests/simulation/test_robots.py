@@ -174,6 +174,7 @@ def held_against_the_reference(loop: RobotLoop, records: tuple[Record, ...], wor
     return run
 
 
+@pytest.mark.slow
 def test_controllers_of_other_periods_and_delays() -> None:
     """The second controller acts every third period of the first, whose torque comes late; the log is slower still."""
     twin = two((None, 16.0))
@@ -191,7 +192,9 @@ def test_controllers_of_other_periods_and_delays() -> None:
     assert np.array_equal(run.torque[3:6, 1], np.repeat(run.torque[3, 1], 3))
 
 
-@pytest.mark.parametrize("twin", [two(), two((12.0, 18.0)), TWINS["coupled and flexible"][0]])
+@pytest.mark.parametrize(
+    "twin", [pytest.param(two(), marks=pytest.mark.slow), two((12.0, 18.0)), TWINS["coupled and flexible"][0]]
+)
 def test_a_record_that_begins_while_the_robot_moves(twin: Twin) -> None:
     """It moves on as its references do: another start is another motion for as long as the loop remembers."""
     whole = twin.records(6.0)

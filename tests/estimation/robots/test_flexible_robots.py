@@ -93,6 +93,7 @@ def test_a_spring_that_is_not_shown_is_refused_with_its_bound() -> None:
     assert str(soft).startswith("joint1: stiffness 4")
 
 
+@pytest.mark.slow
 def test_a_rigid_robot_is_told_soon() -> None:
     """Springs asked of a robot without any: refused after one short search, and no damping stands without them."""
     twin = two()

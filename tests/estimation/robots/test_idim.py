@@ -114,6 +114,7 @@ def noisy(seed: int) -> tuple[RobotLoop, tuple[Record, ...]]:
     return loop, tuple(made)
 
 
+@pytest.mark.slow
 def test_instruments_from_the_loop_are_free_of_the_positions_noise() -> None:
     """Least squares are off by many deviations where positions are noisy, all one way; instruments are not."""
     off: dict[str, list[np.ndarray]] = {"weighted": [], "iv": []}

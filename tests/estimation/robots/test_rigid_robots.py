@@ -44,7 +44,9 @@ def test_base_parameters_move_the_robot_as_all_do(twin: Twin, count: int) -> Non
 
 
 @pytest.mark.parametrize(
-    ("twin", "slower"), [(two(), 1.0), (two(), 4.0), (six(), 4.0)], ids=["two", "slow", "slow six"]
+    ("twin", "slower"),
+    [(two(), 1.0), (two(), 4.0), pytest.param(six(), 4.0, marks=pytest.mark.slow)],
+    ids=["two", "slow", "slow six"],
 )
 def test_parameters_come_back_exactly_without_noise(twin: Twin, slower: float) -> None:
     """Under a loop four times slower, too, whose motion is far from the commanded one."""
