@@ -302,7 +302,7 @@ def judge(
     ]
     return Said(
         seed, fault, made.size, about, "", found.sentence, str(found.answer.trust.code),
-        (row.value - truth) / row.stderr if row.value is not None and row.stderr else None,
+        (row.value - truth) / row.deviation if row.value is not None and row.deviation else None,
         100 * (row.value / truth - 1) if row.value is not None else None,
         tuple(filter(None, named)), _follows(found, made.record),
     )  # fmt: skip

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.diagnostics.check_loop import check_loop
+from jointid.diagnostics.check_loop import LoopTests, check_loop
 from jointid.diagnostics.mechanics_faults import COGGING
 from jointid.estimation.identify import identify
 from jointid.models.ripple import PositionHarmonics
@@ -16,7 +16,7 @@ from jointid.uncertainty.verdict import Reason
 from studies.mechanics import spoiled
 
 
-@pytest.mark.parametrize("seed", [100, 103])
+@pytest.mark.parametrize("seed", [100, pytest.param(102, marks=pytest.mark.slow), 103])
 def test_the_period_of_a_ripple_is_found(seed: int) -> None:
     made = spoiled(seed, "cogging", 8.0)
     assert made is not None
@@ -49,3 +49,11 @@ def test_a_joint_that_has_its_ripple_is_asked_for_no_other() -> None:
     loop = replace(made.axis.loop, joint=joint)
     check = ji.check_loop(identify(made.record, loop), made.record)
     assert COGGING not in {one.name for one in check.tests}
+
+
+def test_it_can_be_asked_for_by_itself() -> None:
+    made = spoiled(103, "cogging", 8.0)
+    assert made is not None
+    estimate = identify(made.record, made.axis.loop)
+    check = check_loop(estimate, made.record, LoopTests(faults=(COGGING,)))
+    assert [one.name for one in check.tests] == [COGGING]

@@ -19,7 +19,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Progress, silent
 from jointid.common.parameters import Quantity, unit_of
-from jointid.diagnostics.cogging import find_cogging
+from jointid.diagnostics.cogging import find_cogging, may_cog
 from jointid.diagnostics.fault_signature import FaultSignature
 from jointid.diagnostics.fault_tests import (
     INJECTED_GAIN,
@@ -42,6 +42,7 @@ from jointid.diagnostics.mechanics_faults import (
     CUBIC_SPRING,
     MECHANICS,
     SECOND_MODE,
+    WINDING_FRICTION,
     search_second_mode,
     solve_with_fault,
 )
@@ -73,7 +74,10 @@ from jointid.uncertainty.position_dependent_error import Cells, cells, widened
 from jointid.uncertainty.verdict import Status, Subject, Verdict, not_tested
 
 _RIVAL = 6.0  # twice the logarithm of a likelihood ratio of 20
-_ALTERNATIVES = ({STRIBECK, PRESLIDING}, {CUBIC_SPRING, BACKLASH})  # after one, the other is no separate fault
+_ALTERNATIVES = (
+    {STRIBECK, PRESLIDING, WINDING_FRICTION},
+    {CUBIC_SPRING, BACKLASH},
+)  # after one, the other is no separate fault
 _HALF = 0.5  # of the size by one step that must remain when the problem is solved again
 _ROUNDING = 1e-9  # of the torque: a residual this small has no statistics
 _SIGNIFICANT = 0.05  # a fault with a larger p-value explains nothing
@@ -352,7 +356,7 @@ def _laws_to_try(joint: Joint) -> tuple[str, ...]:
 def _run_tests(state: _State, settings: LoopTests) -> _TestResults:
     residual, own, signatures = compute_signatures(state.problem, state.x)
     known = dict.fromkeys(a.name for a in signatures)
-    laws = (PRESENT_SAMPLE, MEASURED_VELOCITY, PERIOD)
+    laws = (PRESENT_SAMPLE, MEASURED_VELOCITY, PERIOD, *((COGGING,) if may_cog(state.problem.joint) else ()))
     wrong = [name for name in settings.faults or () if name not in (*known, *state.named, *laws)]
     if wrong:
         choice = ", ".join((*known, *laws))
@@ -605,7 +609,7 @@ def _accept_fault(state: _State, found: _TestResults) -> _State:
     signature = next(a for a in found.signatures if (a.name, a.shape) == (suspect.name, suspect.shape))
     alternatives = next((group for group in _ALTERNATIVES if suspect.name in group), ())
     named = (*state.named, suspect.name, *suspect.alike, *alternatives)
-    if suspect.name in MECHANICS and (end := solve_with_fault(problem, state.x, suspect.name, suspect.shape)):
+    if suspect.name in MECHANICS and (end := solve_with_fault(problem, state.x, suspect.name)):
         problem = replace(problem, measured=problem.measured - end.change)
         corrected = (*state.corrected, signature)
         return _State(problem, _solve(problem, state.x), corrected, named, end.values)

@@ -12,16 +12,20 @@ from dataclasses import replace
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import JointidError
+from jointid.common.errors import JointidError, MethodError
 from jointid.diagnostics.fault_signature import FaultSignature
 from jointid.diagnostics.mechanics_faults import COGGING, with_joint
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.models.joints import FlexibleJoint
+from jointid.models.joints import FlexibleJoint, Joint
 from jointid.models.ripple import PositionHarmonics
+from jointid.simulation.closed_loop import in_threads, require_finished
 
 _FEWEST, _MOST, _STEP = 3.0, 150.0, 0.5  # times that it comes back over the travel
+_FINER = (-0.75, -0.5, -0.25, 0.25, 0.5, 0.75)  # steps from the best, that are simulated, too
+_BROAD = 1.0  # how broad a peak is, in times over the travel
+_RIDGE = 1e-9  # of the squares: at one direction alone both pairs are the same
 _AT_ONCE = 32  # periods that are regressed on together
-_LIKELIEST = 4  # that are simulated
+_LIKELIEST = 6  # that are simulated
 _SMALL = 0.01  # of the torque: how large a ripple is simulated
 
 
@@ -41,9 +45,9 @@ def find_cogging(
         own: (rows, columns) by its free parameters, and of what was corrected.
         whiten: makes both white.
     """
-    joint, run = problem.joint, problem.simulate(x)
+    run = problem.simulate(x)
     travel = float(np.ptp(run.motor_position))
-    if not isinstance(joint, FlexibleJoint) or joint.stepped or not travel > 0.0:
+    if not may_cog(problem.joint) or not travel > 0.0:
         return None
     basis = np.linalg.qr(whiten(own))[0]
 
@@ -51,28 +55,58 @@ def find_cogging(
         white = whiten(columns)
         return np.asarray(white - basis @ (basis.T @ white))
 
-    left = beside(residual)
-    samples = run.motor_position.size
-    at_rows = np.linspace(0, samples - 1, residual.size)
-    position = np.interp(at_rows, np.arange(samples), run.motor_position)
+    left, position = beside(residual), run.motor_position[problem.kept]
+    way = np.sign(run.motor_velocity[problem.kept])
     waves = np.arange(_FEWEST, _MOST, _STEP) / travel
-    gains = np.concatenate(
-        [_gains(some, position, left, beside) for some in np.array_split(waves, waves.size // _AT_ONCE)]
-    )
-    found = [_simulated(problem, x, 1 / waves[k], left, beside, waves.size) for k in np.argsort(-gains)[:_LIKELIEST]]
-    return max((one for one in found if one is not None), key=lambda one: one[0], default=(0.0, None))[1]
+    some = np.array_split(waves, waves.size // _AT_ONCE)
+    gains = np.concatenate([_gains(one, position, way, left, beside) for one in some])
+
+    def simulate(wave: float) -> tuple[float, FaultSignature] | None:
+        return _simulated(problem, x, 1 / wave, left, beside, waves.size)
+
+    peaks = []
+    for _ in range(_LIKELIEST):
+        peaks.append(float(waves[int(np.argmax(gains))]))
+        gains[np.abs(waves - peaks[-1]) < _BROAD / travel] = 0.0  # the same peak
+    found = [one for one in in_threads(simulate, peaks) if one is not None]
+    if not found:
+        return None
+    best = 1 / (max(found, key=lambda one: one[0])[1].shape or 1.0)
+    finer = best + _STEP / travel * np.array(_FINER)
+    found += [one for one in in_threads(simulate, finer.tolist()) if one is not None]
+    return max(found, key=lambda one: one[0])[1]
+
+
+def may_cog(joint: Joint) -> bool:
+    """Return True of a flexible joint that may have a ripple; beside smooth laws none is looked for."""
+    if not isinstance(joint, FlexibleJoint) or joint.stepped:
+        return False
+    try:
+        replace(joint, ripple=PositionHarmonics(1.0))
+    except MethodError:
+        return False
+    return True
 
 
 def _gains(
-    waves: FloatArray, position: FloatArray, left: FloatArray, beside: Callable[[FloatArray], FloatArray]
+    waves: FloatArray,
+    position: FloatArray,
+    way: FloatArray,
+    left: FloatArray,
+    beside: Callable[[FloatArray], FloatArray],
 ) -> FloatArray:
-    """Return by how much the squares of a residual, (rows,), fall with a force of each wave, (waves,)."""
+    """Return by how much the squares of a residual, (rows,), fall with a force of each wave, (waves,).
+
+    A loop shows a force late: behind it on the way there, before it on the way back. So cosine and sine of each
+    direction, (rows,), have sizes of their own.
+    """
     phases = 2 * np.pi * np.outer(position, waves)
-    cosine, sine = beside(np.cos(phases)), beside(np.sin(phases))
-    square, other, both = np.sum(cosine**2, axis=0), np.sum(sine**2, axis=0), np.sum(cosine * sine, axis=0)
-    along, across = cosine.T @ left, sine.T @ left
-    determinant = np.maximum(square * other - both**2, np.finfo(float).tiny)
-    return np.asarray((other * along**2 - 2 * both * along * across + square * across**2) / determinant)
+    both = np.cos(phases), np.sin(phases)
+    columns = np.stack([beside(one) for one in (*both, *(way[:, np.newaxis] * one for one in both))], axis=2)
+    squares = np.einsum("rwi,rwj->wij", columns, columns)
+    along = np.einsum("rwi,r->wi", columns, left)
+    ridge = _RIDGE * np.trace(squares, axis1=1, axis2=2)[:, np.newaxis, np.newaxis] * np.eye(4)
+    return np.asarray(np.einsum("wi,wi->w", along, np.linalg.solve(squares + ridge, along[:, :, np.newaxis])[:, :, 0]))
 
 
 def _simulated(
@@ -92,7 +126,8 @@ def _simulated(
         values, base = problem.values(x), problem.torque(x)
         names = [p.name for p in other.parameters if p.name.startswith("harmonic_")]
         forces = [dict(zip(names, size * np.array(parts), strict=True)) for parts in ((1.0, 0.0), (0.0, 1.0))]
-        raw = np.column_stack([(other.torque(other.vector({**values, **one})) - base) / size for one in forces])
+        runs = [require_finished(other.simulate(other.vector({**values, **one}))) for one in forces]
+        raw = np.column_stack([(run.torque - base) / size for run in runs])
     except JointidError:  # the joint may have none beside its other laws
         return None
     seen = problem.filtered(raw)

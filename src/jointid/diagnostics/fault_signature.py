@@ -13,7 +13,7 @@ class FaultSignature:
 
     Attributes:
         name: of the fault.
-        column: (rows,) derivative of the filtered torque by its size.
+        column: (rows,) change of the filtered torque per unit of its size: a derivative, or of a size that was tried.
         shape: the level of a limit, a Stribeck speed, a gap or a frequency that was tried; None where the fault has
             no shape.
         tried: how many shapes this one was chosen from.

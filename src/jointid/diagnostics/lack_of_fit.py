@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.diagnostics.loop_findings import LoopCheck
 from jointid.diagnostics.mechanics_faults import MECHANICS
 from jointid.diagnostics.unmodelled_motion import PredictedResidual
@@ -44,18 +44,23 @@ def widen_for_rest(estimate: Estimate, problem: ClosedLoopProblem, x: FloatArray
         x: (free,) its parameters.
         rest: see `predict_residual`.
     """
-    slopes = problem.linearised(x)[1]
-    spread = np.sqrt(np.diag(np.linalg.pinv(slopes.T @ slopes)))
-    names = [p.name for p in problem.free]
     # The whole way that it can move a parameter is two deviations.
-    moved = {name: 0.5 * rest.share * problem.size * float(by) for name, by in zip(names, spread, strict=True)}
+    moved = worst_shift(problem, x, 0.5 * rest.share * problem.size)
     return _widened(estimate, moved, "a part of the torque that follows the motion and is not in the model")
 
 
+def worst_shift(problem: ClosedLoopProblem, x: FloatArray, size: float) -> dict[str, float]:
+    """Return by how much a part of the filtered torque of a norm can move each free parameter at most, by name."""
+    slopes = problem.linearised(x)[1]
+    sizes = column_norms(slopes)  # of parameters in units of their own
+    spread = np.sqrt(np.diag(np.linalg.pinv((slopes / sizes).T @ (slopes / sizes)))) / sizes
+    return {p.name: size * float(by) for p, by in zip(problem.free, spread, strict=True)}
+
+
 def _widened(estimate: Estimate, moved: Mapping[str, float], why: str) -> Estimate:
-    """Return an estimate with standard errors wide enough for what its parameters, by name, may be moved by."""
+    """Return an estimate with intervals wide enough for what its parameters, by name, may be moved by."""
     rows = tuple(
-        replace(row, stderr=math.hypot(row.stderr, moved.get(row.name, 0.0))) if row.stderr else row
+        replace(row, lack_of_fit=max(row.lack_of_fit, moved.get(row.name, 0.0))) if row.stderr else row
         for row in estimate.params
     )
     return estimate.amended(params={"rows": rows, "basis": f"{estimate.params.basis}, and for {why}"})

@@ -210,7 +210,7 @@ class LoopCheck(Documented):
         """Return which law of spring or friction has what was found, as the end of a sentence; "" where none has."""
         test = finding.test
         if test.name == COGGING:
-            return f"; to identify it, declare it: [ripple] period = {number(test.shape, 4)}"
+            return f"; to identify it, declare it: [ripple] period = {number(test.shape, 3)}"
         key = "spring" if test.name in _SPRINGS else "friction"
         if test.name not in _LAWS:
             return ""
@@ -289,7 +289,7 @@ def _describe_laws(law: OtherLaw, alike: Sequence[OtherLaw]) -> str:
 
 
 def _describe_mechanics(s: FaultTest, unit: str, torque: str, *, spread: bool) -> str:
-    """Return what the mechanics have and their model has not; the size of what is large is larger, see the module."""
+    """Return what the mechanics have and their model has not; "or more", as one step towards a large size is short."""
     percent, size = _size(s, "%", spread=spread, factor=100.0), _size(s, torque, spread=spread)
     sense = "stiffer" if s.size > 0 else "softer"
     more = f"{percent}or more " if percent else ""

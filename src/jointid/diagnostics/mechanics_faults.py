@@ -40,7 +40,7 @@ from jointid.models.friction import (
 )
 from jointid.models.joints import FlexibleJoint, frictions_beside, springs_beside
 from jointid.models.springs import Backlash, CubicSpring, ElasticLoad, ThreePieceSpring
-from jointid.simulation.closed_loop import Simulation, in_threads
+from jointid.simulation.closed_loop import Simulation, in_threads, require_finished
 
 CUBIC_SPRING, BACKLASH, SECOND_MODE = "cubic_spring", "backlash", "second_mode"
 COGGING = "cogging"
@@ -72,8 +72,8 @@ _SIDES = ("motor_", "load_")
 class _Trial:
     """A fault of some size: the joint that has it, and its values where they are others than without it.
 
-    `without` are its values under the same law where there is none, if that is not the joint's own law; `shape` tells a
-    trial from the others of that fault.
+    `shape` tells a trial from the others of that fault. No law of friction beyond lines has numbers of its own for each
+    direction: beside such lines a fault of it is tried with the means of both, which are `without` it.
     """
 
     name: str
@@ -92,15 +92,16 @@ def vary_mechanics(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultS
     run, values = problem.simulate(x), problem.values(x)
     wild = _WILD * float(np.max(np.abs(run.torque)))
 
+    lines = with_joint(problem, replace(joint, friction=SymmetricFriction()))
+
     def simulate(trial: _Trial) -> FloatArray | None:
+        other = with_joint(problem, trial.joint)
         try:
-            other = with_joint(problem, trial.joint)
-            raw = other.torque(other.vector({**values, **trial.values}))
-            raw = raw - (
-                run.torque if trial.without is None else other.torque(other.vector({**values, **trial.without}))
-            )
+            faulty = require_finished(other.simulate(other.vector({**values, **trial.values})))
+            plain = run if trial.without is None else lines.simulate(lines.vector({**values, **trial.without}))
         except JointidError:  # a loop that is unstable with it is not that of the record
             return None
+        raw = faulty.torque - require_finished(plain).torque
         return raw / trial.size if np.all(np.abs(raw) < wild) else None
 
     trials = _list_trials(problem, x)
@@ -128,19 +129,18 @@ def search_second_mode(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[Fa
             yield FaultSignature(SECOND_MODE, problem.filtered(raw), mode, raw)
 
 
-def solve_with_fault(problem: ClosedLoopProblem, x: FloatArray, name: str, shape: float | None) -> FaultFit | None:
-    """Return the joint with a fault, identified; None where the search for it fails.
+def solve_with_fault(problem: ClosedLoopProblem, x: FloatArray, name: str) -> FaultFit | None:
+    """Return the joint with a fault, identified from all that was tried of it; None where no search for it ends better.
 
     Args:
         problem: of the joint without it, solved.
         x: (free,) its parameters.
         name: of the fault.
-        shape: of it: the search begins with what was tried next to that.
     """
-    trials = [one for one in _list_trials(problem, x) if one.name == name]
-    trials = [one for one in trials if one.without is None]  # another law than the joint's own changes more than that
-    nearest = min(trials, key=lambda one: abs((one.shape or 0.0) - (shape or 0.0)), default=None)
-    return None if nearest is None else _search(problem, x, nearest)
+    trials = [one for one in _list_trials(problem, x) if one.name == name and one.without is None]
+    ends = [end for end in in_threads(lambda trial: _search(problem, x, trial), trials) if end is not None]
+    best = min(ends, key=lambda end: end.left, default=None)
+    return best if best is not None and best.left < float(np.linalg.norm(problem.residual(x))) else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,10 +150,12 @@ class FaultFit:
     Attributes:
         values: of its parameters, by name.
         change: (samples,) of the torque, by the fault and by what the other parameters become with it.
+        left: norm of the residual.
     """
 
     values: Mapping[str, float]
     change: FloatArray
+    left: float
 
 
 def _search(problem: ClosedLoopProblem, x: FloatArray, trial: _Trial) -> FaultFit | None:
@@ -161,8 +163,9 @@ def _search(problem: ClosedLoopProblem, x: FloatArray, trial: _Trial) -> FaultFi
     other = with_joint(problem, trial.joint)
     rough = replace(least_squares(other, _ROUGHLY), evaluations=_FEW)
     try:
-        end = History(silent).solve(other, rough, other.vector({**problem.values(x), **trial.values})).solution.x
-        return FaultFit(other.values(end), other.torque(end) - problem.torque(x))
+        end = History(silent).solve(other, rough, other.vector({**problem.values(x), **trial.values})).solution
+        run = require_finished(other.simulate(end.x))
+        return FaultFit(other.values(end.x), run.torque - problem.torque(x), float(np.linalg.norm(end.residual)))
     except (JointidError, np.linalg.LinAlgError):
         return None
 
@@ -179,7 +182,11 @@ def _list_trials(problem: ClosedLoopProblem, x: FloatArray) -> list[_Trial]:
     """Return the faults that are tried of a flexible joint."""
     joint, run, values = problem.joint, problem.simulate(x), problem.values(x)
     assert isinstance(joint, FlexibleJoint)
-    return [*_try_springs(joint, run, values), *_try_frictions(joint, run, values)]
+    held = {p.name for p in problem.parameters if not p.free}
+    trials = (*_try_springs(joint, run, values), *_try_frictions(joint, run, values))
+    return [
+        one for one in trials if not held & {name for name, value in one.values.items() if value != values.get(name)}
+    ]
 
 
 def _try_springs(joint: FlexibleJoint, run: Simulation, values: Mapping[str, float]) -> Iterator[_Trial]:
@@ -220,11 +227,11 @@ def _try_frictions(joint: FlexibleJoint, run: Simulation, values: Mapping[str, f
         if isinstance(law, LoadDependentFriction):
             grows = still | {"load_friction_per_torque": _LOSS}
             yield _Trial(LOAD_DEPENDENT_FRICTION, other, grows, _LOSS, without=without)
-        elif law == PreslidingFriction() and plain:
+        elif law == PreslidingFriction():
             travel = float(np.ptp(run.motor_position))
             for share in _DISTANCES:
                 distances = {f"{side}presliding_distance": share * travel for side in _SIDES}
-                yield _Trial(WINDING_FRICTION, other, still | distances, 1.0, share * travel)
+                yield _Trial(WINDING_FRICTION, other, still | distances, 1.0, share * travel, without)
         elif isinstance(law, DriftingFriction):
             for part, shape in zip(PARTS, (VISCOUS, COULOMB), strict=True):
                 falls = {f"{side}{part}_drift": -_LOST * mean[f"{side}{part}"] / duration for side in _SIDES}

@@ -93,10 +93,10 @@ def _value(estimate: Estimate, asked: EstimatedParameter) -> Message:
     assert asked.value is not None
     if asked.at_bound is not None:
         shown = f"{number(asked.at_bound)} {asked.unit}, at its bound"
-    elif asked.stderr is None:
+    elif asked.deviation is None:
         shown = f"{number(asked.value)} {asked.unit}{'' if asked.free else ' (fixed)'}"
     else:
-        shown = f"{interval(asked.value, 2 * asked.stderr)} {asked.unit}"
+        shown = f"{interval(asked.value, 2 * asked.deviation)} {asked.unit}"
     shown = _with_pieces(estimate, asked, shown)
     mode = _mode(estimate)
     words = f"{_called(asked.name)} {shown}" + ("" if mode is None else f", mode {number(mode, 3)} Hz")
@@ -115,8 +115,8 @@ def _with_pieces(estimate: Estimate, asked: EstimatedParameter, shown: str) -> s
 
 def _shown(row: EstimatedParameter) -> str:
     value = "?" if row.value is None else number(row.value)
-    if row.value is not None and row.stderr:
-        value = interval(row.value, 2 * row.stderr)
+    if row.value is not None and row.deviation:
+        value = interval(row.value, 2 * row.deviation)
     return f"{value} {row.unit}"
 
 
@@ -144,7 +144,7 @@ def _values(asked: EstimatedParameter, mode: float | None) -> dict[str, Any]:
     return {
         "parameter": asked.name,
         "value": asked.value,
-        "two_sigma": None if asked.stderr is None else 2 * asked.stderr,
+        "two_sigma": None if asked.deviation is None else 2 * asked.deviation,
         "unit": asked.unit,
         "mode_hz": mode,
         "lower_bound": None,
@@ -282,12 +282,11 @@ def _effects(estimate: Estimate, asked: EstimatedParameter) -> Iterator[Message]
         return
     if not asked.identifiable:
         yield Message(Against.ONLY_TOGETHER, "the record determines it only together with others")
-    if asked.value is None or asked.stderr is None or not math.isfinite(asked.value + asked.stderr):
+    deviation = asked.deviation
+    if asked.value is None or deviation is None or not math.isfinite(asked.value + deviation):
         yield Message(Against.NO_INTERVAL, "its interval is not known")
-    elif 2 * asked.stderr > _WIDE * abs(asked.value):
-        share = (
-            f"to {number(200 * asked.stderr / abs(asked.value), 2)} % only" if asked.value else "not even by its sign"
-        )
+    elif 2 * deviation > _WIDE * abs(asked.value):
+        share = f"to {number(200 * deviation / abs(asked.value), 2)} % only" if asked.value else "not even by its sign"
         yield Message(Against.WIDE, f"it is known {share}")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, overload
@@ -40,6 +41,8 @@ class EstimatedParameter:
         lower_bound: what the record supports when the value is refused.
         of_joint: False for what surrounds the joint (the initial state).
         at_bound: the bound that holds it, where it does not follow the record; None where none does.
+        lack_of_fit: by how much what the joint has and its model has not may move it, as one deviation; it is the same
+            in every record of such a motion, so it is no part of `stderr`.
     """
 
     name: str
@@ -52,13 +55,20 @@ class EstimatedParameter:
     lower_bound: float | None = None
     of_joint: bool = True
     at_bound: float | None = None
+    lack_of_fit: float = 0.0
+
+    @property
+    def deviation(self) -> float | None:
+        """The standard error and the lack of fit together: half of half the interval; None without a standard error."""
+        return None if self.stderr is None else math.hypot(self.stderr, self.lack_of_fit)
 
     @property
     def interval(self) -> tuple[float, float] | None:
-        """Lower and upper end of the value with two standard errors; None where there is no standard error."""
-        if self.value is None or self.stderr is None:
+        """Lower and upper end of the value with two deviations; None where there is no standard error."""
+        deviation = self.deviation
+        if self.value is None or deviation is None:
             return None
-        return self.value - 2 * self.stderr, self.value + 2 * self.stderr
+        return self.value - 2 * deviation, self.value + 2 * deviation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,6 +174,7 @@ def _refer(p: EstimatedParameter, here: EstimatedParameter, side: OtherSide) -> 
         unit=side.unit(p.unit),
         value=scaled(here.value),
         stderr=None if here.stderr is None else abs(factor) * here.stderr,
+        lack_of_fit=abs(factor) * here.lack_of_fit,
         lower_bound=scaled(here.lower_bound),
     )
 

@@ -210,14 +210,14 @@ def _shared(estimate: Estimate) -> Table:
 
 
 def _cells(p: EstimatedParameter) -> tuple[str, str, str, str, str]:
-    spread = number(2 * p.stderr, 2) if p.stderr is not None else "fixed"
+    spread = number(2 * p.deviation, 2) if p.deviation is not None else "fixed"
     return p.symbol, p.name.replace("_", " "), number(p.value), spread, p.unit
 
 
 def _beside(p: EstimatedParameter | None) -> str:
-    if p is None or p.value is None or p.stderr is None:
+    if p is None or p.value is None or p.deviation is None:
         return "-"
-    return f"{number(p.value)} +- {number(2 * p.stderr, 2)}"
+    return f"{number(p.value)} +- {number(2 * p.deviation, 2)}"
 
 
 def describe_drift(drift: DriftTest, params: Sequence[EstimatedParameter]) -> str:
@@ -269,12 +269,12 @@ def shown(p: EstimatedParameter) -> str:
 def parameter_row(p: EstimatedParameter) -> tuple[str, ...]:
     """Return symbol, words, value, two deviations, the same in percent of the value, and unit."""
     words = p.name.replace("_", " ")
-    if p.value is None or p.stderr is None or not p.free or p.at_bound is not None:
+    if p.value is None or p.deviation is None or not p.free or p.at_bound is not None:
         fixed = p.value is not None and not p.free and p.at_bound is None
         return p.symbol, words, shown(p), "fixed" if fixed else "-", "-", p.unit
-    percent = 200 * p.stderr / abs(p.value) if p.value else math.inf
+    percent = 200 * p.deviation / abs(p.value) if p.value else math.inf
     relative = number(percent, 2) if percent < _LOST else "-"
-    return p.symbol, words, number(p.value), number(2 * p.stderr, 2), relative, p.unit
+    return p.symbol, words, number(p.value), number(2 * p.deviation, 2), relative, p.unit
 
 
 def remarks(estimate: Estimate) -> dict[str, str]:

@@ -408,7 +408,7 @@ def interval(p: EstimatedParameter) -> str:
         return f"refused: the record does not tell it{bound}"
     if not p.free:
         return f"{text.number(p.value)} {p.unit} (kept fixed)"
-    known = "no interval" if p.stderr is None else f"+- {text.number(2 * p.stderr, 2)}, 2 sigma"
+    known = "no interval" if p.deviation is None else f"+- {text.number(2 * p.deviation, 2)}, 2 sigma"
     return f"{text.number(p.value)} {p.unit} ({known}{'' if p.identifiable else '; not told by the record'})"
 
 

@@ -54,7 +54,7 @@ SHAPES: Mapping[str, Shape] = {
     "EstimatedParameter": {
         **same("symbol", "value"),
         "std": "stderr",
-        **same("unit", "free", "identifiable", "lower_bound", "at_bound"),
+        **same("unit", "free", "identifiable", "lower_bound", "at_bound", "lack_of_fit"),
     },
     "Gravity": same("load", "angle"),  # its numbers are parameters
     "Transmission": {
