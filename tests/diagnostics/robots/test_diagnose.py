@@ -101,6 +101,37 @@ def test_a_feed_forward_that_is_not_declared_is_named(kind: str) -> None:
     assert f'robot.feed_forward = "{kind}"' in found.sentences[0]
 
 
+def test_a_feed_forward_of_coupled_motors_is_named() -> None:
+    plain = two().loop()
+    first, second = plain.robot.joints
+    coupled = replace(plain.robot, joints=(first, replace(second, coupling={"joint1": -2.0})))
+    loop = RobotLoop(coupled, plain.controllers)
+    given = add_feed_forward(loop, two().records(6.0))
+    records = [replace(one, injected=None) for one in logged_by(loop, given)]
+    assert asked(loop, records, loop.controllers).feed_forward == "inverse-model"
+
+
+def test_the_travel_is_that_of_the_motors_wherever_they_turn() -> None:
+    """Rows that are left out of the comparison are 0: they are no place that the motor was at."""
+    driven = []
+    for one in two().records(6.0):
+        assert one.reference is not None
+        driven.append(replace(one, reference=replace(one.reference, values=one.reference.values + 2.0)))
+    loop = two().loop()
+    records = logged_by(loop, driven)
+    found = asked(loop, records, loop.controllers)
+    true = [float(np.ptp(one.motor_position.values)) for one in records if one.motor_position is not None]
+    assert [one.travel for one in found.joints] == pytest.approx(true, rel=0.05)  # the filter's borders are off
+    assert found.torques.position.min() > 0.5
+
+
+def test_an_offset_is_told_with_the_sum_that_it_stands_for() -> None:
+    estimate = identify_robot(arm(), records_of(arm(), 2, noise=0.2))
+    formulas = ("offset1 + m2 * 9.81", *estimate.base.offset_formulas[1:])
+    found = parameters_by_joint(replace(estimate, base=replace(estimate.base, offset_formulas=formulas)))
+    assert {one.name: one.formula for one in found}["offset1"] == formulas[0]
+
+
 def test_from_torques_alone_the_loop_is_not_seen_apart_from_the_model() -> None:
     loop = two().loop()
     records = [Record(torque=one.torque, reference=one.reference) for one in logged_by(loop)]

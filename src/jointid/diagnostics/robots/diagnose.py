@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -385,8 +385,7 @@ def _better_feed_forward(
     kinds: tuple[Literal["gravity", "inverse-model"], ...] = ("gravity", "inverse-model")
     for kind in kinds:
         try:
-            uncoupled = replace(robot, joints=tuple(replace(joint, coupling={}) for joint in robot.joints))
-            injected = add_feed_forward(RobotLoop(uncoupled, tuple(declared)), records, kind)
+            injected = add_feed_forward(RobotLoop(robot, tuple(declared)), records, kind)
         except JointidError:
             return None
         left = _rms_left(_laws(robot, injected, controllers))

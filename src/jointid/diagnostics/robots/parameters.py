@@ -80,7 +80,7 @@ def _of_inverse_model(estimate: RobotEstimate) -> tuple[list[int], list[float], 
     joints = [int(i) // 10 if i < 10 * n else int(i) - 10 * n for i in estimate.base.chosen]
     friction = len(estimate.names) - len(joints)
     joints += [k for k in range(n) for _ in range(friction // n)]
-    formulas = [*estimate.base.formulas, *estimate.names[len(estimate.base) :]]
+    formulas = [str(row["formula"]) for row in estimate.rows.values()]
     return joints, [float(one) for one in estimate.nominal], formulas
 
 
