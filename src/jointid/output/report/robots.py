@@ -214,6 +214,9 @@ def _torque_chart(found: RobotDiagnosis) -> Chart:
         t, measured, predicted, error = thin(
             torques.time, torques.measured[k], torques.predicted[k], torques.error[k], most=_SAMPLES
         )
+        # 0, or scaled, where it is not compared: no torque that was measured.
+        hidden = ~torques.seen[k][np.searchsorted(torques.time, t)]
+        measured, predicted, error = (np.where(hidden, np.nan, each) for each in (measured, predicted, error))
         lines = (
             Line(t, measured, MEASURED, "measured"),
             Line(t, predicted, SIMULATED, word),
@@ -226,7 +229,11 @@ def _torque_chart(found: RobotDiagnosis) -> Chart:
             )
         )  # fmt: skip
     panels[-1] = replace(panels[-1], x_label="time [s]", height=panels[-1].height + 25)
-    rest = " Where a motor rests its rows are 0: friction takes what it must there." if not torques.seen.all() else ""
+    rest = (
+        ""
+        if torques.seen.all()
+        else " Lines break where a motor rests or turns round: friction takes what it must there."
+    )
     caption = (
         f"Measured and {word} torque of each motor behind its gear, filtered as they were compared, and their "
         f"difference on the same scale.{rest} On a screen, zooming one zooms all."
