@@ -265,8 +265,8 @@ def identify_robot(
         records: of each joint, with torque and motor position behind the gear, on one clock.
         settings: of the method.
         filtering: of positions and rows.
-        loop: the robot under its controllers, which the estimator "iv" simulates from the records' references, from
-            rest at the first sample.
+        loop: the robot under its controllers, which the estimator "iv" simulates from the records' references and what
+            is injected; at the first sample at rest, or in motion where the loop says so.
 
     Raises:
         MethodError: the record does not determine all base parameters; the sentence names those involved. Or "iv" has
