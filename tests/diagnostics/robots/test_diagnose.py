@@ -11,7 +11,7 @@ import pytest
 from jointid.common.arrays import FloatArray
 from jointid.diagnostics.robots.diagnose import RobotDiagnosis, diagnose_robot
 from jointid.diagnostics.robots.parameters import Told, parameters_by_joint
-from jointid.diagnostics.robots.torques import FRICTION
+from jointid.diagnostics.robots.torques import DIRECTION, FRICTION
 from jointid.estimation.robots.didim import identify_rigid_robot
 from jointid.estimation.robots.idim import identify_robot
 from jointid.estimation.robots.torque_only import identify_robot_from_torques
@@ -67,6 +67,31 @@ def test_friction_that_rises_towards_standstill_is_named_at_its_joint() -> None:
     follows = found.joints[3].follows
     assert follows is not None and follows[0] == FRICTION
     assert any(one.startswith("joint4: the model leaves") and "standstill" in one for one in found.sentences)
+
+
+def test_a_friction_that_differs_by_direction_is_said_and_named() -> None:
+    loop = two().loop()
+    first, second = loop.robot.joints
+    other = replace(loop.robot, joints=(replace(first, viscous_backwards=12.0), second))
+    records = logged_by(RobotLoop(other, loop.controllers))
+    estimate = identify_robot(other, records)
+    said = " ".join(str(estimate).split())
+    assert "another friction backwards of joint1: IDIM finds one viscous friction" in said
+    found = diagnose_robot(estimate, records).joints[0]
+    assert not found.explained
+    assert found.follows is not None and found.follows[0] == DIRECTION
+    assert not identify_robot(loop.robot, records).cautions
+
+
+def test_what_is_left_is_no_noise_unless_it_is_white() -> None:
+    records = records_of(arm(), 2, noise=0.2)
+    estimate = identify_robot(arm(), records)
+    joint = diagnose_robot(estimate, records).joints[0]
+    assert joint.whiteness is not None
+    coloured = replace(joint, left=0.05, whiteness=replace(joint.whiteness, p_value=1e-6), follows=None)
+    assert not coloured.explained
+    assert replace(coloured, whiteness=replace(joint.whiteness, p_value=0.01)).explained
+    assert replace(coloured, left=0.02).explained
 
 
 def test_the_motion_of_another_joint_is_named() -> None:

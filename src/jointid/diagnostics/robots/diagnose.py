@@ -30,8 +30,8 @@ from jointid.records.record import Record
 from jointid.simulation.robots import RobotLoop, add_feed_forward
 from jointid.uncertainty.residual_tests import Coupling, Whiteness, coupling, whiteness
 
-_LEFT = 0.03  # of a torque: what is left, if it follows the motion, is worth a sentence
-_LARGE = 0.1  # likewise: the joint's model does not hold
+_LEFT = 0.03  # of a torque: what is left, if it is not white, is worth a sentence
+_SURE = 0.001  # of white noise that is taken for coloured: rare in all joints of a robot together
 _MUCH = 0.25  # of what is left, that follows one thing
 _BEYOND_NOISE = 2.0  # times what any law leaves: the declared one is not what the drive runs
 _OF_LAW = 0.03  # of a torque: what a law leaves that holds
@@ -77,8 +77,9 @@ class JointDiagnosis:
     @property
     def explained(self) -> bool:
         """True if what is left is small, or nothing but noise as far as is seen."""
-        coloured = self.whiteness is not None and not self.whiteness.white
-        return self.left < _LEFT or not (coloured and (self.left >= _LARGE or self._one_thing))
+        if self.left < _LEFT or self.whiteness is None or self.whiteness.white:
+            return True
+        return self.whiteness.p_value > _SURE and not self._one_thing
 
     @property
     def law_holds(self) -> bool | None:

@@ -1,8 +1,9 @@
 """The torques of a robot's record beside those of an estimate, joint by joint, on the rows that were compared.
 
 Beside them stand shapes: what a part that the model lacks would add to a joint's torque. A friction that is no straight
-line, or grows with the load; what repeats with the position; a gear that bends, which adds the second derivative of the
-acceleration; the motion of each other joint, as coupled motors do. All go through the filter of the torques.
+line, grows with the load or differs by direction; what repeats with the position; a gear that bends, which adds the
+second derivative of the acceleration; the motion of each other joint, as coupled motors do. All go through the filter
+of the torques.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ _HARMONICS = 4  # of the travel
 FRICTION = "its own speed, by more than a straight line: friction that rises towards standstill, or with the square"
 LOAD = "its own torque while it moves: friction that grows with the load"
 POSITION = "its own position: a gear that turns unevenly, a cable or a counterbalance"
+DIRECTION = "its own speed, in one direction more than in the other: friction that differs by direction"
 SPRING = "changes of its acceleration: a gear that bends"
 
 
@@ -163,6 +165,7 @@ def _shapes(
         np.stack([way * np.exp(-np.abs(v) / slow), v * np.abs(v)], axis=2),
         (way * np.abs(torque))[:, :, np.newaxis],
         np.stack(waves, axis=2),
+        np.abs(v)[:, :, np.newaxis],
         bent[:, :, np.newaxis],
     ]
     others = []
@@ -172,7 +175,7 @@ def _shapes(
 
     def name(joint: int, place: int) -> str:
         if place < len(own):
-            return (FRICTION, LOAD, POSITION, SPRING)[place]
+            return (FRICTION, LOAD, POSITION, DIRECTION, SPRING)[place]
         other = place - len(own)
         return f"the motion of {robot.names[other + (other >= joint)]}: motors or gears that are coupled"
 

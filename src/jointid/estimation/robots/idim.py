@@ -24,7 +24,7 @@ from jointid.common.document import Document, Documented, Facts, Heading, Listin
 from jointid.common.errors import MethodError
 from jointid.common.messages import no_choice
 from jointid.common.settings import check_settings, declare, documented, setting
-from jointid.common.text import interval, number
+from jointid.common.text import interval, listed, number
 from jointid.estimation.methods.linear import (
     Instruments,
     Rows,
@@ -194,6 +194,17 @@ class RobotEstimate(Documented):
             "motor position and gear.",
         )
 
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """Sentences on what the model declares and IDIM does not find."""
+        joints = [joint.name for joint in self.robot.joints if joint.asymmetric]
+        if not joints:
+            return ()
+        return (
+            f"The model declares another friction backwards of {listed(joints)}: IDIM finds one viscous friction for "
+            "both directions, and the difference of the Coulomb frictions in the offset; DIDIM finds each.",
+        )
+
     def friction(self, symbol: str) -> FloatArray:
         """Return one number of each joint's friction, (n,): "Fv", "Fc" or "offset"."""
         return np.array([self.params[f"{symbol}{k}"] for k in range(1, len(self.robot) + 1)])
@@ -228,6 +239,7 @@ class RobotEstimate(Documented):
             f"{self.robot.name}: {len(self.base)} base parameters of {len(self.robot)} joints",
             (
                 *(Paragraph(one, lead=True, tone="bad") for one in self.objections),
+                *(Paragraph(one) for one in self.cautions),
                 Facts((("method", f"IDIM of a robot, {_WORDS[self.settings.estimator]}"),)),
                 errors_table(self.robot, errors, "of the record it was identified from"),
                 Table(("parameter", "value, 2 sigma", "unit", "sigma, %", "nominal"), rows, caption, (0, 1, 2)),
