@@ -13,7 +13,7 @@ from jointid.diagnostics.robots.diagnose import RobotDiagnosis, diagnose_robot
 from jointid.diagnostics.robots.parameters import Told, parameters_by_joint
 from jointid.diagnostics.robots.torques import DIRECTION, FRICTION
 from jointid.estimation.robots.didim import identify_rigid_robot
-from jointid.estimation.robots.idim import identify_robot
+from jointid.estimation.robots.idim import RobotIDIM, identify_robot
 from jointid.estimation.robots.torque_only import identify_robot_from_torques
 from jointid.models.controllers import Controller
 from jointid.records.record import Record
@@ -155,6 +155,19 @@ def test_an_offset_is_told_with_the_sum_that_it_stands_for() -> None:
     formulas = ("offset1 + m2 * 9.81", *estimate.base.offset_formulas[1:])
     found = parameters_by_joint(replace(estimate, base=replace(estimate.base, offset_formulas=formulas)))
     assert {one.name: one.formula for one in found}["offset1"] == formulas[0]
+
+
+def test_what_is_fixed_is_neither_told_nor_not_told() -> None:
+    records = records_of(arm(), 2, noise=0.2)
+    free, kept = (identify_robot(arm(), records, RobotIDIM(fixed=one)) for one in ({}, {"Fv4": 1.5, "offset2": 0.0}))
+    assert set(free.told) - set(kept.told) >= {"Fv4"}
+    found = diagnose_robot(kept, records)
+    known = {one.name: one.known for joint in found.joints for one in joint.parameters}
+    assert known["Fv4"] is Told.FIXED and known["offset2"] is Told.FIXED
+    assert sum(one is Told.TOLD for one in known.values()) == len(kept.told)
+    assert f"The record tells {len(kept.told)} of {len(kept.names) - 2} parameters" in found.answer
+    assert f"{len(kept.told)} of {len(kept.names) - 2} parameters are known to a tenth" in str(kept)
+    assert not any("offset2" in one for one in found.sentences)
 
 
 def test_from_torques_alone_the_loop_is_not_seen_apart_from_the_model() -> None:

@@ -70,6 +70,11 @@ class JointDiagnosis:
     parameters: tuple[ParameterOfJoint, ...]
     law: LawOnPosition | None
 
+    @property
+    def asked(self) -> tuple[ParameterOfJoint, ...]:
+        """Its parameters but for the fixed ones, which were not asked of the record."""
+        return tuple(one for one in self.parameters if one.known is not Told.FIXED)
+
     def names(self, *known: Told) -> tuple[str, ...]:
         """Return the names of the parameters that are known so."""
         return tuple(one.name for one in self.parameters if one.known in known)
@@ -239,7 +244,7 @@ class RobotDiagnosis(Documented):
         else:
             wrong = [one.name for one in self.joints if one.law_holds is False]
             second = f"The declared controller of {listed(wrong)} does not make the logged torque: no DIDIM with it."
-        count = sum(len(one.parameters) for one in self.joints)
+        count = sum(len(one.asked) for one in self.joints)
         told = sum(len(one.names(Told.TOLD)) for one in self.joints)
         return f"{first} {second} The record tells {told} of {count} parameters to a tenth."
 

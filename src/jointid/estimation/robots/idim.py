@@ -47,7 +47,8 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.robots import RobotLoop
 from jointid.uncertainty.covariance import Covariance
 
-_KNOWN = 0.1  # relative deviation: a parameter that is known better is told by the record
+KNOWN = 0.1
+"""Relative deviation: a parameter that is known better is told by the record."""
 
 _WORDS = {
     "ols": "ordinary least squares",
@@ -165,8 +166,9 @@ class RobotEstimate(Documented):
 
     @property
     def told(self) -> tuple[str, ...]:
-        """Symbols of the parameters that this record tells: those known to a tenth of themselves."""
-        return tuple(name for name, share in zip(self.names, self.relative_deviations, strict=True) if share < _KNOWN)
+        """Symbols of the parameters that this record tells: known to a tenth of themselves, and not fixed."""
+        shares = zip(self.names, self.relative_deviations, strict=True)
+        return tuple(name for name, share in shares if share < KNOWN and name not in self.settings.fixed)
 
     @property
     def rows(self) -> Mapping[str, Mapping[str, object]]:
@@ -223,7 +225,7 @@ class RobotEstimate(Documented):
                 self.names[i],
                 interval(float(self.values[i]), 2 * float(self.covariance.std[i])),
                 units[i],
-                f"{100 * shares[i]:.2g}",
+                "fixed" if self.names[i] in self.settings.fixed else f"{100 * shares[i]:.2g}",
                 number(float(self.nominal[i]), 4),
             )
             for i in shown
@@ -234,7 +236,8 @@ class RobotEstimate(Documented):
         sums = tuple(f"{a} is {b}" for a, b in zip(self.names, self._formulas, strict=True) if a != b)
         hidden = len(self.names) - len(shown)
         left_out = f"; {hidden} more are not told from 0 by this record" if hidden else ""
-        caption = f"{len(self.told)} of {len(self.names)} parameters are known to a tenth, 1 sigma{left_out}"
+        asked = len(self.names) - len(self.settings.fixed)
+        caption = f"{len(self.told)} of {asked} parameters are known to a tenth, 1 sigma{left_out}"
         return Document(
             f"{self.robot.name}: {len(self.base)} base parameters of {len(self.robot)} joints",
             (

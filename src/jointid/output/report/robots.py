@@ -179,7 +179,7 @@ class RobotReport(Pages):
 def _parameters(found: RobotDiagnosis) -> Iterator[Block]:
     """Yield a table of each joint's parameters."""
     told = sum(one.known is Told.TOLD for joint in found.joints for one in joint.parameters)
-    whole = sum(len(joint.parameters) for joint in found.joints)
+    whole = sum(len(joint.asked) for joint in found.joints)
     yield Paragraph(f"{told} of {whole} are known to a tenth, 1 sigma. What is not told from 0 is not to be used.")
     header = ("parameter", "value, 2 sigma", "unit", "sigma, %", "nominal", "verdict")
     for joint in found.joints:
@@ -194,6 +194,8 @@ def _parameter(one: ParameterOfJoint) -> tuple[str, ...]:
         shown = "-" if one.at_least is None else f"at least {number(one.at_least, 3)}"
         return one.name, shown, one.unit, "", nominal, one.known.value
     share = f"{100 * one.std / abs(one.value):.2g}" if one.value else "-"
+    if one.known is Told.FIXED:
+        share = ""
     return one.name, interval(one.value, 2 * one.std), one.unit, share, nominal, one.known.value
 
 
