@@ -69,6 +69,17 @@ def test_simulated_runs_of_a_robot_differ_by_their_seed(place: Path) -> None:
     assert "parameters are known to a tenth" in rows[0].sentence
 
 
+def test_what_is_fixed_is_not_counted(place: Path) -> None:
+    file = place / "robot.toml"
+    text = file.read_text(encoding="utf-8")
+    channels = '[record.channels]\nmotor_position = { column = "q{axis}" }'
+    fixed = '\n[method]\nname = "idim"\nfixed = { Fv2 = 1.2 }\n'
+    file.write_text(text.replace("[record.channels]", channels) + fixed, encoding="utf-8")
+    asked = '[monte_carlo]\njoint = "robot.toml"\nrecord = "references.csv"\nruns = 1\nnoise_log = 0.5\n'
+    row = run_case(next(load_campaign(campaign(place, asked)).cases()))
+    assert "of 12 parameters are known to a tenth" in row.sentence
+
+
 def test_what_is_refused(place: Path) -> None:
     for kind in ("bootstrap", "multistart"):
         with pytest.raises(JointFileError, match=rf"\[{kind}\] draws .* is a robot file"):

@@ -24,12 +24,10 @@ from jointid.config import loads
 from jointid.config.loading import apply_changes, parse_toml
 from jointid.config.robot_file import RobotFile
 from jointid.estimation.result.answer import Trust
-from jointid.estimation.robots.idim import RobotEstimate, RobotIDIM, identify_robot
+from jointid.estimation.robots.idim import KNOWN, RobotEstimate, RobotIDIM, identify_robot
 from jointid.estimation.robots.torque_only import identify_robot_from_torques
 from jointid.records.record import Record
 from jointid.simulation.robots import RobotOutcome, robot_records, simulate_robot
-
-_KNOWN = 0.1  # relative deviation of a parameter that is known
 
 
 def is_robot(text: str) -> bool:
@@ -113,14 +111,15 @@ def identify_robot_case(case: Case, path: Path) -> dict[str, Any]:
         name: Found(finite(row["value"]), finite(row["std"]) or None, row["unit"])
         for name, row in estimate.rows.items()
     }
-    known = [one for one in found.values() if one.value and (one.std or 0.0) <= _KNOWN * abs(one.value)]
+    known = [one for one in found.values() if one.value and one.std and one.std < KNOWN * abs(one.value)]
+    asked = len(found) - (len(file.method.fixed) if isinstance(file.method, RobotIDIM) else 0)
     left = 100 * estimate.joint_errors
     worst = file.robot.names[int(np.argmax(left))]
     objected = isinstance(estimate, RobotEstimate) and bool(estimate.objections)
     trust = Trust.NOT_YET if objected or not settled else Trust.NOT_CHECKED
     return {
         "outcome": Outcome.IDENTIFIED,
-        "sentence": f"{len(known)} of {len(found)} parameters are known to a tenth; {max(left):.3g} % of the torque is "
+        "sentence": f"{len(known)} of {asked} parameters are known to a tenth; {max(left):.3g} % of the torque is "
         f"left, of {worst}.",
         "found": found,
         "trust": str(trust),

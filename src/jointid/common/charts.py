@@ -164,6 +164,7 @@ def thin(x: FloatArray, *signals: FloatArray, most: int) -> tuple[FloatArray, ..
     """Return signals with no more than about `most` points: of each stretch the least and the largest of each signal.
 
     Peaks stay what and where they are: every stretch keeps the samples at which one of the signals is least or largest.
+    So do gaps: of the samples that are no number it keeps the first.
 
     Args:
         x: (samples,) increasing.
@@ -178,7 +179,11 @@ def thin(x: FloatArray, *signals: FloatArray, most: int) -> tuple[FloatArray, ..
     for low, high in itertools.pairwise(edges):
         for signal in signals:
             part = signal[low:high]
-            kept |= {int(low + np.argmin(part)), int(low + np.argmax(part))}
+            gaps = np.isnan(part)
+            if gaps.any():
+                kept.add(int(low + np.argmax(gaps)))
+            if not gaps.all():
+                kept |= {int(low + np.nanargmin(part)), int(low + np.nanargmax(part))}
     at = np.array(sorted(kept))
     return x[at], *(signal[at] for signal in signals)
 

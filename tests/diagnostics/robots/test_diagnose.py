@@ -11,9 +11,9 @@ import pytest
 from jointid.common.arrays import FloatArray
 from jointid.diagnostics.robots.diagnose import RobotDiagnosis, diagnose_robot
 from jointid.diagnostics.robots.parameters import Told, parameters_by_joint
-from jointid.diagnostics.robots.torques import FRICTION
+from jointid.diagnostics.robots.torques import DIRECTION, FRICTION
 from jointid.estimation.robots.didim import identify_rigid_robot
-from jointid.estimation.robots.idim import identify_robot
+from jointid.estimation.robots.idim import RobotIDIM, identify_robot
 from jointid.estimation.robots.torque_only import identify_robot_from_torques
 from jointid.models.controllers import Controller
 from jointid.records.record import Record
@@ -69,6 +69,31 @@ def test_friction_that_rises_towards_standstill_is_named_at_its_joint() -> None:
     assert any(one.startswith("joint4: the model leaves") and "standstill" in one for one in found.sentences)
 
 
+def test_a_friction_that_differs_by_direction_is_said_and_named() -> None:
+    loop = two().loop()
+    first, second = loop.robot.joints
+    other = replace(loop.robot, joints=(replace(first, viscous_backwards=12.0), second))
+    records = logged_by(RobotLoop(other, loop.controllers))
+    estimate = identify_robot(other, records)
+    said = " ".join(str(estimate).split())
+    assert "another friction backwards of joint1: IDIM finds one viscous friction" in said
+    found = diagnose_robot(estimate, records).joints[0]
+    assert not found.explained
+    assert found.follows is not None and found.follows[0] == DIRECTION
+    assert not identify_robot(loop.robot, records).cautions
+
+
+def test_what_is_left_is_no_noise_unless_it_is_white() -> None:
+    records = records_of(arm(), 2, noise=0.2)
+    estimate = identify_robot(arm(), records)
+    joint = diagnose_robot(estimate, records).joints[0]
+    assert joint.whiteness is not None
+    coloured = replace(joint, left=0.05, whiteness=replace(joint.whiteness, p_value=1e-6), follows=None)
+    assert not coloured.explained
+    assert replace(coloured, whiteness=replace(joint.whiteness, p_value=0.01)).explained
+    assert replace(coloured, left=0.02).explained
+
+
 def test_the_motion_of_another_joint_is_named() -> None:
     records = records_of(arm(), 2, noise=0.02)
     more = with_torque(records, 4, 0.3 * motion(2)[2][:, 5])
@@ -99,6 +124,50 @@ def test_a_feed_forward_that_is_not_declared_is_named(kind: str) -> None:
     found = asked(loop, records, loop.controllers)
     assert found.feed_forward == kind
     assert f'robot.feed_forward = "{kind}"' in found.sentences[0]
+
+
+def test_a_feed_forward_of_coupled_motors_is_named() -> None:
+    plain = two().loop()
+    first, second = plain.robot.joints
+    coupled = replace(plain.robot, joints=(first, replace(second, coupling={"joint1": -2.0})))
+    loop = RobotLoop(coupled, plain.controllers)
+    given = add_feed_forward(loop, two().records(6.0))
+    records = [replace(one, injected=None) for one in logged_by(loop, given)]
+    assert asked(loop, records, loop.controllers).feed_forward == "inverse-model"
+
+
+def test_the_travel_is_that_of_the_motors_wherever_they_turn() -> None:
+    """Rows that are left out of the comparison are 0: they are no place that the motor was at."""
+    driven = []
+    for one in two().records(6.0):
+        assert one.reference is not None
+        driven.append(replace(one, reference=replace(one.reference, values=one.reference.values + 2.0)))
+    loop = two().loop()
+    records = logged_by(loop, driven)
+    found = asked(loop, records, loop.controllers)
+    true = [float(np.ptp(one.motor_position.values)) for one in records if one.motor_position is not None]
+    assert [one.travel for one in found.joints] == pytest.approx(true, rel=0.05)  # the filter's borders are off
+    assert found.torques.position.min() > 0.5
+
+
+def test_an_offset_is_told_with_the_sum_that_it_stands_for() -> None:
+    estimate = identify_robot(arm(), records_of(arm(), 2, noise=0.2))
+    formulas = ("offset1 + m2 * 9.81", *estimate.base.offset_formulas[1:])
+    found = parameters_by_joint(replace(estimate, base=replace(estimate.base, offset_formulas=formulas)))
+    assert {one.name: one.formula for one in found}["offset1"] == formulas[0]
+
+
+def test_what_is_fixed_is_neither_told_nor_not_told() -> None:
+    records = records_of(arm(), 2, noise=0.2)
+    free, kept = (identify_robot(arm(), records, RobotIDIM(fixed=one)) for one in ({}, {"Fv4": 1.5, "offset2": 0.0}))
+    assert set(free.told) - set(kept.told) >= {"Fv4"}
+    found = diagnose_robot(kept, records)
+    known = {one.name: one.known for joint in found.joints for one in joint.parameters}
+    assert known["Fv4"] is Told.FIXED and known["offset2"] is Told.FIXED
+    assert sum(one is Told.TOLD for one in known.values()) == len(kept.told)
+    assert f"The record tells {len(kept.told)} of {len(kept.names) - 2} parameters" in found.answer
+    assert f"{len(kept.told)} of {len(kept.names) - 2} parameters are known to a tenth" in str(kept)
+    assert not any("offset2" in one for one in found.sentences)
 
 
 def test_from_torques_alone_the_loop_is_not_seen_apart_from_the_model() -> None:

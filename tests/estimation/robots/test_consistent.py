@@ -57,6 +57,14 @@ def test_bodies_fit_the_estimate_and_can_be() -> None:
     assert found.robot.of_joints("coulomb") == pytest.approx(COULOMB, rel=0.03)
 
 
+def test_a_friction_that_is_declared_another_backwards_is_not_left_beside_the_one_found() -> None:
+    first = replace(ARM.joints[0], viscous_backwards=20.0, coulomb_backwards=30.0)
+    declared = replace(ARM, joints=(first, *ARM.joints[1:]))
+    found = consistent_robot(identify_robot(declared, records_of(ARM, 2, noise=0.5))).robot.joints[0]
+    assert not found.asymmetric
+    assert found.coulomb == pytest.approx(COULOMB[0], rel=0.05)
+
+
 def test_noise_that_gives_no_bodies_still_gives_a_robot_that_can_be_simulated() -> None:
     estimate = identify_robot(ARM, records_of(ARM, 4, noise=15.0))
     spoilt = replace(estimate, values=estimate.values - 3 * estimate.covariance.std)

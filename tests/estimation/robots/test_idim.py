@@ -11,9 +11,13 @@ import pytest
 from jointid.common.errors import MethodError, RecordError
 from jointid.estimation.robots.consistent import consistent_robot
 from jointid.estimation.robots.idim import RobotIDIM, identify_robot
+from jointid.estimation.robots.instruments import robot_instruments
+from jointid.estimation.robots.regression import base_rows, motion_of_robot
 from jointid.estimation.robots.validation import RobotValidation, validate_robot
+from jointid.models.robots.base_parameters import base_parameters
 from jointid.records.record import Record
-from jointid.simulation.robots import RobotLoop
+from jointid.records.signals.filtering import Filtering
+from jointid.simulation.robots import RobotLoop, robot_records, simulate_robot
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.estimation.robots.twin import COULOMB, OFFSETS, VISCOUS, arm, records_of
 from tests.robots_plants import two
@@ -112,6 +116,18 @@ def noisy(seed: int) -> tuple[RobotLoop, tuple[Record, ...]]:
         seen = seen + random.normal(0.0, 2e-4, seen.size)
         made.append(replace(record, motor_position=replace(record.motor_position, values=seen)))
     return loop, tuple(made)
+
+
+def test_instruments_begin_in_motion_where_the_loop_does() -> None:
+    loop, driven = replace(two().loop(), in_motion=True), []
+    for one in two().records(6.0):
+        assert one.reference is not None
+        driven.append(Record(reference=replace(one.reference, values=one.reference.values[2000:].copy())))
+    records = robot_records(loop, driven, simulate_robot(loop, driven))
+    base, motion = base_parameters(loop.robot), motion_of_robot(loop.robot, records, Filtering())
+    measured = base_rows(loop.robot, base, motion).W
+    made = robot_instruments(loop, records, base, motion)(base.with_friction(loop.robot))
+    assert np.linalg.norm(made - measured) < 1e-3 * np.linalg.norm(measured)
 
 
 @pytest.mark.slow

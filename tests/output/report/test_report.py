@@ -411,6 +411,14 @@ def test_thinning_keeps_every_peak() -> None:
     assert thin(x[:10], y[:10], most=1000)[0].size == 10
 
 
+def test_thinning_keeps_gaps_and_the_peaks_beside_them() -> None:
+    x, y = np.arange(10_000.0), np.zeros(10_000)
+    y[5_000:5_010], y[5_012] = np.nan, 3.0
+    at, kept = thin(x, y, most=1000)
+    assert np.any(np.isnan(kept[(at >= 5_000) & (at < 5_010)]))
+    assert np.nanmax(kept) == 3.0
+
+
 def test_a_long_record_says_what_is_left_out() -> None:
     told = reports.rigid()
     many = 40_000

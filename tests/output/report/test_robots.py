@@ -1,4 +1,4 @@
-"""The report of a robot from torques and references alone, whose spring the record does not show."""
+"""The report of a robot: what is refused, and torques with gaps."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from jointid.estimation.robots.flexible import SpringVerdict
+from jointid.estimation.robots.idim import identify_robot
 from jointid.estimation.robots.torque_only import RobotDIDIM, RobotTorqueEstimate
 from jointid.estimation.robots.torque_only import identify_robot_from_torques as identify
 from jointid.output.report.robots import RobotReport
 from jointid.records.record import Record
 from jointid.simulation.robots import robot_records, simulate_robot
+from tests.estimation.robots.twin import arm, records_of
 from tests.robots_plants import two
 
 
@@ -37,3 +39,13 @@ def test_what_is_refused_is_not_in_the_table() -> None:
     assert set(told.charts) == {"torque", "residual", "spectra"}
     torque = told.charts["torque"].panels[0].items[0]
     assert np.ptp(torque.y) > 0  # type: ignore[union-attr]
+
+
+def test_the_lines_of_the_torques_break_where_nothing_is_compared() -> None:
+    records = records_of(arm(), 2, noise=0.2)
+    chart = RobotReport.of(identify_robot(arm(), records), records).charts["torque"]
+    assert "Lines break where a motor rests or turns round" in chart.caption
+    for panel in chart.panels:
+        for line in panel.items:
+            hidden = np.isnan(line.y)  # type: ignore[union-attr]
+            assert 0 < np.mean(hidden) < 0.5

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -30,8 +30,8 @@ from jointid.records.record import Record
 from jointid.simulation.robots import RobotLoop, add_feed_forward
 from jointid.uncertainty.residual_tests import Coupling, Whiteness, coupling, whiteness
 
-_LEFT = 0.03  # of a torque: what is left, if it follows the motion, is worth a sentence
-_LARGE = 0.1  # likewise: the joint's model does not hold
+_LEFT = 0.03  # of a torque: what is left, if it is not white, is worth a sentence
+_SURE = 0.001  # of white noise that is taken for coloured: rare in all joints of a robot together
 _MUCH = 0.25  # of what is left, that follows one thing
 _BEYOND_NOISE = 2.0  # times what any law leaves: the declared one is not what the drive runs
 _OF_LAW = 0.03  # of a torque: what a law leaves that holds
@@ -70,6 +70,11 @@ class JointDiagnosis:
     parameters: tuple[ParameterOfJoint, ...]
     law: LawOnPosition | None
 
+    @property
+    def asked(self) -> tuple[ParameterOfJoint, ...]:
+        """Its parameters but for the fixed ones, which were not asked of the record."""
+        return tuple(one for one in self.parameters if one.known is not Told.FIXED)
+
     def names(self, *known: Told) -> tuple[str, ...]:
         """Return the names of the parameters that are known so."""
         return tuple(one.name for one in self.parameters if one.known in known)
@@ -77,8 +82,9 @@ class JointDiagnosis:
     @property
     def explained(self) -> bool:
         """True if what is left is small, or nothing but noise as far as is seen."""
-        coloured = self.whiteness is not None and not self.whiteness.white
-        return self.left < _LEFT or not (coloured and (self.left >= _LARGE or self._one_thing))
+        if self.left < _LEFT or self.whiteness is None or self.whiteness.white:
+            return True
+        return self.whiteness.p_value > _SURE and not self._one_thing
 
     @property
     def law_holds(self) -> bool | None:
@@ -238,7 +244,7 @@ class RobotDiagnosis(Documented):
         else:
             wrong = [one.name for one in self.joints if one.law_holds is False]
             second = f"The declared controller of {listed(wrong)} does not make the logged torque: no DIDIM with it."
-        count = sum(len(one.parameters) for one in self.joints)
+        count = sum(len(one.asked) for one in self.joints)
         told = sum(len(one.names(Told.TOLD)) for one in self.joints)
         return f"{first} {second} The record tells {told} of {count} parameters to a tenth."
 
@@ -385,8 +391,7 @@ def _better_feed_forward(
     kinds: tuple[Literal["gravity", "inverse-model"], ...] = ("gravity", "inverse-model")
     for kind in kinds:
         try:
-            uncoupled = replace(robot, joints=tuple(replace(joint, coupling={}) for joint in robot.joints))
-            injected = add_feed_forward(RobotLoop(uncoupled, tuple(declared)), records, kind)
+            injected = add_feed_forward(RobotLoop(robot, tuple(declared)), records, kind)
         except JointidError:
             return None
         left = _rms_left(_laws(robot, injected, controllers))

@@ -1,7 +1,7 @@
 """The parameters of a robot's estimate, each with the joint that it belongs to, what it stands for, and a verdict.
 
 A parameter is told by a record where its deviation is below a tenth of it, roughly where it is below itself, and else
-not told from 0. A stiffness that is refused has its bound.
+not told from 0. A stiffness that is refused has its bound; what was fixed was not asked of the record.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from enum import StrEnum
 
 import numpy as np
 
-from jointid.estimation.robots.idim import RobotEstimate
+from jointid.estimation.robots.idim import KNOWN, RobotEstimate
 from jointid.estimation.robots.torque_only import RobotTorqueEstimate
 from jointid.simulation.robot_sensitivities import NumberOf
 from jointid.simulation.robots import RobotNumbers
 
-_TOLD, _ROUGHLY = 0.1, 1.0  # relative deviations
+_ROUGHLY = 1.0  # relative deviation
 
 
 class Told(StrEnum):
@@ -27,6 +27,7 @@ class Told(StrEnum):
     ROUGHLY = "roughly"
     NOT = "not told from 0"
     REFUSED = "refused"
+    FIXED = "fixed"
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +62,7 @@ def parameters_by_joint(estimate: RobotEstimate | RobotTorqueEstimate) -> tuple[
         joints, nominal, formulas = _of_inverse_model(estimate)
     else:
         joints, nominal, formulas = _of_simulation(estimate)
+    fixed = estimate.settings.fixed if isinstance(estimate, RobotEstimate) else {}
     found = []
     for (name, row), joint, before, formula in zip(estimate.rows.items(), joints, nominal, formulas, strict=True):
         value, std, least = row["value"], row["std"], row.get("at_least")
@@ -68,9 +70,11 @@ def parameters_by_joint(estimate: RobotEstimate | RobotTorqueEstimate) -> tuple[
         spread = std if isinstance(std, float) else None
         bound = least if isinstance(least, float) else None
         known = Told.REFUSED
-        if number is not None and spread is not None:
+        if name in fixed:
+            known = Told.FIXED
+        elif number is not None and spread is not None:
             share = spread / abs(number) if number else math.inf
-            known = Told.TOLD if share < _TOLD else Told.ROUGHLY if share < _ROUGHLY else Told.NOT
+            known = Told.TOLD if share < KNOWN else Told.ROUGHLY if share < _ROUGHLY else Told.NOT
         found.append(ParameterOfJoint(joint, name, number, spread, str(row["unit"]), before, formula, known, bound))
     return tuple(sorted(found, key=lambda one: one.joint))
 
@@ -80,7 +84,7 @@ def _of_inverse_model(estimate: RobotEstimate) -> tuple[list[int], list[float], 
     joints = [int(i) // 10 if i < 10 * n else int(i) - 10 * n for i in estimate.base.chosen]
     friction = len(estimate.names) - len(joints)
     joints += [k for k in range(n) for _ in range(friction // n)]
-    formulas = [*estimate.base.formulas, *estimate.names[len(estimate.base) :]]
+    formulas = [str(row["formula"]) for row in estimate.rows.values()]
     return joints, [float(one) for one in estimate.nominal], formulas
 
 

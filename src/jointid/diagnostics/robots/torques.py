@@ -1,14 +1,15 @@
 """The torques of a robot's record beside those of an estimate, joint by joint, on the rows that were compared.
 
 Beside them stand shapes: what a part that the model lacks would add to a joint's torque. A friction that is no straight
-line, or grows with the load; what repeats with the position; a gear that bends, which adds the second derivative of the
-acceleration; the motion of each other joint, as coupled motors do. All go through the filter of the torques.
+line, grows with the load or differs by direction; what repeats with the position; a gear that bends, which adds the
+second derivative of the acceleration; the motion of each other joint, as coupled motors do. All go through the filter
+of the torques.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,7 @@ _HARMONICS = 4  # of the travel
 FRICTION = "its own speed, by more than a straight line: friction that rises towards standstill, or with the square"
 LOAD = "its own torque while it moves: friction that grows with the load"
 POSITION = "its own position: a gear that turns unevenly, a cable or a counterbalance"
+DIRECTION = "its own speed, in one direction more than in the other: friction that differs by direction"
 SPRING = "changes of its acceleration: a gear that bends"
 
 
@@ -43,8 +45,8 @@ class RobotTorques:
         sample_time, cutoff: s between rows, and Hz of the filter.
         measured, predicted: (n, rows) N m or N, behind the gear.
         nominal: (n, rows) the same of the model's own masses, friction fitted; None where nothing was asked of it.
-        seen: (n, rows) False where a motor rests, so that friction takes what it must.
-        position, velocity: (n, rows) of the motors behind their gears, rad or m, and per s.
+        seen: (n, rows) False where a motor rests or turns round, so that friction takes what it must.
+        position, velocity: (n, rows) of the motors behind their gears, rad or m, and per s; in all rows, seen or not.
         shapes: of each joint, by what they are of, (rows, columns).
     """
 
@@ -92,11 +94,13 @@ def _by_inverse_model(estimate: RobotEstimate, records: Sequence[Record]) -> Rob
     def thin(columns: FloatArray) -> FloatArray:
         return motion.thinned(columns).reshape(len(robot), -1, columns.shape[2])
 
+    everywhere = replace(motion, moving=np.ones_like(motion.moving))
+    path = everywhere.thinned(np.stack([q, v], axis=2)).reshape(len(robot), -1, 2)
     nominal = rows.by_equation(rows.W @ estimate.nominal) if robot.has_masses else None
     measured = rows.by_equation(rows.Y)
     return _torques(
         robot, motion.filtering, motion.sample_time, (measured, rows.by_equation(rows.W @ estimate.values), nominal),
-        seen, (q, v, a), motion.torque, thin,
+        seen, path, (q, v, a), motion.torque, thin,
     )  # fmt: skip
 
 
@@ -113,8 +117,8 @@ def _by_simulation(estimate: RobotTorqueEstimate, records: Sequence[Record]) -> 
     q, v, a = (one[:, rotors] for one in (motion.position, motion.velocity, motion.acceleration))
     seen = np.ones(measured.shape, dtype=np.bool_)
     return _torques(
-        robot, problem.filtering, problem.sample_time, (measured, predicted, None), seen, (q, v, a), problem.measured,
-        thin,
+        robot, problem.filtering, problem.sample_time, (measured, predicted, None), seen,
+        thin(np.stack([q, v], axis=2)), (q, v, a), problem.measured, thin,
     )  # fmt: skip
 
 
@@ -124,24 +128,27 @@ def _torques(
     sample_time: float,
     torques: tuple[FloatArray, FloatArray, FloatArray | None],
     seen: NDArray[np.bool_],
+    path: FloatArray,
     motion: tuple[FloatArray, FloatArray, FloatArray],
     torque: FloatArray,
     thin: Callable[[FloatArray], FloatArray],
 ) -> RobotTorques:
-    """Return torques with the shapes of what a model may lack; motion and torque are (samples, n), as they are."""
+    """Return torques with the shapes of what a model may lack; motion and torque are (samples, n), as they are.
+
+    The path is positions and velocities of the rows, (n, rows, 2).
+    """
     assert filtering.cutoff is not None
     assert filtering.decimation is not None
     q, v, a = motion
     names, columns = _shapes(robot, q, v, a, torque, sample_time)
-    found = thin(np.concatenate([np.stack([q, v], axis=2), *columns], axis=2))
     widths = [one.shape[2] for one in columns]
-    parts = np.split(found[:, :, 2:], np.cumsum(widths)[:-1], axis=2)
+    parts = np.split(thin(np.concatenate(columns, axis=2)), np.cumsum(widths)[:-1], axis=2)
     shapes = tuple({names(k, i): part[k] for i, part in enumerate(parts)} for k in range(len(robot)))
     step = sample_time * filtering.decimation
     measured, predicted, nominal = torques
     return RobotTorques(
         robot, np.asarray(step * np.arange(measured.shape[1])), step, filtering.cutoff, measured, predicted, nominal,
-        seen, found[:, :, 0], found[:, :, 1], shapes,
+        seen, path[:, :, 0], path[:, :, 1], shapes,
     )  # fmt: skip
 
 
@@ -158,6 +165,7 @@ def _shapes(
         np.stack([way * np.exp(-np.abs(v) / slow), v * np.abs(v)], axis=2),
         (way * np.abs(torque))[:, :, np.newaxis],
         np.stack(waves, axis=2),
+        np.abs(v)[:, :, np.newaxis],
         bent[:, :, np.newaxis],
     ]
     others = []
@@ -167,7 +175,7 @@ def _shapes(
 
     def name(joint: int, place: int) -> str:
         if place < len(own):
-            return (FRICTION, LOAD, POSITION, SPRING)[place]
+            return (FRICTION, LOAD, POSITION, DIRECTION, SPRING)[place]
         other = place - len(own)
         return f"the motion of {robot.names[other + (other >= joint)]}: motors or gears that are coupled"
 

@@ -106,7 +106,16 @@ def consistent_robot(estimate: RobotEstimate, prior: Robot | None = None, spread
     )
     standard, _ = unpack(found.x)
     joints = tuple(
-        replace(joint, rotor_inertia=float(rotor), viscous=float(fv), coulomb=float(fc), offset=float(offset))
+        # What the prior has backwards is in the means and the offset that were found.
+        replace(
+            joint,
+            rotor_inertia=float(rotor),
+            viscous=float(fv),
+            coulomb=float(fc),
+            offset=float(offset),
+            viscous_backwards=None,
+            coulomb_backwards=None,
+        )
         for joint, rotor, (fv, fc, offset) in zip(
             prior.joints, standard[10 * n :], found.x[11 * n :].reshape(n, 3), strict=True
         )

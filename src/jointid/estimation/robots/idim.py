@@ -24,7 +24,7 @@ from jointid.common.document import Document, Documented, Facts, Heading, Listin
 from jointid.common.errors import MethodError
 from jointid.common.messages import no_choice
 from jointid.common.settings import check_settings, declare, documented, setting
-from jointid.common.text import interval, number
+from jointid.common.text import interval, listed, number
 from jointid.estimation.methods.linear import (
     Instruments,
     Rows,
@@ -47,7 +47,8 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.robots import RobotLoop
 from jointid.uncertainty.covariance import Covariance
 
-_KNOWN = 0.1  # relative deviation: a parameter that is known better is told by the record
+KNOWN = 0.1
+"""Relative deviation: a parameter that is known better is told by the record."""
 
 _WORDS = {
     "ols": "ordinary least squares",
@@ -165,8 +166,9 @@ class RobotEstimate(Documented):
 
     @property
     def told(self) -> tuple[str, ...]:
-        """Symbols of the parameters that this record tells: those known to a tenth of themselves."""
-        return tuple(name for name, share in zip(self.names, self.relative_deviations, strict=True) if share < _KNOWN)
+        """Symbols of the parameters that this record tells: known to a tenth of themselves, and not fixed."""
+        shares = zip(self.names, self.relative_deviations, strict=True)
+        return tuple(name for name, share in shares if share < KNOWN and name not in self.settings.fixed)
 
     @property
     def rows(self) -> Mapping[str, Mapping[str, object]]:
@@ -194,6 +196,17 @@ class RobotEstimate(Documented):
             "motor position and gear.",
         )
 
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """Sentences on what the model declares and IDIM does not find."""
+        joints = [joint.name for joint in self.robot.joints if joint.asymmetric]
+        if not joints:
+            return ()
+        return (
+            f"The model declares another friction backwards of {listed(joints)}: IDIM finds one viscous friction for "
+            "both directions, and the difference of the Coulomb frictions in the offset; DIDIM finds each.",
+        )
+
     def friction(self, symbol: str) -> FloatArray:
         """Return one number of each joint's friction, (n,): "Fv", "Fc" or "offset"."""
         return np.array([self.params[f"{symbol}{k}"] for k in range(1, len(self.robot) + 1)])
@@ -212,7 +225,7 @@ class RobotEstimate(Documented):
                 self.names[i],
                 interval(float(self.values[i]), 2 * float(self.covariance.std[i])),
                 units[i],
-                f"{100 * shares[i]:.2g}",
+                "fixed" if self.names[i] in self.settings.fixed else f"{100 * shares[i]:.2g}",
                 number(float(self.nominal[i]), 4),
             )
             for i in shown
@@ -223,11 +236,13 @@ class RobotEstimate(Documented):
         sums = tuple(f"{a} is {b}" for a, b in zip(self.names, self._formulas, strict=True) if a != b)
         hidden = len(self.names) - len(shown)
         left_out = f"; {hidden} more are not told from 0 by this record" if hidden else ""
-        caption = f"{len(self.told)} of {len(self.names)} parameters are known to a tenth, 1 sigma{left_out}"
+        asked = len(self.names) - len(self.settings.fixed)
+        caption = f"{len(self.told)} of {asked} parameters are known to a tenth, 1 sigma{left_out}"
         return Document(
             f"{self.robot.name}: {len(self.base)} base parameters of {len(self.robot)} joints",
             (
                 *(Paragraph(one, lead=True, tone="bad") for one in self.objections),
+                *(Paragraph(one) for one in self.cautions),
                 Facts((("method", f"IDIM of a robot, {_WORDS[self.settings.estimator]}"),)),
                 errors_table(self.robot, errors, "of the record it was identified from"),
                 Table(("parameter", "value, 2 sigma", "unit", "sigma, %", "nominal"), rows, caption, (0, 1, 2)),
@@ -265,8 +280,8 @@ def identify_robot(
         records: of each joint, with torque and motor position behind the gear, on one clock.
         settings: of the method.
         filtering: of positions and rows.
-        loop: the robot under its controllers, which the estimator "iv" simulates from the records' references, from
-            rest at the first sample.
+        loop: the robot under its controllers, which the estimator "iv" simulates from the records' references and what
+            is injected; at the first sample at rest, or in motion where the loop says so.
 
     Raises:
         MethodError: the record does not determine all base parameters; the sentence names those involved. Or "iv" has

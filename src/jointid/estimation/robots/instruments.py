@@ -28,17 +28,17 @@ def robot_instruments(
     """Return what simulates the loop with values of all parameters and gives the columns on its motion.
 
     Args:
-        loop: robot and controllers; springs are not read.
+        loop: robot and controllers, at rest or in motion at the first sample; springs are not read.
         records: of each joint, with reference, torque and motor position.
         base: of the robot.
         motion: that was measured; rows at which its motors rest or turn round are left out of both.
 
     Raises:
-        RecordError: a record lacks a channel that its controller reads.
-        MethodError: clocks differ between the joints.
+        RecordError: a record lacks a channel that its controller reads, or a clock does not divide the controllers'.
+        MethodError: controllers or logs share no clock.
     """
     rigid = replace(loop.robot, joints=tuple(replace(joint, spring=None) for joint in loop.robot.joints))
-    experiment, size = prepare_robot(RobotLoop(rigid, loop.controllers), records), len(motion.q)
+    experiment, size = prepare_robot(replace(loop, robot=rigid), records), len(motion.q)
 
     def columns(values: FloatArray) -> FloatArray:
         run = run_robot(experiment, _numbers(rigid, base, values), keep=True)

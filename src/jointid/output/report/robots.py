@@ -179,7 +179,7 @@ class RobotReport(Pages):
 def _parameters(found: RobotDiagnosis) -> Iterator[Block]:
     """Yield a table of each joint's parameters."""
     told = sum(one.known is Told.TOLD for joint in found.joints for one in joint.parameters)
-    whole = sum(len(joint.parameters) for joint in found.joints)
+    whole = sum(len(joint.asked) for joint in found.joints)
     yield Paragraph(f"{told} of {whole} are known to a tenth, 1 sigma. What is not told from 0 is not to be used.")
     header = ("parameter", "value, 2 sigma", "unit", "sigma, %", "nominal", "verdict")
     for joint in found.joints:
@@ -194,6 +194,8 @@ def _parameter(one: ParameterOfJoint) -> tuple[str, ...]:
         shown = "-" if one.at_least is None else f"at least {number(one.at_least, 3)}"
         return one.name, shown, one.unit, "", nominal, one.known.value
     share = f"{100 * one.std / abs(one.value):.2g}" if one.value else "-"
+    if one.known is Told.FIXED:
+        share = ""
     return one.name, interval(one.value, 2 * one.std), one.unit, share, nominal, one.known.value
 
 
@@ -214,6 +216,9 @@ def _torque_chart(found: RobotDiagnosis) -> Chart:
         t, measured, predicted, error = thin(
             torques.time, torques.measured[k], torques.predicted[k], torques.error[k], most=_SAMPLES
         )
+        # 0, or scaled, where it is not compared: no torque that was measured.
+        hidden = ~torques.seen[k][np.searchsorted(torques.time, t)]
+        measured, predicted, error = (np.where(hidden, np.nan, each) for each in (measured, predicted, error))
         lines = (
             Line(t, measured, MEASURED, "measured"),
             Line(t, predicted, SIMULATED, word),
@@ -226,7 +231,11 @@ def _torque_chart(found: RobotDiagnosis) -> Chart:
             )
         )  # fmt: skip
     panels[-1] = replace(panels[-1], x_label="time [s]", height=panels[-1].height + 25)
-    rest = " Where a motor rests its rows are 0: friction takes what it must there." if not torques.seen.all() else ""
+    rest = (
+        ""
+        if torques.seen.all()
+        else " Lines break where a motor rests or turns round: friction takes what it must there."
+    )
     caption = (
         f"Measured and {word} torque of each motor behind its gear, filtered as they were compared, and their "
         f"difference on the same scale.{rest} On a screen, zooming one zooms all."
