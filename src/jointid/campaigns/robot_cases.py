@@ -7,7 +7,7 @@ path, and the digest of what it holds: another model is another case.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -24,8 +24,7 @@ from jointid.config import loads
 from jointid.config.loading import apply_changes, parse_toml
 from jointid.config.robot_file import RobotFile
 from jointid.estimation.result.answer import Trust
-from jointid.estimation.robots.idim import RobotEstimate, RobotIDIM, identify_robot
-from jointid.estimation.robots.torque_only import identify_robot_from_torques
+from jointid.estimation.robots.idim import RobotEstimate
 from jointid.records.record import Record
 from jointid.simulation.robots import RobotOutcome, robot_records, simulate_robot
 
@@ -97,21 +96,18 @@ def identify_robot_case(case: Case, path: Path) -> dict[str, Any]:
             "[monte_carlo]."
         )
     file = _robot_file(case.joint_file, (*case.settings, *case.changes))
-    measured = isinstance(file.method, RobotIDIM) and file.method.estimator != "iv"
     if case.varied is not None:
         records = _simulated(file, file.driven(path, logged=False), case.varied)
     else:
-        records = file.records(path) if measured else file.driven(path)
-    if isinstance(file.method, RobotIDIM):
-        loop = None if measured else file.loop
-        estimate: Any = identify_robot(file.robot, records, file.method, filtering=file.filtering, loop=loop)
+        records = file.to_identify(path)
+    estimate = file.identify(records)
+    if isinstance(estimate, RobotEstimate):
         settled, made = estimate.converged, 1
     else:
-        estimate = identify_robot_from_torques(file.loop, records, file.method, filtering=file.filtering)
         settled, made = estimate.fit.converged, estimate.fit.iterations
+    said: Mapping[str, Mapping[str, Any]] = estimate.rows
     found = {
-        name: Found(finite(row["value"]), finite(row["std"]) or None, row["unit"])
-        for name, row in estimate.rows.items()
+        name: Found(finite(row["value"]), finite(row["std"]) or None, row["unit"]) for name, row in said.items()
     }
     known = [one for one in found.values() if one.value and (one.std or 0.0) <= _KNOWN * abs(one.value)]
     left = 100 * estimate.joint_errors
