@@ -106,9 +106,7 @@ def identify_robot_case(case: Case, path: Path) -> dict[str, Any]:
     else:
         settled, made = estimate.fit.converged, estimate.fit.iterations
     said: Mapping[str, Mapping[str, Any]] = estimate.rows
-    found = {
-        name: Found(finite(row["value"]), finite(row["std"]) or None, row["unit"]) for name, row in said.items()
-    }
+    found = {name: Found(finite(row["value"]), finite(row["std"]) or None, row["unit"]) for name, row in said.items()}
     known = [one for one in found.values() if one.value and (one.std or 0.0) <= _KNOWN * abs(one.value)]
     left = 100 * estimate.joint_errors
     worst = file.robot.names[int(np.argmax(left))]

@@ -251,6 +251,8 @@ def design_robot_file(
     found = design_robot_test(
         file.robot, file.limits, duration=duration or (_DURATION if first is None else first.duration),
         sample_time=sample_time, loop=None if isinstance(file.method, RobotIDIM) else file.loop,
+        # Of a motion that was never played nothing is logged: such a robot is foretold without.
+        feed_forward="none" if file.feed_forward == "logged" else file.feed_forward,
         noise=None if first is None else first.noise, present=None if first is None else first.motion, motion=own,
         filtering=file.filtering, seconds=seconds, progress=options.progress,
     )  # fmt: skip
