@@ -7,7 +7,7 @@ path, and the digest of what it holds: another model is another case.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -25,8 +25,10 @@ from jointid.config.loading import apply_changes, parse_toml
 from jointid.config.robot_file import RobotFile
 from jointid.estimation.result.answer import Trust
 from jointid.estimation.robots.idim import RobotEstimate
+from jointid.estimation.robots.torque_only import RobotTorqueEstimate
+from jointid.models.robots.base_parameters import FRICTION
 from jointid.records.record import Record
-from jointid.simulation.robots import RobotOutcome, robot_records, simulate_robot
+from jointid.simulation.robots import RobotNumbers, RobotOutcome, robot_records, simulate_robot
 
 _KNOWN = 0.1  # relative deviation of a parameter that is known
 
@@ -121,7 +123,25 @@ def identify_robot_case(case: Case, path: Path) -> dict[str, Any]:
         "converged": bool(settled),
         "error_percent": finite(float(np.sqrt(np.mean(left**2)))),
         "simulations": int(made),
+        "truth": {} if case.varied is None else dict(_truth(estimate)),
     }
+
+
+def _truth(estimate: RobotEstimate | RobotTorqueEstimate) -> Iterator[tuple[str, float]]:
+    """Yield what is true of each parameter of a simulated robot, that of the file, in the sums that are identified.
+
+    By IDIM, which takes joints as rigid and friction as the same in both directions, there is no truth where a joint
+    has a spring, nor of the friction of a joint whose directions differ.
+    """
+    robot = estimate.robot
+    if isinstance(estimate, RobotTorqueEstimate):
+        parameters = estimate.fit.parameters
+        yield from zip(parameters.names, map(float, parameters.group(RobotNumbers.of(robot))), strict=True)
+    elif not any(robot.flexible):
+        uneven = {f"{symbol}{k}" for k, one in enumerate(robot.joints, 1) if one.asymmetric for symbol in FRICTION}
+        for name, value in zip(estimate.names, map(float, estimate.base.with_friction(robot)), strict=True):
+            if name not in uneven:
+                yield name, value
 
 
 def _simulated(file: RobotFile, driven: Sequence[Record], asked: Simulated) -> tuple[Record, ...]:
