@@ -189,6 +189,11 @@ def payload(
             "A payload is weighed by IDIM, from motor positions and torques, and this robot file asks for DIDIM; add "
             "--set method.name=idim, with records that have them."
         )
+    if mass is not None and (file.method.fixed or file.method.estimator != RobotIDIM().estimator):
+        raise MethodError(
+            "The drives' gains are searched with all parameters free, each joint weighed by its error; leave "
+            "method.fixed and method.estimator out, or add --set method.estimator=weighted --set method.fixed={}."
+        )
     empty, loaded = file.records(without), file.records(with_)
     if mass is None:
         deliver(weigh_payload(file.robot, empty, loaded, file.method, filtering=file.filtering), json)
