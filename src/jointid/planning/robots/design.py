@@ -332,7 +332,7 @@ class _Regressor:
         base = base_parameters(robot)
         values = base.with_friction(robot)
         uneven = np.array([0.5 * (joint.viscous - joint.viscous_back) for joint in robot.joints])
-        friction = values[len(base) :].reshape(-1, len(FRICTION))
+        friction = values[len(base) :].reshape(-1, len(FRICTION))  # a view: what is added to it is added to the values
         for k, joint in enumerate(robot.joints):
             # Coulomb friction by direction is one of both directions and an offset: the same torques.
             both, offset = joint.coulomb_both
