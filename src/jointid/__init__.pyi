@@ -25,6 +25,7 @@ from .estimation.problems.log_windows import Windowing
 from .estimation.problems.several_records import SeveralRecords
 from .estimation.result.estimate import Estimate
 from .estimation.robots.consistent import consistent_robot
+from .estimation.robots.drive_gains import identify_drive_gains
 from .estimation.robots.idim import RobotEstimate, RobotIDIM, identify_robot
 from .estimation.robots.payload import identify_payload
 from .estimation.robots.torque_only import (
@@ -34,6 +35,7 @@ from .estimation.robots.torque_only import (
     validate_robot_torques,
 )
 from .estimation.robots.validation import RobotValidation, validate_robot
+from .estimation.robots.weighing import weigh_payload
 from .models.controllers import PD, PID, Cascade, StateSpaceController, filters
 from .models.friction import AsymmetricFriction, SymmetricFriction
 from .models.gravity import Counterbalance, Gravity
@@ -143,6 +145,7 @@ __all__ = [
     "filters",
     "foretell",
     "identify",
+    "identify_drive_gains",
     "identify_payload",
     "identify_robot",
     "identify_robot_from_torques",
@@ -167,5 +170,6 @@ __all__ = [
     "validate",
     "validate_robot",
     "validate_robot_torques",
+    "weigh_payload",
     "write",
 ]

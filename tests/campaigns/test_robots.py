@@ -80,6 +80,24 @@ def test_what_is_fixed_is_not_counted(place: Path) -> None:
     assert "of 12 parameters are known to a tenth" in row.sentence
 
 
+@pytest.mark.parametrize("method", ["didim", "idim"])
+def test_simulated_runs_of_a_robot_stand_beside_their_truth(place: Path, method: str) -> None:
+    joint = place / "robot.toml"
+    text = joint.read_text(encoding="utf-8")
+    text = text.replace("[record.channels]", '[record.channels]\nmotor_position = { column = "q{axis}" }')
+    text = text.replace('name = "joint2"\n', 'name = "joint2"\ncoupling = { joint1 = 0.6 }\ncoulomb_backwards = 5.0\n')
+    joint.write_text(f'{text}\n[method]\nname = "{method}"\n', encoding="utf-8")
+    asked = '[monte_carlo]\njoint = "robot.toml"\nrecord = "references.csv"\nruns = 1\nnoise_log = 0.5\nseed = 7\n'
+    row = run_case(next(load_campaign(campaign(place, asked)).cases()))
+    left_out = {"Fv2", "Fc2", "offset2"} if method == "idim" else set()
+    assert set(row.truth) == set(row.found) - left_out
+    assert row.truth["Fv1" if method == "idim" else "joint1.coulomb"] == pytest.approx(3.0 if method == "idim" else 4.0)
+    for name, value in row.truth.items():
+        found = row.found[name]
+        assert found.value is not None and found.std is not None
+        assert abs(found.value - value) < 5 * found.std, name
+
+
 def test_what_is_refused(place: Path) -> None:
     for kind in ("bootstrap", "multistart"):
         with pytest.raises(JointFileError, match=rf"\[{kind}\] draws .* is a robot file"):

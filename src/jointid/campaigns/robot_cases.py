@@ -7,7 +7,7 @@ path, and the digest of what it holds: another model is another case.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -24,10 +24,11 @@ from jointid.config import loads
 from jointid.config.loading import apply_changes, parse_toml
 from jointid.config.robot_file import RobotFile
 from jointid.estimation.result.answer import Trust
-from jointid.estimation.robots.idim import KNOWN, RobotEstimate, RobotIDIM, identify_robot
-from jointid.estimation.robots.torque_only import identify_robot_from_torques
+from jointid.estimation.robots.idim import KNOWN, RobotEstimate, RobotIDIM
+from jointid.estimation.robots.torque_only import RobotTorqueEstimate
+from jointid.models.robots.base_parameters import FRICTION
 from jointid.records.record import Record
-from jointid.simulation.robots import RobotOutcome, robot_records, simulate_robot
+from jointid.simulation.robots import RobotNumbers, RobotOutcome, robot_records, simulate_robot
 
 
 def is_robot(text: str) -> bool:
@@ -95,22 +96,17 @@ def identify_robot_case(case: Case, path: Path) -> dict[str, Any]:
             "[monte_carlo]."
         )
     file = _robot_file(case.joint_file, (*case.settings, *case.changes))
-    measured = isinstance(file.method, RobotIDIM) and file.method.estimator != "iv"
     if case.varied is not None:
         records = _simulated(file, file.driven(path, logged=False), case.varied)
     else:
-        records = file.records(path) if measured else file.driven(path)
-    if isinstance(file.method, RobotIDIM):
-        loop = None if measured else file.loop
-        estimate: Any = identify_robot(file.robot, records, file.method, filtering=file.filtering, loop=loop)
+        records = file.to_identify(path)
+    estimate = file.identify(records)
+    if isinstance(estimate, RobotEstimate):
         settled, made = estimate.converged, 1
     else:
-        estimate = identify_robot_from_torques(file.loop, records, file.method, filtering=file.filtering)
         settled, made = estimate.fit.converged, estimate.fit.iterations
-    found = {
-        name: Found(finite(row["value"]), finite(row["std"]) or None, row["unit"])
-        for name, row in estimate.rows.items()
-    }
+    said: Mapping[str, Mapping[str, Any]] = estimate.rows
+    found = {name: Found(finite(row["value"]), finite(row["std"]) or None, row["unit"]) for name, row in said.items()}
     known = [one for one in found.values() if one.value and one.std and one.std < KNOWN * abs(one.value)]
     asked = len(found) - (len(file.method.fixed) if isinstance(file.method, RobotIDIM) else 0)
     left = 100 * estimate.joint_errors
@@ -126,7 +122,25 @@ def identify_robot_case(case: Case, path: Path) -> dict[str, Any]:
         "converged": bool(settled),
         "error_percent": finite(float(np.sqrt(np.mean(left**2)))),
         "simulations": int(made),
+        "truth": {} if case.varied is None else dict(_truth(estimate)),
     }
+
+
+def _truth(estimate: RobotEstimate | RobotTorqueEstimate) -> Iterator[tuple[str, float]]:
+    """Yield what is true of each parameter of a simulated robot, that of the file, in the sums that are identified.
+
+    By IDIM, which takes joints as rigid and friction as the same in both directions, there is no truth where a joint
+    has a spring, nor of the friction of a joint whose directions differ.
+    """
+    robot = estimate.robot
+    if isinstance(estimate, RobotTorqueEstimate):
+        parameters = estimate.fit.parameters
+        yield from zip(parameters.names, map(float, parameters.group(RobotNumbers.of(robot))), strict=True)
+    elif not any(robot.flexible):
+        uneven = {f"{symbol}{k}" for k, one in enumerate(robot.joints, 1) if one.asymmetric for symbol in FRICTION}
+        for name, value in zip(estimate.names, map(float, estimate.base.with_friction(robot)), strict=True):
+            if name not in uneven:
+                yield name, value
 
 
 def _simulated(file: RobotFile, driven: Sequence[Record], asked: Simulated) -> tuple[Record, ...]:

@@ -23,7 +23,7 @@ from jointid.common import messages
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointFileError, JointidError, MethodError, RecordError
 from jointid.common.files import write_whole
-from jointid.common.messages import Says
+from jointid.common.messages import Progress, Says, silent
 from jointid.common.settings import settings_of
 from jointid.config.contents import JointFile
 from jointid.config.loading import apply_changes, parse_toml, read_text
@@ -31,8 +31,8 @@ from jointid.config.robot_model import in_order, load_robot
 from jointid.config.schema import CONSTANT, ControllerTable, FilteringTable, TransmissionTable
 from jointid.config.schema_record import ChannelsTable, DriveTable, RecordTable
 from jointid.config.table import Number, Positive, Table, Text, keys_from, sentences, with_unit
-from jointid.estimation.robots.idim import RobotIDIM
-from jointid.estimation.robots.torque_only import RobotDIDIM
+from jointid.estimation.robots.idim import RobotEstimate, RobotIDIM, identify_robot
+from jointid.estimation.robots.torque_only import RobotDIDIM, RobotTorqueEstimate, identify_robot_from_torques
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
 from jointid.planning.robots.motions import JointLimits
 from jointid.records.record import Record
@@ -252,7 +252,9 @@ class RobotFile:
             RecordError: see `records`.
             MethodError: the feed-forward needs references of one rate.
         """
-        found = self.records(path) if logged else self._of_each(lambda file: file.driving(path))
+        return self._fed_forward(self.records(path) if logged else self._of_each(lambda file: file.driving(path)))
+
+    def _fed_forward(self, found: tuple[Record, ...]) -> tuple[Record, ...]:
         injected = [
             str(file.name) for file, record in zip(self.joints, found, strict=True) if record.injected is not None
         ]
@@ -269,6 +271,46 @@ class RobotFile:
         if self.feed_forward in ("gravity", "inverse-model"):
             return add_feed_forward(self.loop, found, self.feed_forward)
         return found
+
+    def to_identify(self, path: str | os.PathLike[str] | None = None, *, judged: bool = False) -> tuple[Record, ...]:
+        """Read the records that `identify` takes: as `driven` does for a method that simulates, else as `records` does.
+
+        Args:
+            path: of the record, instead of the one that the file names.
+            judged: whether the declared controllers are held against the torques as well. These are the controllers'
+                and the feed-forward's, so a computed one is added where every joint has a controller and a reference.
+
+        Raises:
+            RecordError, MethodError: see `driven`.
+        """
+        if self._simulates:
+            return self.driven(path)
+        found = self.records(path)
+        controlled = all(file.controller is not None for file in self.joints)
+        whole = controlled and all(record.reference is not None for record in found)
+        return self._fed_forward(found) if judged and whole else found
+
+    def identify(
+        self, records: Sequence[Record], *, progress: Progress = silent
+    ) -> RobotEstimate | RobotTorqueEstimate:
+        """Identify the robot by the method and the filtering of the file.
+
+        Args:
+            records: of each joint, as `to_identify` reads them.
+            progress: is told how a search goes.
+
+        Raises:
+            RecordError, MethodError: see `identify_robot` and `identify_robot_from_torques`.
+        """
+        if isinstance(self.method, RobotIDIM):
+            loop = self.loop if self._simulates else None
+            return identify_robot(self.robot, records, self.method, filtering=self.filtering, loop=loop)
+        return identify_robot_from_torques(self.loop, records, self.method, filtering=self.filtering, progress=progress)
+
+    @property
+    def _simulates(self) -> bool:
+        """True if the method simulates the robot under its controllers."""
+        return not isinstance(self.method, RobotIDIM) or self.method.estimator == "iv"
 
     def write(self, records: Sequence[Record], path: str | os.PathLike[str]) -> None:
         """Write one record of each joint into a file that `records` reads; channels without a column as JOINT.CHANNEL.

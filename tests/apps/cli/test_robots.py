@@ -134,8 +134,12 @@ def test_payload(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str
     mass = answer["parameters"]["mass"]
     assert answer["link"] == "link6" and answer["ways_agree"] and mass["unit"] == "kg"
     assert mass["value"] == pytest.approx(3.0, rel=0.01) == mass["by_difference"]
+    for setting in ("method.estimator=robust", "method.fixed={Ia6=0.3}"):
+        with pytest.raises(MethodError, match=r"gains are searched with all parameters free"):
+            run("payload", joint, *records, "--mass", "3", "--set", setting)
     # The file says torques, so a payload of the known mass finds that they are.
-    run("payload", joint, *records, "--mass", "3", "--json", found)
+    changes = "--set", "method.estimator=weighted", "--set", "method.fixed={}"
+    run("payload", joint, *records, "--mass", "3", "--json", found, *changes)
     assert "Gains of the drives" in capsys.readouterr().out
     gains = json.loads(found.read_text(encoding="utf-8"))["gains"]
     assert all(abs(one["value"] - 1) < 3.5 * one["std"] < 0.05 for one in gains.values())

@@ -191,3 +191,19 @@ def test_what_is_refused(tmp_path: Path) -> None:
     joint.write_text(text[: text.rindex("[joints.controller]")], encoding="utf-8")
     with pytest.raises(JointFileError, match="joint2: controller is missing, but DIDIM needs it"):
         run("simulate", joint, "--set", "method.name=didim", "--out", tmp_path / "one.csv")
+
+
+@pytest.mark.parametrize("kind", ["inverse-model", "gravity"])
+def test_controllers_are_judged_beside_the_feed_forward_that_the_file_computes(tmp_path: Path, kind: str) -> None:
+    write_files(tmp_path, two(), 4.0)
+    joint, one, page = tmp_path / "robot.toml", tmp_path / "one.csv", tmp_path / "page.html"
+    text = joint.read_text(encoding="utf-8").replace("[robot]", f'[robot]\nfeed_forward = "{kind}"', 1)
+    text = text.replace("[record.channels]", '[record.channels]\nmotor_position = { column = "q{axis}" }')
+    joint.write_text(text, encoding="utf-8")
+    run("simulate", joint, "--out", one)
+    run("diagnose", joint, "--record", one, "--json", tmp_path / "said.json")
+    said = json.loads((tmp_path / "said.json").read_text(encoding="utf-8"))
+    assert said["method"] == "idim" and said["as_declared"] is True
+    run("report", joint, "--record", one, "--html", page, "--json", tmp_path / "report.json")
+    told = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
+    assert told["diagnosis"]["as_declared"] is True

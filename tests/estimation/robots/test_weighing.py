@@ -64,6 +64,11 @@ def test_a_number_of_the_empty_robot_may_be_fixed() -> None:
         payload_difference(one, other)
 
 
+def test_a_payload_is_not_weighed_by_instruments() -> None:
+    with pytest.raises(MethodError, match=r'"iv" has no instruments there; use "weighted", "robust" or "ols"'):
+        weigh_payload(ARM, *pair(12), RobotIDIM(estimator="iv"))
+
+
 def test_two_deviations_hold_the_payload() -> None:
     inside = []
     for seed in range(20, 26):

@@ -44,10 +44,12 @@ def test_what_is_written_has_the_same_torque(robot: Robot, name: str) -> None:
 def test_what_is_lost_is_said() -> None:
     robot = arm()
     coupled = replace(robot.joints[5], coupling={"joint5": 0.2})
-    text, lost = write_robot(replace(robot, joints=(*robot.joints[:5], coupled), gravity=-DOWN), Path("a.urdf"))
+    uneven = replace(robot.joints[0], coulomb_backwards=9.0)
+    joints = (uneven, *robot.joints[1:5], coupled)
+    text, lost = write_robot(replace(robot, joints=joints, gravity=-DOWN), Path("a.urdf"))
     assert [one.split(";")[0].split(",")[0] for one in lost] == [
-        "the constant parts of the motors' torques", "the coupling of the motors", "the rotors' inertias",
-        "how the base stands",
+        "the constant parts of the motors' torques", "the friction backwards of joint1", "the coupling of the motors",
+        "the rotors' inertias", "how the base stands",
     ]  # fmt: skip
     assert "left out: the rotors' inertias" in text
 

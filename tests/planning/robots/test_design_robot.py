@@ -12,12 +12,13 @@ from jointid.common.errors import MethodError
 from jointid.estimation.robots.didim import identify_rigid_robot
 from jointid.estimation.robots.idim import identify_robot
 from jointid.models.robots.dynamics import inverse_dynamics_of
-from jointid.planning.robots.design import RobotDesign, design_robot_test
+from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
+from jointid.planning.robots.design import RobotDesign, _modes, design_robot_test
 from jointid.planning.robots.first_record import first_record
 from jointid.planning.robots.motions import JointLimits, Motions, complete
 from jointid.records.record import Channel, Record
-from jointid.simulation.robots import robot_records, simulate_robot
-from tests.robots_plants import two
+from jointid.simulation.robots import RobotLoop, add_feed_forward, robot_records, simulate_robot
+from tests.robots_plants import inertial, two
 
 LIMITS = (JointLimits(-0.8, 1.2, 1.5, 6.0, 60.0), JointLimits(-1.0, 1.0, 2.0, 8.0, 20.0))
 T = 2e-3
@@ -146,3 +147,68 @@ def test_what_is_refused() -> None:
         design_robot_test(two().robot, LIMITS, duration=0.01)
     with pytest.raises(MethodError, match="has as many limits; received 1"):
         design_robot_test(two().robot, LIMITS[:1])
+
+
+def played() -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return positions, velocities and accelerations of two joints, which turn round."""
+    t = np.arange(2000) * T
+    q = np.column_stack([0.4 * np.sin(1.5 * t), 0.3 * np.sin(2.3 * t)])
+    v = np.gradient(q, T, axis=0)
+    return q, v, np.gradient(v, T, axis=0)
+
+
+def needed(robot: Robot, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+    """Return the torques of links, rotors and friction by direction, of motors that are not coupled."""
+    torque = inverse_dynamics_of(*robot.tree, robot.gravity, robot.inertials, q, v, a)
+    torque += robot.of_joints("rotor_inertia") * a + robot.of_joints("offset")
+    for k, joint in enumerate(robot.joints):
+        back = joint.coulomb if joint.coulomb_backwards is None else joint.coulomb_backwards
+        torque[:, k] += np.where(v[:, k] < 0, joint.viscous_back, joint.viscous) * v[:, k]
+        torque[:, k] += np.where(v[:, k] < 0, -back, joint.coulomb)
+    return torque
+
+
+def test_the_torque_that_is_foretold_is_the_friction_of_each_direction_too() -> None:
+    robot, (q, v, a) = two().robot, played()
+    first, second = robot.joints
+    joints = replace(first, viscous_backwards=25.0), replace(second, coulomb_backwards=12.0)
+    robot = replace(robot, joints=joints)
+    found = design_robot_test(robot, LIMITS, duration=4.0, sample_time=T, motion=q)
+    np.testing.assert_allclose(found.torque, needed(robot, q, v, a), atol=1e-6)
+    assert found.parameters["Fv1"]["about"] == pytest.approx(14.0), "of both directions, as IDIM tells it"
+
+
+def test_the_torque_that_is_foretold_has_the_weight_that_is_grouped_with_an_offset() -> None:
+    links = (
+        Link("slide", -1, "prismatic", inertial=inertial(10.0, (0.0, 0.0, 0.0), (0.1, 0.1, 0.1))),
+        Link("hand", 0, axis=np.array([0.0, 1.0, 0.0]), inertial=inertial(2.0, (0.03, 0.0, 0.15), (0.02, 0.02, 0.004))),
+    )
+    robot, (q, v, a) = Robot(links, (RobotJoint("lift", 5.0, 20.0, 30.0), RobotJoint("wrist", 0.3, 1.2, 1.5))), played()
+    found = design_robot_test(robot, LIMITS, duration=4.0, sample_time=T, motion=q)
+    np.testing.assert_allclose(found.torque, needed(robot, q, v, a), atol=1e-6)
+    assert found.parameters["offset1"]["about"] == pytest.approx(-5.0 * 9.81), "its rotor is not lifted"
+
+
+@pytest.mark.parametrize(("factor", "hertz"), [(0.0, 11.1), (1.0, 12.5), (2.0, 14.2)])
+def test_the_mode_of_a_coupled_joint_is_that_with_the_other_shafts_held(factor: float, hertz: float) -> None:
+    robot = two().robot
+    first, second = robot.joints
+    coupled = {"joint1": factor} if factor else {}
+    joints = replace(first, spring=JointSpring(2000.0)), replace(second, coupling=coupled)
+    assert _modes(replace(robot, joints=joints), np.array([[0.4, -0.3]]))["joint1"] == pytest.approx(hertz, abs=0.05)
+
+
+def test_slow_controllers_are_foretold_with_their_feed_forward() -> None:
+    loop, t = two().loop(slower=8.0), np.arange(4000) * 1e-3
+    q = np.column_stack([0.4 * (1 - np.cos(3.0 * t)), 0.3 * (1 - np.cos(4.6 * t))])
+    asked = {"duration": 4.0, "sample_time": 1e-3, "loop": loop, "noise": (0.4, 0.2), "motion": q}
+    bare = design_robot_test(loop.robot, LIMITS, **asked)  # type: ignore[arg-type]
+    fed = design_robot_test(loop.robot, LIMITS, feed_forward="inverse-model", **asked)  # type: ignore[arg-type]
+    swings = [np.ptp(simulate_robot(loop, one).motor_position) for one in (bare.records(), q_fed(loop, q))]
+    assert swings[0] > 1.1 * swings[1], "without it they overshoot"
+    assert np.mean(np.log(fed.std / bare.std)) > 0.3, "and would tell more of a motion that will not be made"
+
+
+def q_fed(loop: RobotLoop, q: FloatArray) -> tuple[Record, ...]:
+    """Return references of two motors with the feed-forward of the inverse model."""
+    return add_feed_forward(loop, tuple(Record(reference=Channel(one, "rad", 1e-3)) for one in q.T.copy()))

@@ -118,7 +118,7 @@ def diagnose_robot_file(path: Path, options: Options) -> None:
             f"{path} is no robot file, which has the table [robot]; of a joint file one question is asked: jointid "
             "diagnose --help lists them."
         )
-    file, records, estimate = _identified(path, options.changes, outputs, options.progress, options.record)
+    file, records, estimate = _identified(path, options.changes, outputs, options.progress, options.record, judged=True)
     found = diagnose_robot(estimate, records, [one.controller for one in file.joints], feed_forward=file.feed_forward)
     deliver(found, options.json)
 
@@ -132,7 +132,7 @@ def report_robot_file(
     from jointid.output.report.robots import RobotReport
 
     outputs.spare("--held-out", held_out)
-    file, records, estimate = _identified(path, options.changes, outputs, options.progress, options.record)
+    file, records, estimate = _identified(path, options.changes, outputs, options.progress, options.record, judged=True)
     source = Path(file.joints[0].record_path(options.record))
     found = None if held_out is None else _held_out(file, estimate, held_out)
     html = "report.html" if page is None else page.name
@@ -188,6 +188,11 @@ def payload(
         raise MethodError(
             "A payload is weighed by IDIM, from motor positions and torques, and this robot file asks for DIDIM; add "
             "--set method.name=idim, with records that have them."
+        )
+    if mass is not None and (file.method.fixed or file.method.estimator != RobotIDIM().estimator):
+        raise MethodError(
+            "The drives' gains are searched with all parameters free, each joint weighed by its error; leave "
+            "method.fixed and method.estimator out, or add --set method.estimator=weighted --set method.fixed={}."
         )
     empty, loaded = file.records(without), file.records(with_)
     if mass is None:
@@ -251,6 +256,8 @@ def design_robot_file(
     found = design_robot_test(
         file.robot, file.limits, duration=duration or (_DURATION if first is None else first.duration),
         sample_time=sample_time, loop=None if isinstance(file.method, RobotIDIM) else file.loop,
+        # Of a motion that was never played nothing is logged: such a robot is foretold without.
+        feed_forward="none" if file.feed_forward == "logged" else file.feed_forward,
         noise=None if first is None else first.noise, present=None if first is None else first.motion, motion=own,
         filtering=file.filtering, seconds=seconds, progress=options.progress,
     )  # fmt: skip
@@ -274,17 +281,18 @@ def _loaded(path: Path, changes: Sequence[str], outputs: Outputs, record: Path |
 
 
 def _identified(
-    path: Path, changes: Sequence[str], outputs: Outputs, progress: Progress, record: Path | None = None
+    path: Path,
+    changes: Sequence[str],
+    outputs: Outputs,
+    progress: Progress,
+    record: Path | None = None,
+    *,
+    judged: bool = False,
 ) -> tuple[RobotFile, tuple[Record, ...], RobotEstimate | RobotTorqueEstimate]:
-    """Identify a robot as its file says; return what the file says, and the record, too."""
-    from jointid.estimation.robots.idim import RobotIDIM, identify_robot
-    from jointid.estimation.robots.torque_only import identify_robot_from_torques
+    """Identify a robot as its file says; return what the file says, and the record, too.
 
+    With `judged` the record has the feed-forward that the file computes, to hold its controllers against the torques.
+    """
     file = _loaded(path, changes, outputs, record)
-    if isinstance(file.method, RobotIDIM):
-        simulates = file.method.estimator == "iv"
-        records, loop = (file.driven(record), file.loop) if simulates else (file.records(record), None)
-        return file, records, identify_robot(file.robot, records, file.method, filtering=file.filtering, loop=loop)
-    records = file.driven(record)
-    found = identify_robot_from_torques(file.loop, records, file.method, filtering=file.filtering, progress=progress)
-    return file, records, found
+    records = file.to_identify(record, judged=judged)
+    return file, records, file.identify(records, progress=progress)

@@ -90,9 +90,14 @@ def identify_payload(
         filtering: of positions and rows.
 
     Raises:
-        MethodError: the records do not determine it, or its mass comes out negative.
+        MethodError: the records do not determine it, its mass comes out negative, or the estimator is "iv".
         RecordError: as of `identify_robot`.
     """
+    if settings is not None and settings.estimator == "iv":
+        raise MethodError(
+            'A payload is weighed from two records without a simulation, so the estimator "iv" has no instruments '
+            'there; use "weighted", "robust" or "ols".'
+        )
     rows = both_records(robot, empty, loaded, filtering or Filtering())
     solution = (settings or RobotIDIM()).solve(rows)
     own = slice(len(rows.names) - len(SYMBOLS), None)

@@ -141,11 +141,12 @@ def weigh_payload(
         filtering: of positions and rows.
 
     Raises:
-        MethodError: a record does not determine the robot, or the payload's mass comes out negative.
+        MethodError: a record does not determine the robot, the payload's mass comes out negative, or the estimator is
+            "iv".
         RecordError: as of `identify_robot`.
     """
+    both = identify_payload(robot, empty, loaded, settings, filtering=filtering)
     # What is fixed is the empty robot's: with the payload it is another number.
     free = replace(settings or RobotIDIM(), fixed={})
     one, other = (identify_robot(robot, records, free, filtering=filtering) for records in (empty, loaded))
-    both = identify_payload(robot, empty, loaded, settings, filtering=filtering)
     return WeighedPayload(both, payload_difference(one, other))

@@ -101,6 +101,9 @@ def _lost(robot: Robot) -> list[str]:
     lost = []
     if any(joint.offset for joint in robot.joints):
         lost.append("the constant parts of the motors' torques")
+    uneven = [joint.name for joint in robot.joints if joint.asymmetric]
+    if uneven:
+        lost.append(f"the friction backwards of {', '.join(uneven)}; what is written is that forwards")
     if not np.array_equal(robot.coupling, np.eye(len(robot))):
         lost.append("the coupling of the motors; rotors and friction are those of the motors, at the joints")
     if any(robot.flexible):

@@ -21,7 +21,8 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +38,7 @@ from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.problem import robot_problem
 from jointid.estimation.robots.regression import friction_symbols
 from jointid.estimation.robots.torque_only import parameter_units
-from jointid.models.robots.base_parameters import base_parameters, friction_columns, inverse_columns
+from jointid.models.robots.base_parameters import FRICTION, base_parameters, friction_columns, inverse_columns
 from jointid.models.robots.robot import Robot
 from jointid.planning.robots.motions import JointLimits, Motions, complete
 from jointid.records.record import Channel, Record
@@ -47,6 +48,7 @@ from jointid.simulation.robots import (
     RobotLoop,
     RobotNumbers,
     RobotOutcome,
+    add_feed_forward,
     prepare_robot,
     robot_records,
     run_robot,
@@ -211,6 +213,7 @@ def design_robot_test(
     duration: float = 10.0,
     sample_time: float = 1e-3,
     loop: RobotLoop | None = None,
+    feed_forward: Literal["none", "gravity", "inverse-model"] = "none",
     noise: Sequence[float] | FloatArray | None = None,
     present: tuple[FloatArray, FloatArray, FloatArray] | None = None,
     motion: FloatArray | None = None,
@@ -229,6 +232,7 @@ def design_robot_test(
         sample_time: of the reference and the log, s.
         loop: the robot under its controllers, for a test by DIDIM: intervals are then foretold by simulation. Needed
             for springs.
+        feed_forward: that the drives are given beside the controllers' torque, see `add_feed_forward`.
         noise: standard deviation of the white noise on each joint's logged torque, N m or N; without it `NOISE`.
         present: positions, velocities and accelerations of the joints in a first record, (samples, n) each, at the
             sample time; what it tells stands beside.
@@ -284,9 +288,15 @@ def design_robot_test(
         std = model.deviations(q, v, a, of_noise)
         before = None if present is None else model.deviations(*present, of_noise)
     else:
-        names, units, values, std = _by_simulation(loop, reference, sample_time, of_noise, filtering)
-        first = None if present is None else present[0] @ robot.coupling.T
-        before = None if first is None else _by_simulation(loop, first, sample_time, of_noise, filtering)[3]
+
+        def foretold(played: FloatArray) -> tuple[tuple[str, ...], tuple[str, ...], FloatArray, FloatArray]:
+            driven = _references(robot, played, sample_time)
+            if feed_forward != "none":
+                driven = add_feed_forward(loop, driven, feed_forward)
+            return _by_simulation(loop, driven, of_noise, filtering)
+
+        names, units, values, std = foretold(reference)
+        before = None if present is None else foretold(present[0] @ robot.coupling.T)[3]
     reached = tuple(
         JointLimits(*(float(f) for f in (q[:, k].min(), q[:, k].max() + 1e-12)),
                     *(float(np.abs(one[:, k]).max()) + 1e-12 for one in (v, a, torque)))
@@ -301,22 +311,34 @@ def design_robot_test(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Regressor:
-    """Columns of a rigid robot's torques, and its own parameters."""
+    """Columns of a rigid robot's torques, and its own parameters.
+
+    Attributes:
+        robot: as it is roughly known.
+        names, units, values: of its base parameters, then of its friction: of both directions, as IDIM tells it.
+        chosen: see `BaseParameters`.
+        uneven: (n,) how far each motor's viscous friction is above that forwards, and below it backwards.
+    """
 
     robot: Robot
     names: tuple[str, ...]
     units: tuple[str, ...]
     values: FloatArray
     chosen: NDArray[np.intp]
+    uneven: FloatArray
 
     @classmethod
     def of(cls, robot: Robot) -> _Regressor:
         base = base_parameters(robot)
-        friction = np.zeros((len(robot), 3))
+        values = base.with_friction(robot)
+        uneven = np.array([0.5 * (joint.viscous - joint.viscous_back) for joint in robot.joints])
+        friction = values[len(base) :].reshape(-1, len(FRICTION))  # a view: what is added to it is added to the values
         for k, joint in enumerate(robot.joints):
-            spring = joint.spring
-            both = (0.0, 0.0) if spring is None else (spring.viscous, spring.coulomb)
-            friction[k] = joint.viscous + both[0], joint.coulomb + both[1], joint.offset
+            # Coulomb friction by direction is one of both directions and an offset: the same torques.
+            both, offset = joint.coulomb_both
+            friction[k] += -uneven[k], both - joint.coulomb, offset - joint.offset
+            if joint.spring is not None:
+                friction[k, :2] += joint.spring.viscous, joint.spring.coulomb
         units = tuple(
             unit
             for k in range(len(robot))
@@ -324,7 +346,7 @@ class _Regressor:
         )
         return cls(
             robot, (*base.symbols, *friction_symbols(robot)), (*base.units, *units),
-            np.concatenate([base.of(robot), friction.ravel()]), base.chosen,
+            values, base.chosen, uneven,
         )  # fmt: skip
 
     def columns(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
@@ -334,7 +356,11 @@ class _Regressor:
 
     def torque(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
         """Return the nominal robot's torques, (instants, n)."""
-        return np.asarray(self.columns(q, v, a) @ self.values)
+        return self.torque_of(self.columns(q, v, a), v)
+
+    def torque_of(self, columns: FloatArray, v: FloatArray) -> FloatArray:
+        """Return the nominal robot's torques of columns that are there already."""
+        return np.asarray(columns @ self.values + self.uneven * np.abs(v @ self.robot.coupling.T))
 
     def deviations(self, q: FloatArray, v: FloatArray, a: FloatArray, noise: FloatArray) -> FloatArray:
         """Return what white noise of these sizes, (n,), makes of all parameters, (parameters,)."""
@@ -372,7 +398,7 @@ def _score(
     def score(numbers: FloatArray) -> tuple[float, float]:
         q, v, a = motions.play(numbers, seen, whole)
         columns = model.columns(q, v, a)
-        torque = columns @ model.values
+        torque = model.torque_of(columns, v)
         over = float(np.max(np.abs(torque) / most))
         J = (columns / noise[:, np.newaxis]).reshape(-1, columns.shape[2])
         norms = np.linalg.norm(J, axis=0) + 1e-300
@@ -427,13 +453,18 @@ def _search(
 
 
 def _modes(robot: Robot, q: FloatArray) -> dict[str, float]:
-    """Return the frequency of each flexible joint's rotor against its link, the others held, along a motion, Hz."""
-    poses = q[:: max(len(q) // 20, 1)]
-    about = np.mean([np.diag(mass_matrix_at(robot, one)) for one in poses], axis=0)
+    """Return the frequency of each flexible joint's rotor against its link, the others held, along a motion, Hz.
+
+    Springs are the shafts', so what is held is the other shafts: of coupled motors a link then moves others with it.
+    """
+    poses, joints = q[:: max(len(q) // 20, 1)], np.linalg.inv(robot.coupling)
+    bare = replace(robot, joints=tuple(replace(one, rotor_inertia=0.0, spring=None) for one in robot.joints))
+    about = np.mean([np.diag(joints.T @ mass_matrix_at(bare, one) @ joints) for one in poses], axis=0)
     found = {}
     for k, joint in enumerate(robot.joints):
         if joint.spring is not None:
-            link = max(float(about[k]) - joint.rotor_inertia, 0.05 * float(about[k]))
+            # Of a link of which nothing is known a twentieth of what swings is the link's.
+            link = max(float(about[k]), joint.rotor_inertia / 19.0)
             inertia = joint.rotor_inertia * link / (joint.rotor_inertia + link)
             found[joint.name] = math.sqrt(joint.spring.stiffness / inertia) / (2.0 * math.pi)
     return found
@@ -480,14 +511,13 @@ def _references(robot: Robot, reference: FloatArray, sample_time: float) -> tupl
 
 
 def _by_simulation(
-    loop: RobotLoop, reference: FloatArray, sample_time: float, noise: FloatArray, filtering: Filtering | None
+    loop: RobotLoop, driven: Sequence[Record], noise: FloatArray, filtering: Filtering | None
 ) -> tuple[tuple[str, ...], tuple[str, ...], FloatArray, FloatArray]:
-    """Return names, units, values and deviations of what DIDIM will find along a reference.
+    """Return names, units, values and deviations of what DIDIM will find of a robot that is driven so.
 
     Rows that are filtered and thinned hold white noise of the part of its power that passes, so each of them tells as
     much as the samples that it stands for.
     """
-    driven = _references(loop.robot, reference, sample_time)
     run = simulate_robot(loop, driven)
     if run.outcome is not RobotOutcome.FINISHED:
         raise MethodError(f"The robot cannot be simulated along this motion: {run.outcome.value}.")
