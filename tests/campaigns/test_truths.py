@@ -54,6 +54,7 @@ def test_right_intervals_hold_the_truth_as_often_as_they_say() -> None:
     assert found.verdict[1] is True
 
 
+@pytest.mark.statistical
 def test_too_narrow_intervals_and_a_bias_are_named() -> None:
     found = report(runs(200, scale=1.6))
     assert found.against_truth[0].verdict == "held too seldom"

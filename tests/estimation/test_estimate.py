@@ -177,7 +177,7 @@ def test_json_says_null_and_never_nan(tmp_path: Path) -> None:
     assert read["relative_error_percent"] is None
     assert read["parameters"]["coulomb"] == {
         "symbol": "Fc", "value": None, "std": None, "unit": "N", "free": False, "identifiable": False,
-        "lower_bound": 12.5, "at_bound": None,
+        "lower_bound": 12.5, "at_bound": None, "lack_of_fit": 0.0,
     }  # fmt: skip
     assert [line["iteration"] for line in read["trace"]] == [0, 1]
     top = {"schema", "method", "model", "channels", "parameters", "relative_error_percent", "simulations"}

@@ -158,7 +158,7 @@ def test_identify_validate_simulate_on_the_real_axis(
     assert answer["model"] == "rigid"
     assert answer["channels"] == ["torque", "reference"]
     assert set(answer["parameters"]["inertia"]) == {
-        "symbol", "value", "std", "unit", "free", "identifiable", "lower_bound", "at_bound",
+        "symbol", "value", "std", "unit", "free", "identifiable", "lower_bound", "at_bound", "lack_of_fit",
     }  # fmt: skip
     assert abs(answer["parameters"]["inertia"]["value"] - 95.0) <= 0.5
     assert answer["relative_error_percent"] <= 4.6

@@ -92,7 +92,7 @@ def test_a_worse_estimate_says_so_first() -> None:
     assert "predict better than these: 5 %" in said
 
 
-@pytest.mark.parametrize("estimator", ["ols", "weighted", "robust"])
+@pytest.mark.parametrize("estimator", ["ols", "weighted", pytest.param("robust", marks=pytest.mark.slow)])
 def test_a_parameter_that_is_known_is_kept_and_helps_the_others(
     estimator: Literal["ols", "weighted", "robust"],
 ) -> None:
