@@ -418,7 +418,7 @@ class WoundLoadDependentFriction(PreslidingFriction):
     """
 
     name = "presliding-load-dependent"
-    label = "the same, more under load, wound up at reversals"
+    label = "wound up, more under load"
     adds = f"{PreslidingFriction.adds}, and {LoadDependentFriction.adds}"
     instead = f"{PreslidingFriction.instead}, {LoadDependentFriction.instead}"
 

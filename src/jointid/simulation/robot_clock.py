@@ -49,13 +49,6 @@ class RobotClock:
         """Of the log."""
         return self.looked.size
 
-    def until(self, steps: int) -> RobotClock:
-        """Return the clock of the first steps alone."""
-        parts = self.lengths.size
-        looked = self.looked[self.looked < steps * parts]
-        begun = np.minimum(self.begun[:, : looked.size], steps * parts - 1)
-        return replace(self, steps=min(steps, self.steps), looked=looked, begun=begun)
-
     def held(self, joint: int, values: FloatArray) -> FloatArray:
         """Return values of a controller's periods at every step of the clock, (steps,)."""
         return np.repeat(values, self.every[joint])[: self.steps]

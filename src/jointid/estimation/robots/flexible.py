@@ -46,7 +46,6 @@ _FLOOR = 1e-10  # of the largest variance of a correlation: rounding
 _LIGHTEST = 0.05  # of the inertia about a joint: a rotor that a search begins with
 _DAMPING = 0.03  # of critical, of the springs a search begins with
 _MODES = tuple(5.0 * 1.25**i for i in range(10))  # Hz: 5 to 37, the row in which a frequency is looked for
-_LOOKED = 0.25  # of the references' way, along which it is looked for
 _STIFF = 0.07  # of the sampling frequency: where a joint is as good as rigid, and still takes one step a period
 _SOFTEST = 1e-3  # of the sampling frequency: the lowest mode that is looked for
 _STIFFEST = 0.15  # of the sampling frequency: the highest mode that is looked for
@@ -264,11 +263,10 @@ class _Start:
         """Return for each flexible joint the frequency, of a row, that explains the torques best, the others stiff."""
         stiff = self.stiff
         tried = [(name, f) for name in stiff for f in _MODES if f < stiff[name]]
-        brief = self.problem.begun(_LOOKED)  # a frequency is told by a few of its periods
 
         def cost(one: tuple[str, float]) -> float:
-            x = brief.parameters.searched(self.values(stiff | dict([one])))
-            return float(np.linalg.norm(brief.residual(x)))
+            x = self.problem.parameters.searched(self.values(stiff | dict([one])))
+            return float(np.linalg.norm(self.problem.residual(x)))
 
         costs = in_threads(cost, tried)
         best = {}

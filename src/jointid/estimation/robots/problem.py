@@ -29,7 +29,6 @@ from jointid.simulation.robots import (
 )
 
 _FEWEST = 16  # parameters whose derivatives are worth a thread
-_BRIEF = 0.1  # of the records: a beginning has at least that
 _FAILED = 1e3  # times the measured torques: the error of a candidate that cannot be simulated
 
 
@@ -66,14 +65,6 @@ class RobotProblem:
     def weighted(self, sigma: FloatArray) -> RobotProblem:
         """Return the problem with other sizes of the joints' errors."""
         return replace(self, sigma=sigma)
-
-    def begun(self, share: float) -> RobotProblem:
-        """Return the problem of the records' beginnings, in which every reference travels this share of its way."""
-        clock, references = self.experiment.clock, self.experiment.references
-        way = np.cumsum(np.abs(np.diff(references, axis=0)), axis=0)
-        steps = int(np.max(np.sum(way < share * way[-1], axis=0))) + 1
-        brief = replace(self.experiment, clock=clock.until(max(steps, round(_BRIEF * clock.steps))))
-        return replace(self, experiment=brief, measured=self.measured[: brief.clock.samples])
 
     def run(self, x: FloatArray, *, keep: bool = True) -> RobotRun:
         """Simulate a candidate."""
