@@ -11,7 +11,6 @@ import pytest
 from jointid.common.errors import MethodError, RecordError
 from jointid.estimation.robots.didim import RobotFit, identify_rigid_robot
 from jointid.estimation.robots.numbers import robot_parameters
-from jointid.estimation.robots.problem import robot_problem
 from jointid.records.record import Channel, Record
 from jointid.simulation.robots import RobotLoop, RobotNumbers, prepare_robot, robot_records, run_robot, simulate_robot
 from tests.robots_plants import Twin, seven, six, two
@@ -84,17 +83,6 @@ def test_they_come_back_of_what_robots_may_have(what: str) -> None:
     assert ("joint1.viscous_backwards" in fit.names) == (what == "friction another backwards")
     again = simulate_robot(replace(loop, robot=fit.robot(twin.robot)), records)
     assert again.torque == pytest.approx(fit.run.torque, abs=1e-8)
-
-
-def test_the_beginning_of_a_problem_is_that_of_the_whole() -> None:
-    twin = two()
-    records, _ = recorded(twin.loop(), twin.records(4.0))
-    problem = robot_problem(twin.loop(), records, robot_parameters(twin.robot))
-    x, brief = problem.parameters.group(RobotNumbers.of(twin.robot)), problem.begun(0.25)
-    torque, whole = brief.run(x).torque, problem.run(x).torque
-    assert 0.1 * len(whole) <= len(torque) < 0.6 * len(whole)
-    assert np.array_equal(torque, whole[: len(torque)])
-    assert np.max(np.abs(brief.residual(x))) < 1e-6
 
 
 def test_noise_floor_and_intervals() -> None:
