@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 
 from jointid.diagnostics.check_loop import LoopTests, find_faults
+from jointid.diagnostics.fault_tests import rank_tests
 from tests.faults import FAULTS, PAIRS, Loop, Noise, on, problem, setting, solved
 
 LEVEL = 0.05
@@ -25,7 +26,7 @@ def first_named(name: Loop, fault: str | None, noise: Noise, seed: int) -> str:
     """What is named first; at a fraction of the cost, since nothing is solved again."""
     where = setting(name)
     made = problem(where, on(name, fault) if fault else None, noise, seed)
-    top = find_faults(made, solved(made, where, 1e-4), LoopTests(level=1e-300)).tests[0]
+    top = rank_tests(find_faults(made, solved(made, where, 1e-4), LoopTests(level=1e-300)).tests, LEVEL)[0]
     return top.name if top.p_value <= LEVEL else NOTHING
 
 

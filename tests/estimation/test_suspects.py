@@ -18,6 +18,7 @@ from jointid.diagnostics.fault_tests import (
     FaultTest,
     compute_signatures,
     fit_whitener,
+    rank_tests,
     score_signatures,
 )
 from jointid.diagnostics.loop_findings import Finding, LoopCheck, ParameterShift
@@ -359,6 +360,16 @@ def test_what_cannot_be_told_apart_is_said() -> None:
     several = replace(check, findings=(replace(check.findings[0], rivals=("log_gain or injected_gain",)),))
     assert "; the logged torque or the injected signal would explain" in unwrapped(str(several))
     assert check.reasons[0].brief == "the velocity gain is 4.2 % smaller than declared, or so is the gain"
+
+
+def test_what_is_significant_stands_first_however_strong_the_others_are() -> None:
+    """A search among many periods finds the stronger shape, and by chance."""
+
+    def test(name: str, strength: float, p_value: float) -> FaultTest:
+        return FaultTest(name, (), 0.0, strength, 1.0, strength, p_value)
+
+    tests = [test("cogging", 4.0, 0.8), test("limit", 2.0, 0.3), test("delay", 2.8, 0.02), test("offset", -3.0, 0.01)]
+    assert [one.name for one in rank_tests(tests, 0.05)] == ["offset", "delay", "limit", "cogging"]
 
 
 def test_a_check_is_written_to_json() -> None:

@@ -31,6 +31,7 @@ from jointid.diagnostics.fault_tests import (
     FaultTest,
     compute_signatures,
     fit_whitener,
+    rank_tests,
     score_signatures,
 )
 from jointid.diagnostics.find_causes import explain_misfit
@@ -372,6 +373,7 @@ def _run_tests(state: _State, settings: LoopTests) -> _TestResults:
     }
     where, by_forces = cache(lambda: _assign_cells(state)), cache(lambda: _simulate_forces(state))
     tests = score_signatures(residual, _stack_columns(state, own), signatures, declared, where, by_forces)
+    tests = rank_tests(tests, settings.level)
     return _TestResults(residual, own, signatures, tests, where, by_forces)
 
 
@@ -393,7 +395,7 @@ def _with_test(state: _State, found: _TestResults, settings: LoopTests, *signatu
     """Return tests with that of a fault in one shape or several, which takes the place of one of that name."""
     better = _test_signature(state, found, *signatures)
     others = (one for one in found.tests if one.name != better.name)
-    tests = tuple(sorted((better, *others), key=lambda one: (one.p_value > settings.level, -one.strength)))
+    tests = rank_tests((better, *others), settings.level)
     return replace(found, signatures=(*found.signatures, *signatures), tests=tests)
 
 

@@ -37,7 +37,7 @@ given the joint's parameters, are one.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import TypeAlias
@@ -246,7 +246,12 @@ def score_signatures(
         _test_group(group, left, taken, family, declared, where, forced)
         for group, family in zip(groups, families, strict=True)
     ]
-    return tuple(sorted(found, key=lambda test: (test.p_value > _WIDENED, -test.strength)))
+    return rank_tests(found, _WIDENED)
+
+
+def rank_tests(tests: Iterable[FaultTest], level: float) -> tuple[FaultTest, ...]:
+    """Return tests, the strongest first of those that are significant, then the others by their p-values."""
+    return tuple(sorted(tests, key=lambda test: (max(test.p_value, level), -test.strength)))
 
 
 def fit_whitener(residual: FloatArray) -> Filter:
