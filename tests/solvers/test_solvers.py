@@ -245,3 +245,33 @@ def test_triangle_of_blocks_is_that_of_the_whole(rows: int) -> None:
     columns = rng.standard_normal((rows, 8)) * 10.0 ** np.arange(-4, 4)
     whole = np.linalg.qr(columns, mode="r")
     assert np.abs(triangle(columns)) == pytest.approx(np.abs(whole), rel=1e-9, abs=1e-12)
+
+
+@dataclass(frozen=True)
+class Well:
+    """A residual of one parameter that is 0 at 0, and falls again beyond 1: where a whole step from near 1 leads."""
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        return (Parameter("x", "x", Quantity.FORCE),)
+
+    def residual(self, x: Array) -> Array:
+        return self.linearised(x)[0]
+
+    def linearised(self, x: Array) -> tuple[Array, Array]:
+        return x / (1 + x**2), ((1 - x**2) / (1 + x**2) ** 2)[:, np.newaxis]
+
+
+def test_a_step_of_limited_reach_does_not_leap_to_where_nothing_is_told() -> None:
+    start = np.array([0.9])
+    assert abs(solve(Well(), LevenbergMarquardt(1e-10), start).x[0]) > 5
+    end = solve(Well(), LevenbergMarquardt(1e-10, reach=np.array([1.0])), start)
+    assert end.converged
+    assert end.x[0] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_step_that_its_reach_has_cut_is_no_end() -> None:
+    """However short: a hundredth of the way is left to each step, and less than the tolerance."""
+    end = solve(REGRESSIONS[0], LevenbergMarquardt(1e-2, 300, np.array([1.0, 1e-5])), np.array([250.0, 5e-4]))
+    near = solve(REGRESSIONS[0], LevenbergMarquardt(1e-8), np.array([250.0, 5e-4]))
+    assert end.x == pytest.approx(near.x, rel=1e-2)

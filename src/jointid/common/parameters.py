@@ -146,6 +146,10 @@ class Bounds:
         """Return the bounds on a step from a point."""
         return Bounds(self.lower - x, self.upper - x)
 
+    def within(self, reach: FloatArray | None) -> Bounds:
+        """Return the bounds on a step that moves no parameter farther than its reach; none has one when None."""
+        return self if reach is None else Bounds(np.maximum(self.lower, -reach), np.minimum(self.upper, reach))
+
     def in_units(self, unit: FloatArray) -> Bounds:
         """Return the bounds on parameters that are divided by positive units."""
         return Bounds(self.lower / unit, self.upper / unit)

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 _DAMPING, _LEAST, _MOST = 1e-3, 1e-12, 1e12  # of the first step, in columns of norm 1; and its range
 _EASIER, _HARDER = 0.1, 5.0  # factors on the damping after a step that went down, and one that did not
+_SHORTER, _FARTHER = 0.25, 2.0  # factors on the reach of a step, likewise
+_CUT = 0.999  # of its reach: a step that the reach has cut
 _IDLE = 1e-2  # of the residual
 _THERE = 1e-2  # of a tolerance
 _STATUS = {-2: Status.COST, 2: Status.COST, 3: Status.STEP, 4: Status.STEP_AND_COST}
@@ -40,10 +42,13 @@ class LevenbergMarquardt:
     Attributes:
         tolerance: relative, on the criterion and the parameters.
         evaluations: at most, each with the derivatives.
+        reach: (parameters,) how far one step may move each; as far as its bounds when None. A step beyond what a
+            linear model is good for is not only refused: it may go down, to where nothing is told any more.
     """
 
     tolerance: float = 1e-8
     evaluations: int = 60
+    reach: FloatArray | None = None
 
     def solve(self, problem: Problem, start: FloatArray, watch: Watch) -> Solution:
         """Return where one descent ends; the trace begins with the start."""
@@ -51,10 +56,11 @@ class LevenbergMarquardt:
         before = counted.evaluations
         error, J = counted.linearised(x)
         trace, damping, used = [Step(x, float(np.linalg.norm(error)), counted.evaluations)], _DAMPING, 1
-        status = None if J.any() else Status.NOT_EVALUABLE
+        status, reach, share = None if J.any() else Status.NOT_EVALUABLE, self.reach, 1.0
         while status is None and used < self.evaluations:
             norm = trace[-1].norm
-            step = damped_step(error, J, bounds.around(x), damping)
+            step = damped_step(error, J, bounds.around(x).within(reach), damping)
+            cut = reach is not None and bool(np.any(np.abs(step) >= _CUT * reach))
             after, slopes = counted.linearised(x + step)
             used += 1
             gained = 1.0 - (float(np.linalg.norm(after)) / norm) ** 2 if norm else 0.0
@@ -63,13 +69,17 @@ class LevenbergMarquardt:
                 x, error, J = x + step, after, slopes
                 trace.append(Step(x, float(np.linalg.norm(error)), counted.evaluations))
                 watch(trace[-1])
-            # A step that had to be damped so much is short for another reason than that the end is near.
-            if damping <= 1.0 and small:
+            # A step that had to be damped or cut so much is short for another reason than that the end is near.
+            if damping <= 1.0 and small and not cut:
                 status = Status.STEP
-            elif damping <= 1.0 and abs(gained) <= self.tolerance:
+            elif damping <= 1.0 and abs(gained) <= self.tolerance and not cut:
                 status = Status.COST
             elif damping >= _MOST:
                 status = Status.NO_DESCENT
+            if reach is not None and self.reach is not None:
+                moved = float(np.max(np.abs(step) / self.reach))
+                share = min(_FARTHER * share, 1.0) if gained > 0.0 else _SHORTER * min(moved, share)
+                reach = share * self.reach
             damping = max(damping * _EASIER, _LEAST) if gained > 0.0 else damping * _HARDER
         status = status or Status.EVALUATION_LIMIT
         message = explain(status, used, self.tolerance)

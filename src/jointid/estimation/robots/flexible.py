@@ -45,10 +45,11 @@ _SPREADS = (1.0, 0.3, 0.1, 0.03, 0.01)  # of the inertia about a joint: how far 
 _FLOOR = 1e-10  # of the largest variance of a correlation: rounding
 _LIGHTEST = 0.05  # of the inertia about a joint: a rotor that a search begins with
 _DAMPING = 0.03  # of critical, of the springs a search begins with
-_MODES = tuple(5.0 * 1.25**i for i in range(10))  # Hz: 5 to 37, the row in which a frequency is looked for
+_MODES = tuple(5.0 * 1.5**i for i in range(6))  # Hz: 5 to 38, the row in which a frequency is looked for
 _STIFF = 0.07  # of the sampling frequency: where a joint is as good as rigid, and still takes one step a period
 _SOFTEST = 1e-3  # of the sampling frequency: the lowest mode that is looked for
 _STIFFEST = 0.15  # of the sampling frequency: the highest mode that is looked for
+_REACH = math.log(3.0)  # of a step: a stiffness or a rotor's inertia to at most so many times what it was
 _ROUGH, _FINE = (
     1e-3,
     1e-5,
@@ -122,7 +123,7 @@ def identify_flexible_robot(
             mode, as a multisine on top of it does.
         filtering: that torques and derivatives go through alike; its cut-off above the modes.
         frequencies: Hz, of the mode of rotor against link of each flexible joint with the others stiff, where the
-            search is to begin; None looks for it between 5 and 37 Hz.
+            search is to begin; None looks for it between 5 and 38 Hz.
         offsets: whether each motor has a constant torque that is identified, too.
         evaluations: simulations with derivatives, at most, of each of two searches.
         progress: is told the steps.
@@ -198,7 +199,8 @@ def _search(problem: RobotProblem, x: FloatArray, tolerance: float, evaluations:
     def watch(step: Step) -> None:
         progress(f"{step.evaluations} simulations: weighted torque error {step.norm:.6g}")
 
-    return solve(problem, LevenbergMarquardt(tolerance, evaluations), x, watch)
+    reach = np.where(problem.parameters.logarithmic, _REACH, np.inf)
+    return solve(problem, LevenbergMarquardt(tolerance, evaluations, reach), x, watch)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
