@@ -370,6 +370,8 @@ def test_what_is_significant_stands_first_however_strong_the_others_are() -> Non
 
     tests = [test("cogging", 4.0, 0.8), test("limit", 2.0, 0.3), test("delay", 2.8, 0.02), test("offset", -3.0, 0.01)]
     assert [one.name for one in rank_tests(tests, 0.05)] == ["offset", "delay", "limit", "cogging"]
+    assert rank_tests([test("cogging", 4.0, 0.018), test("stribeck", 3.6, 0.0017)], 0.05)[0].name == "stribeck"
+    assert rank_tests([test("cogging", 9.0, 1e-9), test("stribeck", 3.6, 0.0017)], 0.05)[0].name == "cogging"
 
 
 def test_a_check_is_written_to_json() -> None:

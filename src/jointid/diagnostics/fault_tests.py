@@ -46,7 +46,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.diagnostics.fault_signature import FaultSignature
-from jointid.diagnostics.mechanics_faults import MECHANICS, ONE_SIDED, vary_mechanics
+from jointid.diagnostics.mechanics_faults import COGGING, MECHANICS, ONE_SIDED, vary_mechanics
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import numbers_of
 from jointid.models.friction import PreslidingFriction, StribeckFriction
@@ -250,8 +250,18 @@ def score_signatures(
 
 
 def rank_tests(tests: Iterable[FaultTest], level: float) -> tuple[FaultTest, ...]:
-    """Return tests, the strongest first of those that are significant, then the others by their p-values."""
-    return tuple(sorted(tests, key=lambda test: (max(test.p_value, level), -test.strength)))
+    """Return tests, the strongest first of those that are significant, then the others by their p-values.
+
+    A ripple's period is searched for among so many that the best of them is strong by chance: it is as strong as a
+    single test of its p-value.
+    """
+    from scipy.stats import norm
+
+    def strength(test: FaultTest) -> float:
+        searched = test.name == COGGING and test.p_value > 0.0
+        return min(test.strength, float(norm.isf(0.5 * test.p_value))) if searched else test.strength
+
+    return tuple(sorted(tests, key=lambda test: (max(test.p_value, level), -strength(test))))
 
 
 def fit_whitener(residual: FloatArray) -> Filter:
