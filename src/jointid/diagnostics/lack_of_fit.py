@@ -53,7 +53,8 @@ def worst_shift(problem: ClosedLoopProblem, x: FloatArray, size: float) -> dict[
     """Return by how much a part of the filtered torque of a norm can move each free parameter at most, by name."""
     slopes = problem.linearised(x)[1]
     sizes = column_norms(slopes)  # of parameters in units of their own
-    spread = np.sqrt(np.diag(np.linalg.pinv((slopes / sizes).T @ (slopes / sizes)))) / sizes
+    # Rows of the pseudo-inverse: their norms are the deviations under a noise of one, and never the root of a rounding.
+    spread = np.linalg.norm(np.linalg.pinv(slopes / sizes, rcond=1e-8), axis=1) / sizes
     return {p.name: size * float(by) for p, by in zip(problem.free, spread, strict=True)}
 
 
