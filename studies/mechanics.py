@@ -101,7 +101,7 @@ def _run(  # type: ignore[no-untyped-def]
     q1, q2, q3, v1, v2, v3 = first, first, first, 0.0, 0.0, 0.0
     z1, z2 = 0.0, 0.0  # of the presliding friction, -1 to 1
     out, acting = np.empty(periods), np.empty(periods)
-    wound = 0.0
+    wound, before = 0.0, 0.0
     for i in range(periods):
         u = feedforward[i] + D * q1
         for j in range(z.size):
@@ -111,7 +111,9 @@ def _run(  # type: ignore[no-untyped-def]
         acting[i] = u + after[i]
         torque = acting[i - lag] if i >= lag else acting[0]
         left = 1.0 - warming * i / periods
-        for _ in range(steps):
+        for step in range(steps):
+            # Speeds are those half a step later than places; a torque that begins here acts on half of the way there.
+            pushed = torque if step or not i else 0.5 * (before + torque)
             e, de = q2 - q1, v2 - v1
             open_e = e - min(max(e, -gap), gap)
             spring = k * open_e * (1.0 + cubic * open_e * open_e)
@@ -121,7 +123,7 @@ def _run(  # type: ignore[no-untyped-def]
             if gap == 0.0 or open_e != 0.0:
                 spring += c * de
             wound = max(wound, abs(e))
-            push1 = torque - offset + spring - left * b1 * v1
+            push1 = pushed - offset + spring - left * b1 * v1
             if cogging != 0.0:
                 push1 -= cogging * math.sin(2 * math.pi * q1 / pitch)
             push2 = -spring - left * b2 * v2
@@ -146,6 +148,7 @@ def _run(  # type: ignore[no-untyped-def]
                 v2 = math.copysign(max(abs(v2) - h * held2 / m2, 0.0), v2)
             q1 += h * v1
             q2 += h * v2
+        before = torque
     return out, wound
 
 
