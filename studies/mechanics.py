@@ -112,8 +112,6 @@ def _run(  # type: ignore[no-untyped-def]
         torque = acting[i - lag] if i >= lag else acting[0]
         left = 1.0 - warming * i / periods
         for step in range(steps):
-            # Speeds are those half a step later than places; a torque that begins here acts on half of the way there.
-            pushed = torque if step or not i else 0.5 * (before + torque)
             e, de = q2 - q1, v2 - v1
             open_e = e - min(max(e, -gap), gap)
             spring = k * open_e * (1.0 + cubic * open_e * open_e)
@@ -123,7 +121,8 @@ def _run(  # type: ignore[no-untyped-def]
             if gap == 0.0 or open_e != 0.0:
                 spring += c * de
             wound = max(wound, abs(e))
-            push1 = pushed - offset + spring - left * b1 * v1
+            # Speeds are those half a step later than places; a torque that begins here acts on half of the way there.
+            push1 = (torque if step or not i else 0.5 * (before + torque)) - offset + spring - left * b1 * v1
             if cogging != 0.0:
                 push1 -= cogging * math.sin(2 * math.pi * q1 / pitch)
             push2 = -spring - left * b2 * v2

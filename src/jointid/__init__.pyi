@@ -35,7 +35,7 @@ from .estimation.robots.torque_only import (
     validate_robot_torques,
 )
 from .estimation.robots.validation import RobotValidation, validate_robot
-from .estimation.robots.weighing import weigh_payload
+from .estimation.robots.weighing import weigh_payload, weigh_payload_from_torques
 from .models.controllers import PD, PID, Cascade, StateSpaceController, filters
 from .models.friction import AsymmetricFriction, SymmetricFriction
 from .models.gravity import Counterbalance, Gravity
@@ -171,5 +171,6 @@ __all__ = [
     "validate_robot",
     "validate_robot_torques",
     "weigh_payload",
+    "weigh_payload_from_torques",
     "write",
 ]

@@ -38,6 +38,11 @@ class NumberPlace:
     row: int
     column: int
 
+    @property
+    def is_friction(self) -> bool:
+        """Whether it is a friction, a constant torque, or a spring's damping: no inertia and no stiffness."""
+        return self.of is not NumberOf.LINK and self.column != 0
+
     def read(self, numbers: RobotNumbers) -> float:
         """Return the number."""
         return float((numbers.inertials, numbers.masses, numbers.springs)[self.of][self.row, self.column])

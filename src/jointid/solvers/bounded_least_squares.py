@@ -78,7 +78,7 @@ class LevenbergMarquardt:
                 status = Status.NO_DESCENT
             if reach is not None and self.reach is not None:
                 moved = float(np.max(np.abs(step) / self.reach))
-                share = min(_FARTHER * share, 1.0) if gained > 0.0 else _SHORTER * min(moved, share)
+                share = min(_FARTHER * share, 1.0) if gained > 0.0 else _SHORTER * min(moved or share, share)
                 reach = share * self.reach
             damping = max(damping * _EASIER, _LEAST) if gained > 0.0 else damping * _HARDER
         status = status or Status.EVALUATION_LIMIT

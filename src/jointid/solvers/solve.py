@@ -175,6 +175,10 @@ class Counted:
             self._last = (x.copy(), self.problem.linearised(x))
         return self._last[1]
 
+    def remember(self, x: FloatArray, residual: FloatArray, derivatives: FloatArray) -> None:
+        """Take what is known of a point, as of another search that ended there: it is not evaluated again."""
+        self._last = (x.copy(), (residual, derivatives))
+
 
 _Solved_contra = TypeVar("_Solved_contra", bound=Problem, contravariant=True)
 _Problem = TypeVar("_Problem", bound=Problem)

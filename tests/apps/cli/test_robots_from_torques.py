@@ -11,7 +11,9 @@ import pytest
 
 from jointid.apps.cli.app import app
 from jointid.common.errors import JointFileError, MethodError, RecordError
+from jointid.models.robots.inertial import MassProperties
 from jointid.output.export.robot_model import robot_mjcf
+from tests.estimation.robots.twin import with_payload
 from tests.robots_plants import Twin, six, two
 
 pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
@@ -178,13 +180,31 @@ def test_a_test_is_planned_and_played(tmp_path: Path, capsys: pytest.CaptureFixt
         run("design", joint, "--stroke", "1")
 
 
+def test_a_payload_is_weighed_by_didim(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    truth, payload = six(), MassProperties(3.0, np.array([0.02, -0.03, 0.08]), 0.01 * np.eye(3)).inertial
+    joint = tmp_path / "robot.toml"
+    for twin, of, name in (
+        (replace(truth, robot=with_payload(truth.robot, payload)), "others.csv", "with.csv"),
+        (truth, "references.csv", "without.csv"),
+    ):
+        write_files(tmp_path, twin, 5.0)
+        run("simulate", joint, "--record", tmp_path / of, "--out", tmp_path / name)
+        logged(tmp_path, name, 0.01, 3)
+    records = ("--without", tmp_path / "without.csv", "--with", tmp_path / "with.csv")
+    capsys.readouterr()
+    run("payload", joint, *records, "--json", tmp_path / "found.json", "--quiet")
+    assert "The payload weighs 3.0" in " ".join(capsys.readouterr().out.split())
+    answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
+    assert answer["schema"] == "jointid.payload/1"
+    with pytest.raises(MethodError, match="gains are found by IDIM, from motor positions and torques"):
+        run("payload", joint, *records, "--mass", "3")
+
+
 def test_what_is_refused(tmp_path: Path) -> None:
     write_files(tmp_path, two(), 1.0)
     joint = tmp_path / "robot.toml"
     with pytest.raises(MethodError, match="--method is for a joint file; a robot file says it itself"):
         run("identify", joint, "--method", "idim")
-    with pytest.raises(MethodError, match="weighed by IDIM, from motor positions and torques"):
-        run("payload", joint, "--without", tmp_path / "references.csv", "--with", tmp_path / "others.csv")
     with pytest.raises(JointFileError, match=r"method\.estimator is a setting of another method than didim"):
         run("identify", joint, "--set", "method.name=didim", "--set", "method.estimator=ols")
     text = joint.read_text(encoding="utf-8")

@@ -10,14 +10,18 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.estimation.robots.drive_gains import identify_drive_gains
+from jointid.estimation.robots.flexible import SpringVerdict
 from jointid.estimation.robots.idim import RobotIDIM, identify_robot
-from jointid.estimation.robots.payload import payload_difference
-from jointid.estimation.robots.weighing import weigh_payload
+from jointid.estimation.robots.payload import payload_difference, payload_of_torques
+from jointid.estimation.robots.torque_only import identify_robot_from_torques
+from jointid.estimation.robots.weighing import WeighedPayload, weigh_payload, weigh_payload_from_torques
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Robot
 from jointid.output import json as answers
 from jointid.records.record import Record
+from tests.estimation.robots.test_rigid_robots import recorded
 from tests.estimation.robots.twin import arm, records_of, with_payload
+from tests.robots_plants import six, two
 
 ARM = arm()
 BODY = MassProperties(3.0, np.array([0.02, -0.03, 0.08]), np.diag([0.02, 0.015, 0.01]))
@@ -77,6 +81,68 @@ def test_two_deviations_hold_the_payload() -> None:
             values, std = way.properties
             inside.append(np.abs(values - TRUTH) < 2 * std)
     assert np.mean(inside) > 0.88
+
+
+def by_torques(seed: int, noise: float = 0.02, warmer: float = 1.0) -> WeighedPayload:
+    """Weigh the payload on an arm of six joints from torques and references, its friction so many times as large."""
+    twin = six()
+    joints = tuple(replace(joint, coulomb=warmer * joint.coulomb) for joint in twin.robot.joints)
+    loaded = replace(twin, robot=with_payload(replace(twin.robot, joints=joints), BODY.inertial))
+    one, other = (
+        recorded(each.loop(), each.records(10.0, seed=seed + k), noise, seed=seed + k)[0]
+        for k, each in enumerate((twin, loaded))
+    )
+    return weigh_payload_from_torques(twin.loop(), one, other)
+
+
+def test_a_payload_is_weighed_from_torques_and_references_alone() -> None:
+    found = by_torques(1)
+    for way in ("value", "by_difference"):
+        assert found.rows["mass"][way] == pytest.approx(3.0, rel=0.01)
+    assert found.agrees
+    assert found.rows["mass"]["std"] < found.rows["mass"]["by_difference_std"]
+    inside = [
+        np.abs(values - TRUTH) < 2 * std for values, std in (found.payload.properties, found.difference.properties)
+    ]
+    assert np.mean(inside) > 0.8
+
+
+@pytest.mark.statistical
+def test_two_deviations_hold_the_payload_from_torques() -> None:
+    found = [by_torques(seed, noise=0.03) for seed in range(20, 32, 2)]
+    ways = [way.properties for one in found for way in (one.payload, one.difference)]
+    assert np.mean([np.abs(values - TRUTH) < 2 * std for values, std in ways]) > 0.88
+
+
+def test_friction_that_changed_is_said_from_torques_too() -> None:
+    found = by_torques(3, noise=0.01, warmer=0.7)
+    assert found.rows["mass"]["by_difference"] == pytest.approx(3.0, rel=0.01)
+    assert not found.agrees
+
+
+@pytest.mark.slow
+def test_a_payload_on_a_flexible_robot_acts_behind_its_springs() -> None:
+    twin = six(True)
+    loaded = replace(twin, robot=with_payload(twin.robot, BODY.inertial))
+    one, other = (
+        recorded(each.loop(), each.records(10.0, seed=k, multisine=0.004), 0.02, seed=k)[0]
+        for k, each in enumerate((twin, loaded), start=1)
+    )
+    found = weigh_payload_from_torques(twin.loop(), one, other)
+    assert found.rows["mass"]["value"] == pytest.approx(3.0, rel=0.01)
+
+
+def test_what_is_not_told_of_a_payload_is_said() -> None:
+    twin = two()
+    one, other = (recorded(twin.loop(), twin.records(4.0, seed=k), 0.01)[0] for k in (1, 2))
+    with pytest.raises(MethodError, match=r"does not tell a payload's .* expected joints that turn and tilt"):
+        weigh_payload_from_torques(twin.loop(), one, other)
+    estimate = identify_robot_from_torques(twin.loop(), one)
+    hidden = replace(estimate, springs=(SpringVerdict("elbow", False, None, None, 10.0),))
+    with pytest.raises(MethodError, match=r"does not show the spring of elbow, .* leave this spring out"):
+        payload_of_torques(estimate, hidden, same_friction=True)
+    with pytest.raises(MethodError, match="DIDIM did not settle on both records"):
+        payload_of_torques(estimate, replace(estimate, fit=replace(estimate.fit, converged=False)), same_friction=True)
 
 
 def test_friction_that_changed_beside_the_payload_is_said() -> None:

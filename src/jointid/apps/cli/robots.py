@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from jointid.apps.cli.console import Changes, Options, deliver, make_folder, show
+from jointid.apps.cli.console import Changes, Options, deliver, listen, make_folder, show
 from jointid.apps.cli.places import Outputs
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, silent
@@ -162,8 +162,11 @@ def payload(
     mass: float | None = None,
     changes: Changes = (),
     json: Path | None = None,
+    quiet: bool = False,
 ) -> None:
     """Weigh what a robot carries: mass, centre and inertia, from a record without it and one with it.
+
+    By IDIM from motor positions and torques, by DIDIM from torques and references, as the robot file asks.
 
     Of a payload whose mass is known, --mass asks for the gains of the drives instead: what each joint's torque, or its
     current, as the robot file reads it, is to be multiplied with.
@@ -175,20 +178,27 @@ def payload(
         mass: of the payload as it was weighed, kg.
         changes: a key of the robot file and its value, as method.estimator=robust; may be given several times.
         json: also write the answer as JSON to this file.
+        quiet: say nothing of the progress.
     """
     from jointid.estimation.robots.drive_gains import identify_drive_gains
     from jointid.estimation.robots.idim import RobotIDIM
-    from jointid.estimation.robots.weighing import weigh_payload
+    from jointid.estimation.robots.weighing import weigh_payload, weigh_payload_from_torques
 
     outputs = Outputs({"--json": json})
     outputs.spare("--without", without)
     outputs.spare("--with", with_)
     file = _loaded(robot, changes, outputs)
     if not isinstance(file.method, RobotIDIM):
-        raise MethodError(
-            "A payload is weighed by IDIM, from motor positions and torques, and this robot file asks for DIDIM; add "
-            "--set method.name=idim, with records that have them."
-        )
+        if mass is not None:
+            raise MethodError(
+                "The drives' gains are found by IDIM, from motor positions and torques, and this robot file asks for "
+                "DIDIM; add --set method.name=idim, with records that have them."
+            )
+        empty, loaded = file.driven(without), file.driven(with_)
+        listener = listen(quiet)
+        found = weigh_payload_from_torques(file.loop, empty, loaded, file.method, file.filtering, listener)
+        deliver(found, json)
+        return
     if mass is not None and (file.method.fixed or file.method.estimator != RobotIDIM().estimator):
         raise MethodError(
             "The drives' gains are searched with all parameters free, each joint weighed by its error; leave "

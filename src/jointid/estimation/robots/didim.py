@@ -66,6 +66,8 @@ class RobotFit:
         relative_error: (n,) of the filtered torques, a share each.
         iterations: that were made. converged: whether they settled.
         run: at the values.
+        information: (parameters, parameters) triangle R, of which ``R' R`` is the information on what is searched, for
+            white errors. Beside it the covariance has lost what is known of the sum of two that are not known.
     """
 
     parameters: RobotParameters
@@ -76,6 +78,7 @@ class RobotFit:
     iterations: int
     converged: bool
     run: RobotRun
+    information: FloatArray
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -175,22 +178,24 @@ def fixed_point(
         x, run = _moved(problem, x, after, run)
         if settled:
             break
-    return conclude(problem, x, run, made, settled, floor)
+    return conclude(problem, x, run, problem.slopes(run, x), problem.regressor(run), made, settled, floor)
 
 
 def conclude(
     problem: RobotProblem,
     x: FloatArray,
     run: RobotRun,
+    J: FloatArray,
+    Z: FloatArray,
     made: int,
     settled: bool,
     floor: float,
-    *,
-    by_slopes: bool = False,
 ) -> RobotFit:
-    """Return the fit at an end, with its covariance: of instruments W, or of least squares where it is `by_slopes`."""
-    error, J = problem.error(run), problem.slopes(run, x)
-    Z = J if by_slopes else problem.regressor(run)
+    """Return the fit at an end, with the covariance of instruments Z, (rows, free), beside slopes J; both not weighted.
+
+    Of least squares the instruments are the slopes.
+    """
+    error = problem.error(run)
     problem = problem.weighted(joint_sizes(problem, error, x.size, floor))
     weights = problem.weights(error.size)
     covariance = robust(
@@ -207,6 +212,7 @@ def conclude(
         made,
         settled,
         run,
+        np.asarray(np.linalg.qr(J * weights[:, np.newaxis], mode="r")),
     )
 
 

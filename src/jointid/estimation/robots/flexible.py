@@ -1,10 +1,11 @@
 """DIDIM of a robot with flexible joints: rotors, springs, friction on both sides and the links, from torques alone.
 
-A robot of rigid joints is identified first. It fixes sums: of both sides' friction, of rotor and link. These are split,
-what it says of each by how well it knows it; each spring is begun at a frequency, given or the best of a row of them
-with the other joints stiff, and the torque error of all joints is made least by Levenberg and Marquardt's steps with
-derivatives by variation (`solvers.bounded_least_squares`), rotors' inertias and stiffnesses on a logarithmic scale. The
-joints weigh by their errors, which are estimated twice.
+A robot of rigid joints is identified first. It fixes sums: of both sides' friction, of rotor and link. These are
+split, what it says of each by how well it knows it. Each spring is begun at a frequency, given or the best of a row
+of them that all joints go through together. The torque error of all joints is then made least by Levenberg and
+Marquardt's steps with derivatives by variation (`solvers.bounded_least_squares`), rotors' inertias and stiffnesses on
+a logarithmic scale. The joints weigh by their errors, which are estimated until they settle: a search may leave a
+wrong minimum after the joint that led it there weighs less.
 
 Whether a record shows a spring is asked of each joint alone, by its compliance c = 1/K, in which a rigid joint is not
 at infinity but at 0: it is shown where c is more than four of its standard deviations above 0, with the spring not at
@@ -35,14 +36,14 @@ from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.robot_sensitivities import NumberOf, NumberPlace
 from jointid.simulation.robots import RobotLoop, RobotNumbers, RobotOutcome
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.solve import Solution, Step, solve
+from jointid.solvers.solve import Counted, Solution, Step, solve
+from jointid.uncertainty.covariance import white
 
 _BELOW = 4.0  # Hz: below the modes, where a robot is as good as rigid
 _POSES = 40  # along the references, over which inertias are averaged
 _SHARE = 0.5  # of the inertia about a joint, at most, that its rotor begins with
 _ROOM = 0.6  # of what the rotors can take before the links' mass matrix is not positive
 _SPREADS = (1.0, 0.3, 0.1, 0.03, 0.01)  # of the inertia about a joint: how far its rotor may be from what is wanted
-_FLOOR = 1e-10  # of the largest variance of a correlation: rounding
 _LIGHTEST = 0.05  # of the inertia about a joint: a rotor that a search begins with
 _DAMPING = 0.03  # of critical, of the springs a search begins with
 _MODES = tuple(5.0 * 1.5**i for i in range(6))  # Hz: 5 to 38, the row in which a frequency is looked for
@@ -54,9 +55,11 @@ _ROUGH, _FINE = (
     1e-3,
     1e-5,
 )  # tolerances of the two searches: with first sizes of the joints' errors, and with settled ones
+_TURNS, _SETTLED = 4, 0.1  # searches with new sizes of the joints' errors, and their change that asks for no other
 _FIRST = 12  # evaluations, after which springs are looked for in what was found: with springs most searches are over
 _SHOWN = 4.0  # standard deviations by which a compliance is told from 0
 _TWO = 2.0  # of them: the bound of one that is not
+_OFF = 1e-3  # of the stiffest, on a logarithmic scale: a spring that is not at its bound
 _EXACT = 1e-6  # of the torques: an error that the simulation itself may have
 
 
@@ -145,7 +148,7 @@ def identify_flexible_robot(
     parameters = robot_parameters(robot, offsets=offsets, logarithmic=True)
     problem = robot_problem(loop, records, parameters, filtering)
     problem = problem.weighted(joint_sizes(problem, problem.error(rigid.run), rigid.values.size, _least(problem)))
-    start = _Start.of(problem, rigid, robot.names)
+    start = StartOfSprings.of(problem, rigid, robot.names)
     hertz = frequencies or start.search(progress)
     problem = _bounded(problem, start)
     x = parameters.searched(start.values(hertz))
@@ -153,38 +156,65 @@ def identify_flexible_robot(
         raise MethodError("The robot cannot be simulated where its search begins; give other frequencies.")
     kinds = dict(zip(robot.names, (link.kind for link in robot.links), strict=True))
     units = {name: "N/m" if kinds[name] == "prismatic" else "N m/rad" for name in flexible}
-    ends = [_search(problem, x, _ROUGH, min(_FIRST, evaluations), progress)]
-    seen = _concluded(problem, ends)
+    end = _search(problem, x, _ROUGH, min(_FIRST, evaluations), progress)
     # A search without springs to find goes on for minutes along what the record does not tell.
-    if seen is not None and not any(_may_show(seen, problem, name) for name in flexible):
+    if not end.may_show and (seen := end.fit()) is not None:
         springs = tuple(_judge(seen, problem, name, units[name]) for name in flexible)
         return FlexibleRobotFit(seen, springs, rigid, seen.iterations, "no joint shows a spring")
-    if not ends[0].converged:
-        ends.append(_search(problem, ends[0].x, _ROUGH, evaluations, progress))
-    problem = _reweighted(problem, ends[-1])
-    ends.append(_search(problem, ends[-1].x, _FINE, evaluations, progress))
-    problem = _reweighted(problem, ends[-1])
-    fit = _concluded(problem, ends)
+    if not end.solution.converged:
+        end = _search(problem, end, _ROUGH, evaluations, progress)
+    for _ in range(_TURNS):
+        weighed = end.reweighted()
+        end = _search(weighed, end, _FINE, evaluations, progress)
+        change = np.log(end.reweighted().sigma / weighed.sigma)
+        if not end.solution.converged or np.all(np.abs(change) < _SETTLED):
+            break
+    fit = end.fit()
     if fit is None:
         raise MethodError("The search led to where the robot cannot be simulated; give other frequencies.")
     springs = tuple(_judge(fit, problem, name, units[name]) for name in flexible)
-    return FlexibleRobotFit(fit, springs, rigid, fit.iterations, ends[-1].message)
+    return FlexibleRobotFit(fit, springs, rigid, fit.iterations, end.solution.message)
 
 
-def _reweighted(problem: RobotProblem, end: Solution) -> RobotProblem:
-    """Return the problem with the sizes of the errors that a search left."""
-    error = end.residual / problem.weights(end.residual.size)
-    return problem.weighted(joint_sizes(problem, error, end.x.size, _least(problem)))
+@dataclass(frozen=True, slots=True, eq=False)
+class _End:
+    """Where searches have led, one after the other.
 
+    Attributes:
+        problem: as the last of them weighed it. solution: of that. made: evaluations of all.
+    """
 
-def _concluded(problem: RobotProblem, ends: Sequence[Solution]) -> RobotFit | None:
-    """Return the fit where the last of some searches ended; None where the robot cannot be simulated there."""
-    x = ends[-1].x
-    run = problem.run(x)
-    if run.outcome is not RobotOutcome.FINISHED:
-        return None
-    made = sum(end.evaluations for end in ends)
-    return conclude(problem, x, run, made, ends[-1].converged, _least(problem), by_slopes=True)
+    problem: RobotProblem
+    solution: Solution
+    made: int
+
+    def linearised(self) -> tuple[FloatArray, FloatArray]:
+        """Return the error, (rows,), and its derivatives, (rows, free), not weighted."""
+        weights = self.problem.weights(self.solution.residual.size)
+        return self.solution.residual / weights, self.solution.jacobian / weights[:, np.newaxis]
+
+    def reweighted(self) -> RobotProblem:
+        """Return the problem with the sizes of the errors that are left."""
+        error, slopes = self.linearised()
+        return self.problem.weighted(joint_sizes(self.problem, error, slopes.shape[1], _least(self.problem)))
+
+    @property
+    def may_show(self) -> bool:
+        """Whether a longer search may find a spring: of one its compliance is above two deviations, off its end."""
+        x, known = self.solution.x, white(self.solution.jacobian, self.solution.residual)
+        return any(
+            parameter.symbol == "stiffness" and std < 1.0 / _TWO and value < parameter.upper - _OFF
+            for parameter, std, value in zip(self.problem.free, known.std, x, strict=True)
+        )
+
+    def fit(self) -> RobotFit | None:
+        """Return the fit; None where the robot cannot be simulated there."""
+        x = self.solution.x
+        run = self.problem.run(x)
+        if run.outcome is not RobotOutcome.FINISHED:
+            return None
+        J = -self.linearised()[1]
+        return conclude(self.problem, x, run, J, J, self.made, self.solution.converged, _least(self.problem))
 
 
 def _least(problem: RobotProblem) -> float:
@@ -193,18 +223,27 @@ def _least(problem: RobotProblem) -> float:
     return _EXACT * float(np.max(np.linalg.norm(seen, axis=1)))
 
 
-def _search(problem: RobotProblem, x: FloatArray, tolerance: float, evaluations: int, progress: Progress) -> Solution:
-    """Return where a search of the least torque error ends."""
+def _search(
+    problem: RobotProblem, start: FloatArray | _End, tolerance: float, evaluations: int, progress: Progress
+) -> _End:
+    """Return where a search of the least torque error ends, from a start or from where another ended."""
 
     def watch(step: Step) -> None:
         progress(f"{step.evaluations} simulations: weighted torque error {step.norm:.6g}")
 
     reach = np.where(problem.parameters.logarithmic, _REACH, np.inf)
-    return solve(problem, LevenbergMarquardt(tolerance, evaluations, reach), x, watch)
+    counted, made = Counted(problem), 0
+    if isinstance(start, _End):
+        error, slopes = start.linearised()
+        weights, made = problem.weights(error.size), start.made
+        start = start.solution.x
+        counted.remember(start, error * weights, slopes * weights[:, np.newaxis])
+    found = solve(counted, LevenbergMarquardt(tolerance, evaluations, reach), start, watch)
+    return _End(problem, found, made + found.evaluations)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Start:
+class StartOfSprings:
     """The rigid robot split into rotors, springs and links.
 
     Attributes:
@@ -220,7 +259,7 @@ class _Start:
     links: FloatArray
 
     @classmethod
-    def of(cls, problem: RobotProblem, rigid: RobotFit, names: tuple[str, ...]) -> _Start:
+    def of(cls, problem: RobotProblem, rigid: RobotFit, names: tuple[str, ...]) -> StartOfSprings:
         """Split a rigid robot: friction in halves, rotors as large as the links' mass matrix lets them be.
 
         Of the rotors that the rigid robot tells apart from their links some it hardly knows, and with these as they are
@@ -262,19 +301,22 @@ class _Start:
         return values
 
     def search(self, progress: Progress) -> dict[str, float]:
-        """Return for each flexible joint the frequency, of a row, that explains the torques best, the others stiff."""
+        """Return for each flexible joint the frequency, of a row, with which its own torque is explained best.
+
+        All joints have the same frequency in a run: what one's spring does to the torques of others is small beside
+        what it does to its own, and a run for each joint and frequency would take as many times as long.
+        """
         stiff = self.stiff
-        tried = [(name, f) for name in stiff for f in _MODES if f < stiff[name]]
 
-        def cost(one: tuple[str, float]) -> float:
-            x = self.problem.parameters.searched(self.values(stiff | dict([one])))
-            return float(np.linalg.norm(self.problem.residual(x)))
+        def errors(frequency: float) -> FloatArray:
+            x = self.problem.parameters.searched(self.values({name: min(frequency, f) for name, f in stiff.items()}))
+            return np.asarray(np.linalg.norm(self.problem.by_joint(self.problem.residual(x)), axis=1))
 
-        costs = in_threads(cost, tried)
+        tried = [f for f in _MODES if f < max(stiff.values())]
+        costs = np.array(in_threads(errors, tried))
         best = {}
-        for name in stiff:
-            own = [(c, f) for c, (joint, f) in zip(costs, tried, strict=True) if joint == name]
-            best[name] = min(own)[1]
+        for name, f in stiff.items():
+            best[name] = min(tried[int(np.argmin(costs[:, self.names.index(name)]))], f)
             progress(f"{name}: its mode is looked for from {best[name]:.3g} Hz")
         return best
 
@@ -313,53 +355,54 @@ def _split(
     known = dict(zip(rigid.parameters.places, rigid.values, strict=True))
     joint_of = {int(row): j for j, row in enumerate(numbers.rotors)}
     values = np.zeros(len(parameters.places))
-    inertial = []
+    shared = []  # inertias, and constant torques, as which a weight may act
     for c, place in enumerate(parameters.places):
-        if place.of is NumberOf.LINK or (place.of is NumberOf.MASS and place.column == 0):
-            inertial.append(c)
+        if place.of is NumberOf.LINK or (place.of is NumberOf.MASS and place.column in (0, 3)):
+            shared.append(c)
         elif place.of is NumberOf.MASS:
             joint = joint_of.get(place.row, place.row)
-            both = 0.5 if numbers.flexible[joint] and place.column != 3 else 1.0
+            both = 0.5 if numbers.flexible[joint] else 1.0
             found_of = [known.get(NumberPlace(NumberOf.MASS, joint, column), 0.0) for column in range(6)]
             # The link's own friction is the same in both directions.
             same = found_of[1] + 0.5 * (found_of[4] + found_of[5])
             values[c] = both * (same if place.column == 1 else found_of[place.column])
-    # What each inertial parameter is of the rigid robot's: itself if that has it, or else as it groups it.
+    # What each of these is of the rigid robot's: itself if that has it, or else as it groups it.
     kept, dropped = list(rigid.parameters.places), list(rigid.parameters.dropped)
-    weights = np.zeros((len(kept), len(inertial)))
-    began = np.zeros(len(inertial))
-    for i, c in enumerate(inertial):
+    weights = np.zeros((len(kept), len(shared)))
+    began = np.zeros(len(shared))
+    for i, c in enumerate(shared):
         place = parameters.places[c]
         if place.of is NumberOf.MASS:
-            began[i] = wanted[joint_of[place.row]]
-            place = NumberPlace(NumberOf.MASS, joint_of[place.row], 0)
+            began[i] = wanted[joint_of[place.row]] if place.column == 0 else 0.0
+            place = NumberPlace(NumberOf.MASS, joint_of[place.row], place.column)
         if place in kept:
             weights[kept.index(place), i] = 1.0
         else:
             weights[:, i] = rigid.parameters.grouping[:, dropped.index(place)]
     felt = np.any(weights != 0.0, axis=1)
-    std, correlation = rigid.covariance.std[felt], rigid.covariance.correlation[np.ix_(felt, felt)]
-    sizes, directions = np.linalg.eigh(correlation)
-    whiten = (directions / np.sqrt(np.maximum(sizes, _FLOOR * sizes[-1]))).T / np.maximum(std, 1e-300)
-    places = [parameters.places[c] for c in inertial]
-    mine = [i for i, place in enumerate(places) if place.of is NumberOf.MASS]
-    near = np.zeros((len(mine), len(inertial)))
+    # What is known of them while the others are free: the end of a triangle that has these last.
+    last = np.column_stack([rigid.information[:, ~felt], rigid.information[:, felt]])
+    before = int(np.sum(~felt))
+    whiten = np.asarray(np.linalg.qr(last, mode="r"))[before:, before:]
+    places = [parameters.places[c] for c in shared]
+    mine = [i for i, place in enumerate(places) if place.of is NumberOf.MASS and place.column == 0]
+    near = np.zeros((len(mine), len(shared)))
     near[np.arange(len(mine)), mine] = [1.0 / spread[joint_of[places[i].row]] for i in mine]
     left = rigid.values[felt] - weights[felt] @ began
     rows = np.vstack([whiten @ weights[felt], near])
     norms = column_norms(rows)
     target = np.concatenate([whiten @ left, np.zeros(len(mine))])
     found = began + np.linalg.lstsq(rows / norms, target, rcond=None)[0] / norms
-    for i, c in enumerate(inertial):
+    for i, c in enumerate(shared):
         place = parameters.places[c]
         values[c] = found[i]
-        if place.of is NumberOf.MASS and numbers.flexible[joint_of[place.row]]:
+        if i in mine and numbers.flexible[joint_of[place.row]]:
             j = joint_of[place.row]
             values[c] = rotors[j] = max(float(found[i]), float(lightest[j]))
     return values, rotors
 
 
-def _bounded(problem: RobotProblem, start: _Start) -> RobotProblem:
+def _bounded(problem: RobotProblem, start: StartOfSprings) -> RobotProblem:
     """Return the problem with each spring between the softest and the stiffest that are looked for."""
     inertias = start.rotors * start.links / (start.rotors + start.links)
     lowest, highest = (2.0 * math.pi * share / problem.sample_time for share in (_SOFTEST, _STIFFEST))
@@ -374,18 +417,11 @@ def _bounded(problem: RobotProblem, start: _Start) -> RobotProblem:
     return replace(problem, parameters=replace(problem.parameters, parameters=free))
 
 
-def _may_show(fit: RobotFit, problem: RobotProblem, joint: str) -> bool:
-    """Return whether a longer search may find a joint's spring: its compliance is above two deviations, off its end."""
-    stiffness, deviation = fit.value(f"{joint}.stiffness")
-    bound = problem.free[fit.names.index(f"{joint}.stiffness")].upper
-    return stiffness > _TWO * deviation and math.log(stiffness) < bound - 1e-3
-
-
 def _judge(fit: RobotFit, problem: RobotProblem, joint: str, unit: str) -> SpringVerdict:
     """Return whether the records show a joint's spring."""
     stiffness, deviation = fit.value(f"{joint}.stiffness")
     compliance, spread = 1.0 / stiffness, deviation / stiffness**2
     bound = problem.free[fit.names.index(f"{joint}.stiffness")].upper
-    shown = compliance > _SHOWN * spread and math.log(stiffness) < bound - 1e-3
+    shown = compliance > _SHOWN * spread and math.log(stiffness) < bound - _OFF
     at_least = 1.0 / (compliance + _TWO * spread)
     return SpringVerdict(joint, shown, stiffness if shown else None, deviation if shown else None, at_least, unit)

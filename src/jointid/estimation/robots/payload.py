@@ -3,22 +3,26 @@
 Both records are one regression: base parameters and friction are the same in both, and the payload's ten parameters
 act in the second alone. So they are all told, though those of the last link are not [Khalil, Gautier and Lemoine 2007].
 The difference of two estimates gives the same payload, of a wider interval, when the empty robot was identified before.
+
+From torques and references alone it comes from two estimates by DIDIM. Where friction is said to be the same in both,
+that is the fit of both records at once, by each one's covariance; where each has its own, it is the difference.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.document import Document, Documented, Facts
 from jointid.common.errors import MethodError
 from jointid.common.text import interval, listed
 from jointid.estimation.methods.linear import Rows
 from jointid.estimation.robots.idim import RobotEstimate, RobotIDIM
 from jointid.estimation.robots.regression import base_rows, motion_of_robot
+from jointid.estimation.robots.torque_only import RobotTorqueEstimate
 from jointid.models.robots.base_parameters import base_parameters, inverse_columns
 from jointid.models.robots.inertial import SYMBOLS, mass_properties
 from jointid.models.robots.robot import Robot
@@ -27,6 +31,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.uncertainty.covariance import Covariance, covariance_of
 
 _STEP = 1e-6  # of a difference, relative
+_TOGETHER = 1e-8  # of the largest: a direction in which a payload's ten parameters change nothing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,7 +145,8 @@ def payload_difference(empty: RobotEstimate, loaded: RobotEstimate) -> Payload:
         loaded: with it, of the same robot.
 
     Raises:
-        MethodError: the estimates are of two robots, or its mass comes out negative.
+        MethodError: the estimates are of two robots, which does not tell all of a payload, or its mass comes out
+            negative.
     """
     if empty.names != loaded.names or not np.allclose(empty.base.grouping, loaded.base.grouping):
         raise MethodError("The estimates are of two robots; expected one, without its payload and with it.")
@@ -154,12 +160,59 @@ def payload_difference(empty: RobotEstimate, loaded: RobotEstimate) -> Payload:
     columns = np.vstack([empty.base.grouping, empty.base.offsets[np.any(empty.base.offsets, axis=1)]])
     columns = columns[:, 10 * (n - 1) : 10 * n]
     matrix = (empty.covariance.matrix + loaded.covariance.matrix)[np.ix_(read, read)]
+    return _explain_change(empty.robot, columns, (loaded.values - empty.values)[read], matrix)
+
+
+def payload_of_torques(empty: RobotTorqueEstimate, loaded: RobotTorqueEstimate, *, same_friction: bool) -> Payload:
+    """Return the payload that makes one estimate by DIDIM into the other, by generalised least squares.
+
+    Args:
+        empty: without the payload.
+        loaded: with it, of the same robot.
+        same_friction: whether friction, and the springs' damping, are the same in both; else each has its own.
+
+    Raises:
+        MethodError: as of `payload_difference`; an estimate did not settle, or does not show a spring.
+    """
+    parameters = empty.fit.parameters
+    if empty.fit.names != loaded.fit.names or not np.allclose(parameters.grouping, loaded.fit.parameters.grouping):
+        raise MethodError("The estimates are of two robots; expected one, without its payload and with it.")
+    for estimate in (empty, loaded):
+        if not estimate.fit.converged:
+            raise MethodError("DIDIM did not settle on both records; allow more iterations, or look at each by itself.")
+        if hidden := [one.joint for one in estimate.springs if not one.shown]:
+            raise MethodError(
+                f"A record does not show the spring of {listed(hidden)}, so it does not part motor from link there; "
+                "expected records that do: leave this spring out of the robot file, or excite its mode."
+            )
+    still = parameters.base
+    columns = np.empty((len(parameters.places), len(SYMBOLS)))
+    for k in range(len(SYMBOLS)):
+        inertials = np.zeros_like(still.inertials)
+        inertials[-1, k] = 1.0
+        columns[:, k] = parameters.group(replace(still, inertials=inertials))
+    read = np.array([same_friction or not place.is_friction for place in parameters.places]) | np.any(columns, axis=1)
+    matrix = (empty.fit.covariance.matrix + loaded.fit.covariance.matrix)[np.ix_(read, read)]
+    change = (loaded.fit.values - empty.fit.values)[read]
+    return _explain_change(empty.robot, columns[read], change, matrix)
+
+
+def _explain_change(robot: Robot, columns: FloatArray, change: FloatArray, matrix: FloatArray) -> Payload:
+    """Return the payload that changes parameters so, of which the change has this covariance."""
     std = np.sqrt(np.diag(matrix))
     values, vectors = np.linalg.eigh(matrix / np.outer(std, std))
     whiten = (vectors / np.sqrt(np.maximum(values, 1e-10 * values[-1]))).T / std
     seen = whiten @ columns
-    found = np.linalg.lstsq(seen, whiten @ (loaded.values - empty.values)[read], rcond=None)[0]
-    return _payload(empty.robot, found, covariance_of(np.linalg.pinv(seen.T @ seen), 0))
+    norms = column_norms(seen)
+    sizes, directions = np.linalg.svd(seen / norms, full_matrices=False)[1:]
+    if sizes[-1] < _TOGETHER * sizes[0]:
+        alike = [SYMBOLS[k] for k in np.flatnonzero(np.abs(directions[-1]) > 0.2)]
+        raise MethodError(
+            f"This robot does not tell a payload's {listed(alike)} apart from each other, or not at all; expected "
+            "joints that turn and tilt the last link about several axes."
+        )
+    found = np.linalg.lstsq(seen, whiten @ change, rcond=None)[0]
+    return _payload(robot, found, covariance_of(np.linalg.pinv(seen.T @ seen), 0))
 
 
 def _payload(robot: Robot, inertial: FloatArray, covariance: Covariance) -> Payload:

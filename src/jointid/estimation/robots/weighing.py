@@ -1,5 +1,7 @@
 """A payload weighed two ways, beside each other: by both records at once, and by the difference of two estimates.
 
+From torques and references alone both ways come from an estimate of each record by DIDIM.
+
 Both ways read the same records, so that they agree says that the robot was the same in both: its friction and its own
 links. Where they differ by more than three deviations of the difference alone, one of these has changed.
 """
@@ -13,13 +15,16 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented, Paragraph, Table
+from jointid.common.messages import Progress, silent
 from jointid.common.text import interval, listed
 from jointid.estimation.robots.idim import KNOWN, RobotIDIM, identify_robot
-from jointid.estimation.robots.payload import Payload, identify_payload, payload_difference
+from jointid.estimation.robots.payload import Payload, identify_payload, payload_difference, payload_of_torques
+from jointid.estimation.robots.torque_only import RobotDIDIM, identify_robot_from_torques
 from jointid.models.robots.inertial import is_consistent
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
+from jointid.simulation.robots import RobotLoop
 
 _ROWS = (
     *(("mass", "kg"), ("centre x", "m"), ("centre y", "m"), ("centre z", "m")),
@@ -149,3 +154,32 @@ def weigh_payload(
     free = replace(settings or RobotIDIM(), fixed={})
     one, other = (identify_robot(robot, records, free, filtering=filtering) for records in (empty, loaded))
     return WeighedPayload(both, payload_difference(one, other))
+
+
+def weigh_payload_from_torques(
+    loop: RobotLoop,
+    empty: Sequence[Record],
+    loaded: Sequence[Record],
+    settings: RobotDIDIM | None = None,
+    filtering: Filtering | None = None,
+    progress: Progress = silent,
+) -> WeighedPayload:
+    """Return what the last link carries in the second record, from torques and references alone, found both ways.
+
+    Args:
+        loop: the robot, rigid or flexible, and its controllers; their gains are the same with the payload.
+        empty: of each joint, with torque and reference, without the payload.
+        loaded: the same with it; another motion will do.
+        settings: of DIDIM.
+        filtering: of torques and derivatives.
+        progress: is told the steps.
+
+    Raises:
+        MethodError: an estimate does not settle or does not show a spring, or the mass comes out negative.
+        RecordError: as of `identify_robot_from_torques`.
+    """
+    one, other = (
+        identify_robot_from_torques(loop, records, settings, filtering=filtering, progress=progress)
+        for records in (empty, loaded)
+    )
+    return WeighedPayload(*(payload_of_torques(one, other, same_friction=same) for same in (True, False)))
