@@ -36,7 +36,7 @@ from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.robot_sensitivities import NumberOf, NumberPlace
 from jointid.simulation.robots import RobotLoop, RobotNumbers, RobotOutcome
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
-from jointid.solvers.solve import Counted, Solution, Step, solve
+from jointid.solvers.solve import Counted, Solution, Status, Step, solve
 from jointid.uncertainty.covariance import white
 
 _BELOW = 4.0  # Hz: below the modes, where a robot is as good as rigid
@@ -46,16 +46,13 @@ _ROOM = 0.6  # of what the rotors can take before the links' mass matrix is not 
 _SPREADS = (1.0, 0.3, 0.1, 0.03, 0.01)  # of the inertia about a joint: how far its rotor may be from what is wanted
 _LIGHTEST = 0.05  # of the inertia about a joint: a rotor that a search begins with
 _DAMPING = 0.03  # of critical, of the springs a search begins with
-_MODES = tuple(5.0 * 1.5**i for i in range(6))  # Hz: 5 to 38, the row in which a frequency is looked for
+_MODES = tuple(5.0 * 1.5**i for i in range(7))  # Hz: 5 to 57, the row in which a frequency is looked for
 _STIFF = 0.07  # of the sampling frequency: where a joint is as good as rigid, and still takes one step a period
 _SOFTEST = 1e-3  # of the sampling frequency: the lowest mode that is looked for
 _STIFFEST = 0.15  # of the sampling frequency: the highest mode that is looked for
 _REACH = math.log(3.0)  # of a step: a stiffness or a rotor's inertia to at most so many times what it was
-_ROUGH, _FINE = (
-    1e-3,
-    1e-5,
-)  # tolerances of the two searches: with first sizes of the joints' errors, and with settled ones
-_TURNS, _SETTLED = 4, 0.1  # searches with new sizes of the joints' errors, and their change that asks for no other
+_ROUGH, _FINE = 1e-2, 1e-5  # tolerances of searches: with first sizes of the joints' errors, and with better ones
+_TURNS, _SETTLED = 4, 0.4  # searches with new sizes of the joints' errors, and their change that asks for no other
 _FIRST = 12  # evaluations, after which springs are looked for in what was found: with springs most searches are over
 _SHOWN = 4.0  # standard deviations by which a compliance is told from 0
 _TWO = 2.0  # of them: the bound of one that is not
@@ -126,7 +123,7 @@ def identify_flexible_robot(
             mode, as a multisine on top of it does.
         filtering: that torques and derivatives go through alike; its cut-off above the modes.
         frequencies: Hz, of the mode of rotor against link of each flexible joint with the others stiff, where the
-            search is to begin; None looks for it between 5 and 38 Hz.
+            search is to begin; None looks for it between 5 and 57 Hz.
         offsets: whether each motor has a constant torque that is identified, too.
         evaluations: simulations with derivatives, at most, of each of two searches.
         progress: is told the steps.
@@ -152,11 +149,11 @@ def identify_flexible_robot(
     hertz = frequencies or start.search(progress)
     problem = _bounded(problem, start)
     x = parameters.searched(start.values(hertz))
-    if problem.run(x, keep=False).outcome is not RobotOutcome.FINISHED:
-        raise MethodError("The robot cannot be simulated where its search begins; give other frequencies.")
     kinds = dict(zip(robot.names, (link.kind for link in robot.links), strict=True))
     units = {name: "N/m" if kinds[name] == "prismatic" else "N m/rad" for name in flexible}
     end = _search(problem, x, _ROUGH, min(_FIRST, evaluations), progress)
+    if end.solution.status is Status.NOT_EVALUABLE:
+        raise MethodError("The robot cannot be simulated where its search begins; give other frequencies.")
     # A search without springs to find goes on for minutes along what the record does not tell.
     if not end.may_show and (seen := end.fit()) is not None:
         springs = tuple(_judge(seen, problem, name, units[name]) for name in flexible)
