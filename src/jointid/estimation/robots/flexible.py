@@ -46,7 +46,7 @@ _ROOM = 0.6  # of what the rotors can take before the links' mass matrix is not 
 _SPREADS = (1.0, 0.3, 0.1, 0.03, 0.01)  # of the inertia about a joint: how far its rotor may be from what is wanted
 _LIGHTEST = 0.05  # of the inertia about a joint: a rotor that a search begins with
 _DAMPING = 0.03  # of critical, of the springs a search begins with
-_MODES = tuple(5.0 * 1.5**i for i in range(7))  # Hz: 5 to 57, the row in which a frequency is looked for
+_MODES = tuple(5.0 * 1.5**i for i in range(6))  # Hz: 5 to 38, the row in which a frequency is looked for
 _STIFF = 0.07  # of the sampling frequency: where a joint is as good as rigid, and still takes one step a period
 _SOFTEST = 1e-3  # of the sampling frequency: the lowest mode that is looked for
 _STIFFEST = 0.15  # of the sampling frequency: the highest mode that is looked for
@@ -123,7 +123,7 @@ def identify_flexible_robot(
             mode, as a multisine on top of it does.
         filtering: that torques and derivatives go through alike; its cut-off above the modes.
         frequencies: Hz, of the mode of rotor against link of each flexible joint with the others stiff, where the
-            search is to begin; None looks for it between 5 and 57 Hz.
+            search is to begin; None looks for it between 5 and 38 Hz.
         offsets: whether each motor has a constant torque that is identified, too.
         evaluations: simulations with derivatives, at most, of each of two searches.
         progress: is told the steps.
@@ -309,11 +309,14 @@ class StartOfSprings:
             x = self.problem.parameters.searched(self.values({name: min(frequency, f) for name, f in stiff.items()}))
             return np.asarray(np.linalg.norm(self.problem.by_joint(self.problem.residual(x)), axis=1))
 
-        tried = [f for f in _MODES if f < max(stiff.values())]
+        highest = max(stiff.values())
+        tried = [*(f for f in _MODES if f < highest), highest]
         costs = np.array(in_threads(errors, tried))
         best = {}
         for name, f in stiff.items():
-            best[name] = min(tried[int(np.argmin(costs[:, self.names.index(name)]))], f)
+            found = int(np.argmin(costs[:, self.names.index(name)]))
+            # Where a stiff joint explains it best the search comes down from the highest mode below that.
+            best[name] = min(tried[min(found, max(len(tried) - 2, 0))], f)
             progress(f"{name}: its mode is looked for from {best[name]:.3g} Hz")
         return best
 
