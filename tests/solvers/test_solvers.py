@@ -141,6 +141,20 @@ def test_gauss_newton_names_what_cannot_be_told_apart() -> None:
 
 
 @dataclass(frozen=True)
+class Remainder(Rosenbrock):
+    """A parameter that moves little of a residual most of which nothing explains."""
+
+    def linearised(self, x: Array) -> tuple[Array, Array]:
+        return np.array([x[0] - 5.0, 300.0, x[1] * 1e12]), np.array([[1.0, 0.0], [0.0, 0.0], [0.0, 1e12]])
+
+
+def test_what_a_short_reach_keeps_small_is_still_moved() -> None:
+    end = solve(Remainder(), LevenbergMarquardt(1e-9, reach=np.array([1.0, np.inf])), np.zeros(2))
+    assert end.converged
+    assert end.x[0] == pytest.approx(5.0)
+
+
+@dataclass(frozen=True)
 class Cliff(Rosenbrock):
     """It cannot be evaluated, and is large, before its lowest point."""
 

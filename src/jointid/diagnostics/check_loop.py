@@ -33,6 +33,7 @@ from jointid.diagnostics.fault_tests import (
     fit_whitener,
     rank_tests,
     score_signatures,
+    strength_of,
 )
 from jointid.diagnostics.find_causes import explain_misfit
 from jointid.diagnostics.intervals import rebuild_problem
@@ -665,8 +666,8 @@ def _make_finding(
     state: _State, after: _State, found: _TestResults, level: float, known: Mapping[str, float]
 ) -> Finding:
     suspect = found.tests[0]
-    least = suspect.strength**2 - _RIVAL
-    rivals = tuple(s.label for s in found.tests[1:] if s.p_value <= level and s.strength**2 > least)
+    least = strength_of(suspect) ** 2 - _RIVAL
+    rivals = tuple(s.label for s in found.tests[1:] if s.p_value <= level and strength_of(s) ** 2 > least)
     values = after.problem.values(after.x)
     changes = _changes(state, {**values, **after.identified}, found, known)
     free = [p.name for p in after.problem.free]

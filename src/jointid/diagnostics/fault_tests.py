@@ -250,18 +250,21 @@ def score_signatures(
 
 
 def rank_tests(tests: Iterable[FaultTest], level: float) -> tuple[FaultTest, ...]:
-    """Return tests, the strongest first of those that are significant, then the others by their p-values.
+    """Return tests, the strongest first of those that are significant, then the others by their p-values."""
+    return tuple(sorted(tests, key=lambda test: (max(test.p_value, level), -strength_of(test))))
+
+
+def strength_of(test: FaultTest) -> float:
+    """Return the strength of a test beside others.
 
     A ripple's period is searched for among so many that the best of them is strong by chance: it is as strong as a
     single test of its p-value.
     """
     from scipy.stats import norm
 
-    def strength(test: FaultTest) -> float:
-        searched = test.name == COGGING and test.p_value > 0.0
-        return min(test.strength, float(norm.isf(0.5 * test.p_value))) if searched else test.strength
-
-    return tuple(sorted(tests, key=lambda test: (max(test.p_value, level), -strength(test))))
+    if test.name != COGGING or test.p_value <= 0.0:
+        return test.strength
+    return min(test.strength, float(norm.isf(0.5 * test.p_value)))
 
 
 def fit_whitener(residual: FloatArray) -> Filter:

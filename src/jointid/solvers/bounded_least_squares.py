@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 _DAMPING, _LEAST, _MOST = 1e-3, 1e-12, 1e12  # of the first step, in columns of norm 1; and its range
 _EASIER, _HARDER = 0.1, 5.0  # factors on the damping after a step that went down, and one that did not
 _SHORTER, _FARTHER = 0.25, 2.0  # factors on the reach of a step, likewise
+_NEAREST = 1e-3  # of its reach: that of a step after many that failed
 _CUT = 0.999  # of its reach: a step that the reach has cut
 _IDLE = 1e-2  # of the residual
 _THERE = 1e-2  # of a tolerance
@@ -42,8 +43,8 @@ class LevenbergMarquardt:
     Attributes:
         tolerance: relative, on the criterion and the parameters.
         evaluations: at most, each with the derivatives.
-        reach: (parameters,) how far one step may move each; as far as its bounds when None. A step beyond what a
-            linear model is good for is not only refused: it may go down, to where nothing is told any more.
+        reach: (parameters,) how far one step may move each; as far as its bounds when None. A step far beyond where
+            the linear model holds may lower the error, and yet end where the torque depends on a parameter no more.
     """
 
     tolerance: float = 1e-8
@@ -59,7 +60,7 @@ class LevenbergMarquardt:
         status, reach, share = None if J.any() else Status.NOT_EVALUABLE, self.reach, 1.0
         while status is None and used < self.evaluations:
             norm = trace[-1].norm
-            step = damped_step(error, J, bounds.around(x).within(reach), damping)
+            step = damped_step(error, J, bounds.around(x).within(reach), damping, bounds.upper - bounds.lower)
             cut = reach is not None and bool(np.any(np.abs(step) >= _CUT * reach))
             after, slopes = counted.linearised(x + step)
             used += 1
@@ -78,7 +79,8 @@ class LevenbergMarquardt:
                 status = Status.NO_DESCENT
             if reach is not None and self.reach is not None:
                 moved = float(np.max(np.abs(step) / self.reach))
-                share = min(_FARTHER * share, 1.0) if gained > 0.0 else _SHORTER * min(moved or share, share)
+                shorter = max(_SHORTER * min(moved, share), _NEAREST)
+                share = min(_FARTHER * share, 1.0) if gained > 0.0 else shorter
                 reach = share * self.reach
             damping = max(damping * _EASIER, _LEAST) if gained > 0.0 else damping * _HARDER
         status = status or Status.EVALUATION_LIMIT
@@ -86,13 +88,21 @@ class LevenbergMarquardt:
         return Solution(x, error, J, status, message, tuple(trace), counted.evaluations - before)
 
 
-def damped_step(error: FloatArray, J: FloatArray, room: Bounds, damping: float) -> FloatArray:
-    """Return what minimises ``||e + J s||^2 + damping ||D s||^2`` within bounds, D the norms of the columns."""
+def damped_step(error: FloatArray, J: FloatArray, room: Bounds, damping: float, widths: FloatArray) -> FloatArray:
+    """Return what minimises ``||e + J s||^2 + damping ||D s||^2`` within bounds, D the norms of the columns.
+
+    Args:
+        error: (rows,).
+        J: its derivatives, (rows, free).
+        room: that the step has.
+        damping: of it.
+        widths: (free,) from bound to bound of each parameter, however short the step is to be.
+    """
     from scipy.optimize import lsq_linear
 
     norms = np.linalg.norm(J, axis=0)
     # What moves nothing, from bound to bound, is not moved.
-    idle = norms * np.where(norms > 0, room.upper - room.lower, 0.0) <= _IDLE * np.linalg.norm(error)
+    idle = norms * np.where(norms > 0, widths, 0.0) <= _IDLE * np.linalg.norm(error)
     J, norms = np.where(idle, 0.0, J), np.where(idle, 1.0, norms)
     Q, R = np.linalg.qr(J / norms)
     matrix = np.vstack([R, np.sqrt(damping) * np.eye(norms.size)])

@@ -135,9 +135,12 @@ def test_a_payload_on_a_flexible_robot_acts_behind_its_springs() -> None:
 def test_what_is_not_told_of_a_payload_is_said() -> None:
     twin = two()
     one, other = (recorded(twin.loop(), twin.records(4.0, seed=k), 0.01)[0] for k in (1, 2))
-    with pytest.raises(MethodError, match=r"does not tell a payload's .* expected joints that turn and tilt"):
+    with pytest.raises(MethodError, match=r"does not tell all of a payload: my, .* expected joints that turn and tilt"):
         weigh_payload_from_torques(twin.loop(), one, other)
     estimate = identify_robot_from_torques(twin.loop(), one)
+    for same_friction in (True, False):  # of few rows, too
+        with pytest.raises(MethodError, match="does not tell all of a payload"):
+            payload_of_torques(estimate, estimate, same_friction=same_friction)
     hidden = replace(estimate, springs=(SpringVerdict("elbow", False, None, None, 10.0),))
     with pytest.raises(MethodError, match=r"does not show the spring of elbow, .* leave this spring out"):
         payload_of_torques(estimate, hidden, same_friction=True)

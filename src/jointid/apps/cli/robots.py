@@ -178,7 +178,7 @@ def payload(
         mass: of the payload as it was weighed, kg.
         changes: a key of the robot file and its value, as method.estimator=robust; may be given several times.
         json: also write the answer as JSON to this file.
-        quiet: say nothing of the progress.
+        quiet: say nothing of the progress of DIDIM.
     """
     from jointid.estimation.robots.drive_gains import identify_drive_gains
     from jointid.estimation.robots.idim import RobotIDIM

@@ -4,8 +4,8 @@ A robot of rigid joints is identified first. It fixes sums: of both sides' frict
 split, what it says of each by how well it knows it. Each spring is begun at a frequency, given or the best of a row
 of them that all joints go through together. The torque error of all joints is then made least by Levenberg and
 Marquardt's steps with derivatives by variation (`solvers.bounded_least_squares`), rotors' inertias and stiffnesses on
-a logarithmic scale. The joints weigh by their errors, which are estimated until they settle: a search may leave a
-wrong minimum after the joint that led it there weighs less.
+a logarithmic scale. The joints weigh by their errors, which are estimated again until they settle, a few times at
+most: a search may leave a wrong minimum after the joint that led it there weighs less.
 
 Whether a record shows a spring is asked of each joint alone, by its compliance c = 1/K, in which a rigid joint is not
 at infinity but at 0: it is shown where c is more than four of its standard deviations above 0, with the spring not at
@@ -52,6 +52,7 @@ _SOFTEST = 1e-3  # of the sampling frequency: the lowest mode that is looked for
 _STIFFEST = 0.15  # of the sampling frequency: the highest mode that is looked for
 _REACH = math.log(3.0)  # of a step: a stiffness or a rotor's inertia to at most so many times what it was
 _ROUGH, _FINE = 1e-2, 1e-5  # tolerances of searches: with first sizes of the joints' errors, and with better ones
+_DAMPED = 5.0  # of a step: a spring's damping by at most so many times what it begins with
 _TURNS, _SETTLED = 4, 0.4  # searches with new sizes of the joints' errors, and their change that asks for no other
 _FIRST = 12  # evaluations, after which springs are looked for in what was found: with springs most searches are over
 _SHOWN = 4.0  # standard deviations by which a compliance is told from 0
@@ -125,7 +126,7 @@ def identify_flexible_robot(
         frequencies: Hz, of the mode of rotor against link of each flexible joint with the others stiff, where the
             search is to begin; None looks for it between 5 and 38 Hz.
         offsets: whether each motor has a constant torque that is identified, too.
-        evaluations: simulations with derivatives, at most, of each of two searches.
+        evaluations: simulations with derivatives, at most, of each search; there are two to six.
         progress: is told the steps.
 
     Raises:
@@ -148,10 +149,11 @@ def identify_flexible_robot(
     start = StartOfSprings.of(problem, rigid, robot.names)
     hertz = frequencies or start.search(progress)
     problem = _bounded(problem, start)
-    x = parameters.searched(start.values(hertz))
+    values = start.values(hertz)
+    x, reach = parameters.searched(values), _reach(parameters, values)
     kinds = dict(zip(robot.names, (link.kind for link in robot.links), strict=True))
     units = {name: "N/m" if kinds[name] == "prismatic" else "N m/rad" for name in flexible}
-    end = _search(problem, x, _ROUGH, min(_FIRST, evaluations), progress)
+    end = _search(problem, x, _ROUGH, min(_FIRST, evaluations), reach, progress)
     if end.solution.status is Status.NOT_EVALUABLE:
         raise MethodError("The robot cannot be simulated where its search begins; give other frequencies.")
     # A search without springs to find goes on for minutes along what the record does not tell.
@@ -159,10 +161,10 @@ def identify_flexible_robot(
         springs = tuple(_judge(seen, problem, name, units[name]) for name in flexible)
         return FlexibleRobotFit(seen, springs, rigid, seen.iterations, "no joint shows a spring")
     if not end.solution.converged:
-        end = _search(problem, end, _ROUGH, evaluations, progress)
+        end = _search(problem, end, _ROUGH, evaluations, reach, progress)
     for _ in range(_TURNS):
         weighed = end.reweighted()
-        end = _search(weighed, end, _FINE, evaluations, progress)
+        end = _search(weighed, end, _FINE, evaluations, reach, progress)
         change = np.log(end.reweighted().sigma / weighed.sigma)
         if not end.solution.converged or np.all(np.abs(change) < _SETTLED):
             break
@@ -200,7 +202,7 @@ class _End:
         """Whether a longer search may find a spring: of one its compliance is above two deviations, off its end."""
         x, known = self.solution.x, white(self.solution.jacobian, self.solution.residual)
         return any(
-            parameter.symbol == "stiffness" and std < 1.0 / _TWO and value < parameter.upper - _OFF
+            parameter.symbol == "stiffness" and 0.0 < std < 1.0 / _TWO and value < parameter.upper - _OFF
             for parameter, std, value in zip(self.problem.free, known.std, x, strict=True)
         )
 
@@ -220,15 +222,25 @@ def _least(problem: RobotProblem) -> float:
     return _EXACT * float(np.max(np.linalg.norm(seen, axis=1)))
 
 
+def _reach(parameters: RobotParameters, values: FloatArray) -> FloatArray:
+    """Return how far one step may move each parameter, (parameters,): rotors, springs and their damping not too far."""
+    damping = np.array([place.of is NumberOf.SPRING and place.column == 1 for place in parameters.places])
+    return np.where(parameters.logarithmic, _REACH, np.where(damping, _DAMPED * values, np.inf))
+
+
 def _search(
-    problem: RobotProblem, start: FloatArray | _End, tolerance: float, evaluations: int, progress: Progress
+    problem: RobotProblem,
+    start: FloatArray | _End,
+    tolerance: float,
+    evaluations: int,
+    reach: FloatArray,
+    progress: Progress,
 ) -> _End:
     """Return where a search of the least torque error ends, from a start or from where another ended."""
 
     def watch(step: Step) -> None:
         progress(f"{step.evaluations} simulations: weighted torque error {step.norm:.6g}")
 
-    reach = np.where(problem.parameters.logarithmic, _REACH, np.inf)
     counted, made = Counted(problem), 0
     if isinstance(start, _End):
         error, slopes = start.linearised()
@@ -276,16 +288,19 @@ class StartOfSprings:
         for spread in _SPREADS:
             split, rotors = _split(problem.parameters, rigid, numbers, wanted, spread * about, _LIGHTEST * about)
             start = cls(problem, names, split, rotors, np.maximum(about - rotors, _LIGHTEST * about))
-            x = problem.parameters.searched(start.values(start.stiff))
+            x = problem.parameters.searched(start.all_at(start.stiff))
             if problem.run(x, keep=False).outcome is RobotOutcome.FINISHED:
                 break
         return start
 
     @property
-    def stiff(self) -> dict[str, float]:
-        """Frequencies of the flexible joints, Hz, with which they are as good as rigid."""
-        flexible = np.flatnonzero(self.problem.parameters.base.flexible)
-        return {self.names[i]: _STIFF / self.problem.sample_time for i in flexible}
+    def stiff(self) -> float:
+        """The frequency at which a flexible joint is as good as rigid, Hz."""
+        return _STIFF / self.problem.sample_time
+
+    def all_at(self, frequency: float) -> FloatArray:
+        """Return all parameters with one frequency of all springs."""
+        return self.values(dict.fromkeys(self.names, frequency))
 
     def values(self, hertz: Mapping[str, float]) -> FloatArray:
         """Return all parameters with springs of these frequencies, (parameters,)."""
@@ -303,21 +318,23 @@ class StartOfSprings:
         All joints have the same frequency in a run: what one's spring does to the torques of others is small beside
         what it does to its own, and a run for each joint and frequency would take as many times as long.
         """
-        stiff = self.stiff
+        row = [*(f for f in _MODES if f < self.stiff), self.stiff]
+        if len(row) == 1:
+            raise MethodError(
+                f"Modes are looked for from {_MODES[0]:g} Hz on, which records of {self.problem.sample_time:g} s a "
+                "sample do not show; give the frequencies of the flexible joints, or log faster."
+            )
 
         def errors(frequency: float) -> FloatArray:
-            x = self.problem.parameters.searched(self.values({name: min(frequency, f) for name, f in stiff.items()}))
-            return np.asarray(np.linalg.norm(self.problem.by_joint(self.problem.residual(x)), axis=1))
+            residual = self.problem.residual(self.problem.parameters.searched(self.all_at(frequency)))
+            return np.asarray(np.linalg.norm(self.problem.by_joint(residual), axis=1))
 
-        highest = max(stiff.values())
-        tried = [*(f for f in _MODES if f < highest), highest]
-        costs = np.array(in_threads(errors, tried))
+        costs = np.array(in_threads(errors, row))
         best = {}
-        for name, f in stiff.items():
-            found = int(np.argmin(costs[:, self.names.index(name)]))
+        for i in np.flatnonzero(self.problem.parameters.base.flexible):
             # Where a stiff joint explains it best the search comes down from the highest mode below that.
-            best[name] = min(tried[min(found, max(len(tried) - 2, 0))], f)
-            progress(f"{name}: its mode is looked for from {best[name]:.3g} Hz")
+            best[self.names[i]] = row[min(int(np.argmin(costs[:, i])), len(row) - 2)]
+            progress(f"{self.names[i]}: its mode is looked for from {best[self.names[i]]:.3g} Hz")
         return best
 
 

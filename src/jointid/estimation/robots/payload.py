@@ -21,6 +21,7 @@ from jointid.common.errors import MethodError
 from jointid.common.text import interval, listed
 from jointid.estimation.methods.linear import Rows
 from jointid.estimation.robots.idim import RobotEstimate, RobotIDIM
+from jointid.estimation.robots.numbers import RobotParameters
 from jointid.estimation.robots.regression import base_rows, motion_of_robot
 from jointid.estimation.robots.torque_only import RobotTorqueEstimate
 from jointid.models.robots.base_parameters import base_parameters, inverse_columns
@@ -185,32 +186,51 @@ def payload_of_torques(empty: RobotTorqueEstimate, loaded: RobotTorqueEstimate, 
                 f"A record does not show the spring of {listed(hidden)}, so it does not part motor from link there; "
                 "expected records that do: leave this spring out of the robot file, or excite its mode."
             )
-    still = parameters.base
-    columns = np.empty((len(parameters.places), len(SYMBOLS)))
-    for k in range(len(SYMBOLS)):
-        inertials = np.zeros_like(still.inertials)
-        inertials[-1, k] = 1.0
-        columns[:, k] = parameters.group(replace(still, inertials=inertials))
+    columns = payload_columns(parameters)
     read = np.array([same_friction or not place.is_friction for place in parameters.places]) | np.any(columns, axis=1)
     matrix = (empty.fit.covariance.matrix + loaded.fit.covariance.matrix)[np.ix_(read, read)]
     change = (loaded.fit.values - empty.fit.values)[read]
     return _explain_change(empty.robot, columns[read], change, matrix)
 
 
+def payload_columns(parameters: RobotParameters) -> FloatArray:
+    """Return what the ten numbers of a payload on the last link add to each parameter, (parameters, 10)."""
+    columns = np.empty((len(parameters.places), len(SYMBOLS)))
+    for k in range(len(SYMBOLS)):
+        inertials = np.zeros_like(parameters.base.inertials)
+        inertials[-1, k] = 1.0
+        columns[:, k] = parameters.group(replace(parameters.base, inertials=inertials))
+    return columns
+
+
+def require_told(columns: FloatArray) -> None:
+    """Raise if a payload's ten numbers do not change the parameters of a robot in ten ways.
+
+    Args:
+        columns: (parameters, 10) what each of them adds to each parameter.
+
+    Raises:
+        MethodError: some act on nothing, or only together.
+    """
+    scaled = columns / column_norms(columns)
+    _, sizes, directions = np.linalg.svd(scaled, full_matrices=True)
+    hidden = directions[int(np.sum(sizes > _TOGETHER * sizes[0])) :]
+    if len(hidden):
+        names = [SYMBOLS[k] for k in np.flatnonzero(np.max(np.abs(hidden), axis=0) > 0.2)]
+        raise MethodError(
+            f"This robot does not tell all of a payload: {listed(names)} act on no torque, or only together; expected "
+            "joints that turn and tilt the last link about several axes."
+        )
+
+
 def _explain_change(robot: Robot, columns: FloatArray, change: FloatArray, matrix: FloatArray) -> Payload:
     """Return the payload that changes parameters so, of which the change has this covariance."""
+    require_told(columns)
     std = np.sqrt(np.diag(matrix))
+    std = np.where(std > 0, std, 1.0)
     values, vectors = np.linalg.eigh(matrix / np.outer(std, std))
     whiten = (vectors / np.sqrt(np.maximum(values, 1e-10 * values[-1]))).T / std
     seen = whiten @ columns
-    norms = column_norms(seen)
-    sizes, directions = np.linalg.svd(seen / norms, full_matrices=False)[1:]
-    if sizes[-1] < _TOGETHER * sizes[0]:
-        alike = [SYMBOLS[k] for k in np.flatnonzero(np.abs(directions[-1]) > 0.2)]
-        raise MethodError(
-            f"This robot does not tell a payload's {listed(alike)} apart from each other, or not at all; expected "
-            "joints that turn and tilt the last link about several axes."
-        )
     found = np.linalg.lstsq(seen, whiten @ change, rcond=None)[0]
     return _payload(robot, found, covariance_of(np.linalg.pinv(seen.T @ seen), 0))
 

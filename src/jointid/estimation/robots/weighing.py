@@ -18,8 +18,16 @@ from jointid.common.document import Document, Documented, Paragraph, Table
 from jointid.common.messages import Progress, silent
 from jointid.common.text import interval, listed
 from jointid.estimation.robots.idim import KNOWN, RobotIDIM, identify_robot
-from jointid.estimation.robots.payload import Payload, identify_payload, payload_difference, payload_of_torques
-from jointid.estimation.robots.torque_only import RobotDIDIM, identify_robot_from_torques
+from jointid.estimation.robots.numbers import robot_parameters
+from jointid.estimation.robots.payload import (
+    Payload,
+    identify_payload,
+    payload_columns,
+    payload_difference,
+    payload_of_torques,
+    require_told,
+)
+from jointid.estimation.robots.torque_only import RobotDIDIM, RobotTorqueEstimate, identify_robot_from_torques
 from jointid.models.robots.inertial import is_consistent
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
@@ -175,11 +183,17 @@ def weigh_payload_from_torques(
         progress: is told the steps.
 
     Raises:
-        MethodError: an estimate does not settle or does not show a spring, or the mass comes out negative.
+        MethodError: the robot does not tell all of a payload; an estimate does not settle, or does not show a spring;
+            or the mass comes out negative.
         RecordError: as of `identify_robot_from_torques`.
     """
-    one, other = (
-        identify_robot_from_torques(loop, records, settings, filtering=filtering, progress=progress)
-        for records in (empty, loaded)
-    )
+    offsets = (settings or RobotDIDIM()).offsets
+    require_told(payload_columns(robot_parameters(loop.robot, offsets=offsets)))
+
+    def identify(records: Sequence[Record], said: str) -> RobotTorqueEstimate:
+        return identify_robot_from_torques(
+            loop, records, settings, filtering=filtering, progress=lambda text: progress(f"{said}: {text}")
+        )
+
+    one, other = identify(empty, "without the payload"), identify(loaded, "with it")
     return WeighedPayload(*(payload_of_torques(one, other, same_friction=same) for same in (True, False)))
