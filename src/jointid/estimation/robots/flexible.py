@@ -313,28 +313,34 @@ class StartOfSprings:
         return values
 
     def search(self, progress: Progress) -> dict[str, float]:
-        """Return for each flexible joint the frequency, of a row, with which its own torque is explained best.
+        """Return a frequency for each flexible joint: of a row that with which its own torque is explained best.
 
         All joints have the same frequency in a run: what one's spring does to the torques of others is small beside
-        what it does to its own, and a run for each joint and frequency would take as many times as long.
+        what it does to its own, and a run for each joint and frequency would take as many times as long. Where a stiff
+        joint would explain its torque better than any of the row, its mode may be above them all: whether it is begun
+        at the best or at the highest is decided by the torques of all joints.
         """
-        row = [*(f for f in _MODES if f < self.stiff), self.stiff]
-        if len(row) == 1:
+        row = [f for f in _MODES if f < self.stiff]
+        if not row:
             raise MethodError(
                 f"Modes are looked for from {_MODES[0]:g} Hz on, which records of {self.problem.sample_time:g} s a "
                 "sample do not show; give the frequencies of the flexible joints, or log faster."
             )
 
-        def errors(frequency: float) -> FloatArray:
-            residual = self.problem.residual(self.problem.parameters.searched(self.all_at(frequency)))
+        def errors(values: FloatArray) -> FloatArray:
+            residual = self.problem.residual(self.problem.parameters.searched(values))
             return np.asarray(np.linalg.norm(self.problem.by_joint(residual), axis=1))
 
-        costs = np.array(in_threads(errors, row))
-        best = {}
-        for i in np.flatnonzero(self.problem.parameters.base.flexible):
-            # Where a stiff joint explains it best the search comes down from the highest mode below that.
-            best[self.names[i]] = row[min(int(np.argmin(costs[:, i])), len(row) - 2)]
-            progress(f"{self.names[i]}: its mode is looked for from {best[self.names[i]]:.3g} Hz")
+        *costs, stiff = in_threads(errors, [self.all_at(f) for f in (*row, self.stiff)])
+        flexible = np.flatnonzero(self.problem.parameters.base.flexible)
+        own = np.array(costs)[:, flexible]
+        lowest = np.argmin(own, axis=0)
+        higher = np.where(np.min(own, axis=0) < stiff[flexible], lowest, len(row) - 1)
+        ways = [{self.names[i]: row[k] for i, k in zip(flexible, way, strict=True)} for way in (lowest, higher)]
+        whole = [float(np.linalg.norm(one)) for one in in_threads(errors, [self.values(way) for way in ways])]
+        best = ways[int(np.argmin(whole))]
+        for name, f in best.items():
+            progress(f"{name}: its mode is looked for from {f:.3g} Hz")
         return best
 
 
