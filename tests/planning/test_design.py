@@ -21,6 +21,7 @@ from jointid.output.json.documents import to_dict
 from jointid.output.json.reading import read_covariance
 from jointid.paper.twin import JOINT_FILE, SAMPLE_TIME, twin
 from jointid.planning import design as design_module
+from jointid.planning import search as search_module
 from jointid.planning.bound import least_deviation
 from jointid.planning.design import Design, design_test
 from jointid.planning.foretell import Noise, foretell, planned_record
@@ -221,6 +222,16 @@ def test_a_limit_that_is_passed_counts_before_anything_else() -> None:
     again = list(search(asked, [], 30.0, lambda _: None, seed=3, clock=lambda: float(next(ticks))))
     assert [one.plan for one in first] == [one.plan for one in again]
     assert all(later.rank < before.rank for before, later in itertools.pairwise(first))
+    # On a slow machine the time is over before anything was simulated.
+    calls = itertools.count()
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(
+            search_module, "try_plan",
+            lambda asked, plan: replace(try_plan(asked, plan), over=math.inf if next(calls) < 3 else 0.0),
+        )  # fmt: skip
+        late = itertools.count(0, 100)
+        found = list(search(asked, [], 30.0, lambda _: None, seed=3, clock=lambda: float(next(late))))
+    assert math.isfinite(found[-1].over)
 
 
 def test_every_generator_plays_what_it_says() -> None:
