@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 _DAMPING, _LEAST, _MOST = 1e-3, 1e-12, 1e12  # of the first step, in columns of norm 1; and its range
 _EASIER, _HARDER = 0.1, 5.0  # factors on the damping after a step that went down, and one that did not
 _SHORTER, _FARTHER = 0.25, 2.0  # factors on the reach of a step, likewise
+_PATIENCE = 8  # steps that change less than the tolerance
 _NEAREST = 1e-3  # of its reach: that of a step after many that failed
 _CUT = 0.999  # of its reach: a step that the reach has cut
 _IDLE = 1e-2  # of the residual
@@ -57,7 +58,7 @@ class LevenbergMarquardt:
         before = counted.evaluations
         error, J = counted.linearised(x)
         trace, damping, used = [Step(x, float(np.linalg.norm(error)), counted.evaluations)], _DAMPING, 1
-        status, reach, share = None if J.any() else Status.NOT_EVALUABLE, self.reach, 1.0
+        status, reach, share, idle = None if J.any() else Status.NOT_EVALUABLE, self.reach, 1.0, 0
         while status is None and used < self.evaluations:
             norm = trace[-1].norm
             step = damped_step(error, J, bounds.around(x).within(reach), damping, bounds.upper - bounds.lower)
@@ -77,6 +78,9 @@ class LevenbergMarquardt:
                 status = Status.COST
             elif damping >= _MOST:
                 status = Status.NO_DESCENT
+            # Steps with a reach, long or short, that all change nothing have come to the end.
+            idle = idle + 1 if reach is not None and abs(gained) <= self.tolerance else 0
+            status = Status.COST if status is None and idle >= _PATIENCE else status
             if reach is not None and self.reach is not None:
                 moved = float(np.max(np.abs(step) / self.reach))
                 shorter = max(_SHORTER * min(moved, share), _NEAREST)

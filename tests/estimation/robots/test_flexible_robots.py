@@ -95,14 +95,14 @@ def test_a_spring_that_is_not_shown_is_refused_with_its_bound() -> None:
 
 @pytest.mark.slow
 def test_a_rigid_robot_is_told_soon() -> None:
-    """Springs asked of a robot without any: refused after one short search, and no damping stands without them."""
+    """Springs asked of a robot without any: refused after two short searches, and no damping stands without them."""
     twin = two()
     loop = twin.loop()
     records, _ = recorded(loop, twin.records(4.0), 0.01)
     asked = tuple(replace(joint, spring=JointSpring(5e3)) for joint in twin.robot.joints)
     found = identify_robot_from_torques(RobotLoop(replace(loop.robot, joints=asked), loop.controllers), records)
     assert not any(one.shown for one in found.springs)
-    assert found.fit.iterations <= 15
+    assert found.fit.iterations <= 24
     told = found.summary()
     assert "leave the springs out of the robot file" in " ".join(told.split())
     assert "damping" not in told

@@ -144,7 +144,7 @@ def test_what_is_not_told_of_a_payload_is_said() -> None:
     hidden = replace(estimate, springs=(SpringVerdict("elbow", False, None, None, 10.0),))
     with pytest.raises(MethodError, match=r"does not show the spring of elbow, .* leave this spring out"):
         payload_of_torques(estimate, hidden, same_friction=True)
-    with pytest.raises(MethodError, match="DIDIM did not settle on both records"):
+    with pytest.raises(MethodError, match="DIDIM did not settle on the record with it"):
         payload_of_torques(estimate, replace(estimate, fit=replace(estimate.fit, converged=False)), same_friction=True)
 
 

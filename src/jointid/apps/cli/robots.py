@@ -191,8 +191,8 @@ def payload(
     if not isinstance(file.method, RobotIDIM):
         if mass is not None:
             raise MethodError(
-                "The drives' gains are found by IDIM, from motor positions and torques, and this robot file asks for "
-                "DIDIM; add --set method.name=idim, with records that have them."
+                "The drives' gains are found by IDIM, from motor positions and torques, and this robot file is "
+                "identified by DIDIM; add --set method.name=idim, and declare record.channels.motor_position."
             )
         empty, loaded = file.driven(without), file.driven(with_)
         listener = listen(quiet)

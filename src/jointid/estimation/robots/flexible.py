@@ -131,7 +131,8 @@ def identify_flexible_robot(
 
     Raises:
         RecordError: a record lacks torque or reference, or has the wrong clock or unit.
-        MethodError: no joint has a spring, a frequency is missing, or nothing can be simulated at the start.
+        MethodError: no joint has a spring, a frequency is missing, the log is too slow to look for one, nothing can be
+            simulated at the start, or a robot of rigid joints explains the torques better.
     """
     robot = loop.robot
     flexible = [joint.name for joint in robot.joints if joint.spring is not None]
@@ -142,9 +143,11 @@ def identify_flexible_robot(
             f"A frequency is needed for each flexible joint; {', '.join(missing)} has none: give one in Hz, or none "
             "at all to have them looked for."
         )
-    rigid = identify_rigid_robot(loop, records, Filtering(cutoff=_BELOW), offsets=offsets, progress=progress)
     parameters = robot_parameters(robot, offsets=offsets, logarithmic=True)
     problem = robot_problem(loop, records, parameters, filtering)
+    if frequencies is None:
+        _row(problem.sample_time)
+    rigid = identify_rigid_robot(loop, records, Filtering(cutoff=_BELOW), offsets=offsets, progress=progress)
     problem = problem.weighted(joint_sizes(problem, problem.error(rigid.run), rigid.values.size, _least(problem)))
     start = StartOfSprings.of(problem, rigid, robot.names)
     hertz = frequencies or start.search(progress)
@@ -156,9 +159,19 @@ def identify_flexible_robot(
     end = _search(problem, x, _ROUGH, min(_FIRST, evaluations), reach, progress)
     if end.solution.status is Status.NOT_EVALUABLE:
         raise MethodError("The robot cannot be simulated where its search begins; give other frequencies.")
+    errors = problem.error(rigid.run)
+    without = float(np.linalg.norm(errors * problem.weights(errors.size)))
+    stiff = not end.solution.converged and end.norm > without
+    if stiff:
+        # No better than without springs: a robot that has none, or whose modes are high, is found from stiff ones.
+        values, before = start.all_at(start.stiff), end.made
+        x, reach = parameters.searched(values), _reach(parameters, values)
+        end = _search(problem, x, _ROUGH, min(_FIRST, evaluations), reach, progress)
+        end = replace(end, made=before + end.made)
     # A search without springs to find goes on for minutes along what the record does not tell.
-    if not end.may_show and (seen := end.fit()) is not None:
-        springs = tuple(_judge(seen, problem, name, units[name]) for name in flexible)
+    if (not end.may_show or (stiff and end.norm > without)) and (seen := end.fit()) is not None:
+        found = (_judge(seen, problem, name, units[name]) for name in flexible)
+        springs = tuple(replace(one, shown=False, stiffness=None, deviation=None) for one in found)
         return FlexibleRobotFit(seen, springs, rigid, seen.iterations, "no joint shows a spring")
     if not end.solution.converged:
         end = _search(problem, end, _ROUGH, evaluations, reach, progress)
@@ -171,6 +184,12 @@ def identify_flexible_robot(
     fit = end.fit()
     if fit is None:
         raise MethodError("The search led to where the robot cannot be simulated; give other frequencies.")
+    before, after = (np.linalg.norm(problem.by_joint(problem.error(one.run)), axis=1) for one in (rigid, fit))
+    if np.all(after >= before):
+        raise MethodError(
+            "A robot of rigid joints explains the torque of every joint better than the one that the search of springs "
+            "ended at; leave the springs out of the robot file, or excite their modes by a multisine."
+        )
     springs = tuple(_judge(fit, problem, name, units[name]) for name in flexible)
     return FlexibleRobotFit(fit, springs, rigid, fit.iterations, end.solution.message)
 
@@ -196,6 +215,11 @@ class _End:
         """Return the problem with the sizes of the errors that are left."""
         error, slopes = self.linearised()
         return self.problem.weighted(joint_sizes(self.problem, error, slopes.shape[1], _least(self.problem)))
+
+    @property
+    def norm(self) -> float:
+        """Of the weighted error that is left."""
+        return float(np.linalg.norm(self.solution.residual))
 
     @property
     def may_show(self) -> bool:
@@ -320,12 +344,7 @@ class StartOfSprings:
         joint would explain its torque better than any of the row, its mode may be above them all: whether it is begun
         at the best or at the highest is decided by the torques of all joints.
         """
-        row = [f for f in _MODES if f < self.stiff]
-        if not row:
-            raise MethodError(
-                f"Modes are looked for from {_MODES[0]:g} Hz on, which records of {self.problem.sample_time:g} s a "
-                "sample do not show; give the frequencies of the flexible joints, or log faster."
-            )
+        row = _row(self.problem.sample_time)
 
         def errors(values: FloatArray) -> FloatArray:
             residual = self.problem.residual(self.problem.parameters.searched(values))
@@ -342,6 +361,17 @@ class StartOfSprings:
         for name, f in best.items():
             progress(f"{name}: its mode is looked for from {f:.3g} Hz")
         return best
+
+
+def _row(sample_time: float) -> list[float]:
+    """Return the frequencies at which modes are looked for, Hz."""
+    row = [f for f in _MODES if f < _STIFF / sample_time]
+    if not row:
+        raise MethodError(
+            f"Modes are looked for from {_MODES[0]:g} Hz on, which records of {sample_time:g} s a sample do not show; "
+            "log faster, or leave the springs out."
+        )
+    return row
 
 
 def _mass_matrix(problem: RobotProblem, numbers: RobotNumbers, pose: FloatArray) -> FloatArray:

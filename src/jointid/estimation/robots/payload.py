@@ -178,13 +178,16 @@ def payload_of_torques(empty: RobotTorqueEstimate, loaded: RobotTorqueEstimate, 
     parameters = empty.fit.parameters
     if empty.fit.names != loaded.fit.names or not np.allclose(parameters.grouping, loaded.fit.parameters.grouping):
         raise MethodError("The estimates are of two robots; expected one, without its payload and with it.")
-    for estimate in (empty, loaded):
-        if not estimate.fit.converged:
-            raise MethodError("DIDIM did not settle on both records; allow more iterations, or look at each by itself.")
+    for estimate, record in ((empty, "without the payload"), (loaded, "with it")):
         if hidden := [one.joint for one in estimate.springs if not one.shown]:
             raise MethodError(
-                f"A record does not show the spring of {listed(hidden)}, so it does not part motor from link there; "
-                "expected records that do: leave this spring out of the robot file, or excite its mode."
+                f"The record {record} does not show the spring of {listed(hidden)}, so it does not part motor from "
+                "link there; expected records that do: leave this spring out of the robot file, or excite its mode."
+            )
+        if not estimate.fit.converged:
+            raise MethodError(
+                f"DIDIM did not settle on the record {record}; identify it by itself to see what it leaves, or allow "
+                "more by method.iterations, of springs method.evaluations."
             )
     columns = payload_columns(parameters)
     read = np.array([same_friction or not place.is_friction for place in parameters.places]) | np.any(columns, axis=1)

@@ -36,7 +36,8 @@ _WITHOUT = (
     "excite the modes. How friction and inertia are split between motors and links below is not to be used."
 )
 _TWO = 2.0  # standard deviations of an interval
-_TOLD = 1.0  # relative deviation: a parameter that is known worse is not told from 0
+_TOLD = 0.5  # relative deviation: the interval of a parameter that is known worse holds 0
+_UNSETTLED = "The search did not settle: do not rely on what is below. Allow more evaluations, or look at the record."
 
 
 @documented
@@ -121,7 +122,7 @@ class RobotTorqueEstimate(Documented):
         """Return the springs first, then what is left of each joint's torque, and the parameters.
 
         Args:
-            details: whether those that this record does not tell from 0 stand there too.
+            details: whether those that this record does not tell from 0 stand there too, and what sums they are.
         """
         kind = "of springs, rotors and links" if self.springs else "of rigid joints"
         settled = "settled" if self.fit.converged else "did not settle: do not rely on it"
@@ -140,11 +141,27 @@ class RobotTorqueEstimate(Documented):
                 rows.append((name, shown, units[name], f"{100 * share:.2g}"))
         hidden = len(self.fit.names) - len(rows)
         caption = f"{hidden} more are not told from 0 by this record" if hidden else "all that torques can tell"
+        sums = [
+            (name, sum_of)
+            for name, sum_of in zip(self.fit.names, self.fit.parameters.formulas(self.robot), strict=True)
+            if sum_of != name
+        ]
+        of_sums = (Table(("parameter", "is"), tuple(sums), "sums that torques tell", (0, 1)),) if sums else ()
+        if sums and not details:
+            caption += f"; {len(sums)} of all are sums, as rotor and link: --details"
         return Document(
             f"{self.robot.name}: {len(self.fit.names)} parameters of {len(self.robot)} joints",
             (
                 *((Paragraph(_WITHOUT, lead=True, tone="bad"),) if self._no_spring else ()),
-                *(Paragraph(f"{one}.", lead=True, tone="good" if one.shown else "open") for one in self.springs),
+                *(
+                    (Paragraph(_UNSETTLED, lead=True, tone="bad"),)
+                    if not (self.fit.converged or self._no_spring)
+                    else ()
+                ),
+                *(
+                    Paragraph(f"{one}.", lead=True, tone="good" if one.shown and self.fit.converged else "open")
+                    for one in self.springs
+                ),
                 Facts(facts),
                 errors_table(
                     self.robot,
@@ -152,6 +169,7 @@ class RobotTorqueEstimate(Documented):
                     "of the record it was identified from",
                 ),
                 Table(("parameter", "value, 2 sigma", "unit", "sigma, %"), tuple(rows), caption, (0, 1, 2)),
+                *(of_sums if details else ()),
             ),
         )
 

@@ -63,7 +63,10 @@ class RobotValidation(Documented):
         if not self.robot.has_masses:
             said = f"The estimate leaves {mine} of this record; the model says no masses to compare it with."
         elif not np.all(np.isfinite(self.nominal_errors)):
-            said = f"The estimate leaves {mine} of this record; the nominal model runs away along it."
+            said = (
+                f"The estimate leaves {mine} of this record; the nominal model cannot be compared, since it is "
+                "unstable under these controllers: give each joint's rotor_inertia, behind its gear."
+            )
         elif self.better:
             said = f"The estimate predicts this record better than the nominal model: {mine} against {nominal}."
         else:
