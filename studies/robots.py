@@ -37,14 +37,8 @@ from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.robots import (
-    RobotLoop,
-    RobotNumbers,
-    RobotOutcome,
-    RobotSimulation,
-    robot_records,
-    simulate_robot,
-)
+from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.robots import RobotLoop, RobotOutcome, RobotSimulation, robot_records, simulate_robot
 from studies.seeds import judge_seeds
 
 _AT_NOISE = 1.05  # times the noise: what a joint's filtered error may be

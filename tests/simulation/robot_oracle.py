@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 from jointid.common.arrays import FloatArray
 from jointid.models.robots.dynamics import inverse_dynamics, mass_matrix
-from jointid.simulation.robots import RobotNumbers
+from jointid.simulation.robot_numbers import RobotNumbers
 
 Tree = tuple[FloatArray, ...]
 

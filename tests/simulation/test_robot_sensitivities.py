@@ -9,8 +9,9 @@ import pytest
 
 from jointid.common.arrays import FloatArray
 from jointid.models.controllers import PD, PID, Cascade
-from jointid.simulation.robot_sensitivities import NumberPlace, all_places, differentiate_torque, with_values
-from jointid.simulation.robots import RobotInput, RobotLoop, RobotNumbers, prepare_robot, run_robot
+from jointid.simulation.robot_numbers import NumberPlace, RobotNumbers, all_places, with_values
+from jointid.simulation.robot_sensitivities import differentiate_torque
+from jointid.simulation.robots import RobotInput, RobotLoop, prepare_robot, run_robot
 from tests.robots_plants import six, two
 from tests.simulation.test_robots import COUPLED, ONE_WAY, changed, faster
 
@@ -70,7 +71,7 @@ def test_variation_is_the_derivative_of_the_run(loop: RobotLoop, steps: int, wor
             if one.reference
         )
     experiment, numbers = prepare_robot(loop, records), RobotNumbers.of(loop.robot)
-    places = all_places(experiment, numbers)
+    places = all_places(numbers)
     if len(loop.controllers) == 6:
         places = places[::7]
     run = run_robot(experiment, numbers, keep=True, steps=steps)
@@ -90,7 +91,7 @@ def test_derivative_by_parameters_that_are_not_the_run_s_own_kind() -> None:
     """Of a parameter that nothing feels, such as the mass of a first link on an upright axis, there is none."""
     loop = six().loop()
     experiment, numbers = prepare_robot(loop, six().records(0.5)), RobotNumbers.of(loop.robot)
-    places = tuple(place for place in all_places(experiment, numbers) if (place.of, place.row) == (0, 0))
+    places = tuple(place for place in all_places(numbers) if (place.of, place.row) == (0, 0))
     found = differentiate_torque(run_robot(experiment, numbers, keep=True), places)
     felt = np.max(np.abs(found), axis=(0, 1)) > 1e-9
     assert [place.column for place, one in zip(places, felt, strict=True) if one] == [9]

@@ -18,10 +18,10 @@ from jointid.records.record import Channel, Record
 from jointid.simulation.closed_loop import Initial, simulate
 from jointid.simulation.kernels import robot_loop
 from jointid.simulation.loop_input import prepare
+from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.robot_start import begin
 from jointid.simulation.robots import (
     RobotLoop,
-    RobotNumbers,
     RobotOutcome,
     RobotRun,
     add_feed_forward,

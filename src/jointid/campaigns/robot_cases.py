@@ -28,7 +28,8 @@ from jointid.estimation.robots.idim import KNOWN, RobotEstimate, RobotIDIM
 from jointid.estimation.robots.torque_only import RobotTorqueEstimate
 from jointid.models.robots.base_parameters import FRICTION
 from jointid.records.record import Record
-from jointid.simulation.robots import RobotNumbers, RobotOutcome, robot_records, simulate_robot
+from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.robots import RobotOutcome, robot_records, simulate_robot
 
 
 def is_robot(text: str) -> bool:

@@ -26,6 +26,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +45,9 @@ from jointid.simulation.sensitivities import (
     start_slope,
     taped_rows,
 )
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
 
 PARTS = 4  # of a sample
 _WALL = 1e200  # a Coulomb force that nothing overcomes, and whose square is still a number
@@ -106,10 +110,8 @@ def prescribed_motion(position: FloatArray, sample_time: float, parts: int = PAR
         sample_time: seconds.
         parts: of a sample.
     """
-    from scipy.interpolate import make_interp_spline
-
     home = position[0]  # far from zero a spline would lose the digits that its derivatives need
-    spline = make_interp_spline(np.arange(position.size) * sample_time, position - home, _DEGREE)
+    spline = spline_of(position - home, sample_time)
     edges = np.arange((position.size - 1) * parts + 1) * (sample_time / parts)
     integral = spline.antiderivative()(edges)
     return PrescribedMotion(
@@ -119,6 +121,18 @@ def prescribed_motion(position: FloatArray, sample_time: float, parts: int = PAR
         np.asarray(spline.derivative(2)(edges)),
         np.asarray(np.diff(integral) * (parts / sample_time) + home),
     )
+
+
+def spline_of(position: FloatArray, sample_time: float) -> BSpline:
+    """Return an interpolating spline through sampled positions, (samples, ...), whose second derivative is right, too.
+
+    Args:
+        position: from home, smooth at the scale of a sample.
+        sample_time: seconds.
+    """
+    from scipy.interpolate import make_interp_spline
+
+    return make_interp_spline(np.arange(len(position)) * sample_time, position, _DEGREE)
 
 
 def mean_friction(joint: Joint, velocity: FloatArray) -> FloatArray:

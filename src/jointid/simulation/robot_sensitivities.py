@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from enum import IntEnum
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,49 +10,12 @@ from jointid.common.arrays import FloatArray
 from jointid.records.record import Tap
 from jointid.simulation.closed_loop import first_state
 from jointid.simulation.loop_input import as_logged
-from jointid.simulation.robot_start import controllers_at, weigh
-from jointid.simulation.robots import RobotInput, RobotNumbers, RobotRun
+from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers
+from jointid.simulation.robot_start import FirstSample, controllers_at, weigh
+from jointid.simulation.robots import RobotRun
 
 _SMALL = 1e-7  # rad: differences of the load
 _NUDGE = 1e-3  # rad: differences of a controller's state, which is linear
-
-
-class NumberOf(IntEnum):
-    """What a parameter is a number of: a row of `RobotNumbers`."""
-
-    LINK = 0
-    MASS = 1
-    SPRING = 2
-
-
-@dataclass(frozen=True, slots=True)
-class NumberPlace:
-    """The place of a parameter among a candidate's numbers.
-
-    Attributes:
-        of: whose rows. row: which. column: of it.
-    """
-
-    of: NumberOf
-    row: int
-    column: int
-
-    @property
-    def is_friction(self) -> bool:
-        """Whether it is a friction, a constant torque, or a spring's damping: no inertia and no stiffness."""
-        return self.of is not NumberOf.LINK and self.column != 0
-
-    def read(self, numbers: RobotNumbers) -> float:
-        """Return the number."""
-        return float((numbers.inertials, numbers.masses, numbers.springs)[self.of][self.row, self.column])
-
-
-def with_values(numbers: RobotNumbers, places: tuple[NumberPlace, ...], values: FloatArray) -> RobotNumbers:
-    """Return a candidate with other numbers in these places."""
-    arrays = [numbers.inertials.copy(), numbers.masses.copy(), numbers.springs.copy()]
-    for place, value in zip(places, values, strict=True):
-        arrays[place.of][place.row, place.column] = value
-    return replace(numbers, inertials=arrays[0], masses=arrays[1], springs=arrays[2])
 
 
 def differentiate_torque(run: RobotRun, places: tuple[NumberPlace, ...]) -> FloatArray:
@@ -85,7 +47,7 @@ def differentiate_torques(run: RobotRun, places: tuple[NumberPlace, ...]) -> lis
         *experiment.tree, numbers.inertials, numbers.rotors, numbers.masses, numbers.springs, clock.lags, clock.every,
         *laws.matrices, laws.outputs, laws.taps, run.cuts,
         tape.first, tape.lasting, tape.places, tape.speeds, tape.begun, tape.ended, tape.directions, tape.stopped,
-        rows, dq, dz, before, command, tapped,
+        rows, dq, np.zeros_like(dq), dz, before, command, tapped, np.zeros((n, 0, 0)),
     )  # fmt: skip
     found = []
     for j, each in enumerate(experiment.experiments):
@@ -101,8 +63,8 @@ def _at_start(run: RobotRun, places: tuple[NumberPlace, ...]) -> tuple[FloatArra
     has; ``K (qm - q) = load(q)``.
     """
     experiment, numbers = run.experiment, run.numbers
-    n, rotors, count = numbers.rotors.size, numbers.rotors, len(places)
-    motors, links, speeds = run.start[rotors], run.start[:n], experiment.speeds
+    n, rotors = numbers.rotors.size, numbers.rotors
+    motors, speeds = run.start[rotors], experiment.speeds
     integrates = np.array([each.integral is not None for each in experiment.experiments])
     states = np.zeros((n, experiment.laws.A.shape[-1], 3))  # at the start, further, with more torque
     for j, each in enumerate(experiment.experiments):
@@ -111,47 +73,53 @@ def _at_start(run: RobotRun, places: tuple[NumberPlace, ...]) -> tuple[FloatArra
             states[j, : state.size, i] = state
     slope = controllers_at(experiment, motors)[1]
     soft = np.where(integrates | (slope >= 0.0), 0.0, 1.0 / np.where(slope == 0.0, -1.0, slope))
+    dq, load = slopes_at_start(experiment, numbers, run.start, soft, places)
+    of_motor = dq[rotors]
+    by_place, by_torque = (states[:, :, 1] - states[:, :, 0]) / _NUDGE, states[:, :, 2] - states[:, :, 0]
+    dz = by_place[:, :, np.newaxis] * of_motor[:, np.newaxis]
+    dz += by_torque[:, :, np.newaxis] * np.where(integrates[:, np.newaxis], load, 0.0)[:, np.newaxis]
+    return dq, dz, load
+
+
+def slopes_at_start(
+    first: FirstSample, numbers: RobotNumbers, start: FloatArray, soft: FloatArray, places: tuple[NumberPlace, ...]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the derivatives of the positions in steady motion, and of the motors' torques there.
+
+    Args:
+        first: how the robot moves.
+        numbers: of the robot.
+        start: (masses,) positions.
+        soft: (n,) how far a torque of 1 moves each motor; 0 of one that does not give way.
+        places: of the parameters.
+
+    Returns:
+        (masses, parameters) and (n, parameters).
+    """
+    n, rotors, count = numbers.rotors.size, numbers.rotors, len(places)
+    motors, links, speeds = start[rotors], start[:n], first.speeds
     compliance = np.where(numbers.flexible, 1.0 / np.where(numbers.flexible, numbers.springs[:, 0], 1.0), 0.0)
-    here = weigh(experiment, numbers, links)
-    shifted = [weigh(experiment, numbers, links + _SMALL * unit) for unit in np.eye(n)]
+    here = weigh(first, numbers, links)
+    shifted = [weigh(first, numbers, links + _SMALL * unit) for unit in np.eye(n)]
     turning = np.column_stack([(there - here) / _SMALL for there in shifted])
     direct, own, stretched = (np.zeros((n, count)) for _ in range(3))
     for c, place in enumerate(places):
         if place.of is NumberOf.LINK:
             unit = replace(numbers, inertials=np.zeros_like(numbers.inertials))
             unit.inertials[place.row, place.column] = 1.0
-            direct[:, c] = weigh(experiment, unit, links)
+            direct[:, c] = weigh(first, unit, links)
         elif place.of is NumberOf.MASS:
             joint = int(np.flatnonzero(rotors == place.row)[0]) if place.row in rotors else place.row
             v = float(speeds[joint])
             one_way = v * (v < 0.0 if place.column == 5 else v >= 0.0)
-            effects = experiment.accelerations[joint], v, np.sign(v), 1.0, one_way, one_way
+            effects = first.accelerations[joint], v, np.sign(v), 1.0, one_way, one_way
             (own if place.row == rotors[joint] else direct)[joint, c] = effects[place.column]
         elif place.column == 0:
             stretched[place.row, c] = (motors - links)[place.row]
     moved = turning @ (soft[:, np.newaxis] * own + compliance[:, np.newaxis] * stretched) + direct
     load = np.linalg.solve(np.eye(n) - turning * (soft - compliance), moved)
-    dq = np.zeros((run.start.size, count))
+    dq = np.zeros((start.size, count))
     of_motor = soft[:, np.newaxis] * (load + own)
     dq[:n] = of_motor - compliance[:, np.newaxis] * (load - stretched)
     dq[rotors] = of_motor
-    by_place, by_torque = (states[:, :, 1] - states[:, :, 0]) / _NUDGE, states[:, :, 2] - states[:, :, 0]
-    dz = by_place[:, :, np.newaxis] * of_motor[:, np.newaxis]
-    dz += by_torque[:, :, np.newaxis] * np.where(integrates[:, np.newaxis], load + own, 0.0)[:, np.newaxis]
-    return dq, dz, load + own
-
-
-def all_places(experiment: RobotInput, numbers: RobotNumbers) -> tuple[NumberPlace, ...]:
-    """Return the places of every number that a robot has: masses, then springs, then links."""
-    n = len(experiment.experiments)
-    masses = [
-        NumberPlace(NumberOf.MASS, row, column)
-        for row in range(len(numbers.masses))
-        for column in ((0, 2, 3, 4, 5) if np.any(numbers.masses[row, 4:]) else range(4))
-        if row in numbers.rotors or column in (1, 2)
-    ]
-    springs = [
-        NumberPlace(NumberOf.SPRING, int(i), column) for i in np.flatnonzero(numbers.flexible) for column in (0, 1)
-    ]
-    links = [NumberPlace(NumberOf.LINK, row, column) for row in range(n) for column in range(10)]
-    return (*masses, *springs, *links)
+    return dq, load + own

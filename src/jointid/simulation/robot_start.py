@@ -8,7 +8,7 @@ what puts them out.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -18,12 +18,29 @@ from jointid.simulation.closed_loop import first_state
 from jointid.simulation.loop_input import LoopInput
 
 if TYPE_CHECKING:
-    from jointid.simulation.robots import RobotInput, RobotNumbers
+    from jointid.simulation.robot_numbers import RobotNumbers
+    from jointid.simulation.robots import LoopTree, RobotInput
 
 _SETTLING = 200  # of the iterations that find where the robot begins
 _AT_REST = 1e-13  # of a position
 _FIRST = 7  # instants of a reference, through which a cubic says how it moves
 _NUDGE = 1e-3  # rad: a controller's stiffness is the slope over it
+
+
+class FirstSample(Protocol):
+    """How a robot stands at the first sample of what drives it: a closed loop, or a prescribed motion."""
+
+    @property
+    def tree(self) -> LoopTree:
+        """Of the links."""
+
+    @property
+    def speeds(self) -> FloatArray:
+        """Of the shafts, (n,)."""
+
+    @property
+    def accelerations(self) -> FloatArray:
+        """Of the shafts, (n,)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,33 +89,56 @@ def begin(experiment: RobotInput, numbers: RobotNumbers) -> RobotStart:
     A law with an integral holds the load on the reference; one without is off by the torque over its gain. Springs are
     stretched by the load.
     """
-    n, rotors = numbers.rotors.size, numbers.rotors
+    rotors = numbers.rotors
     references, accelerations = experiment.references[0], experiment.accelerations
-    speeds = np.zeros(len(numbers.masses))
-    speeds[:n], speeds[rotors] = experiment.speeds, experiment.speeds
-    friction = friction_at(numbers, speeds)
-    of_links = np.where(numbers.flexible, friction[:n], 0.0)
-    of_motors = numbers.masses[rotors, 0] * accelerations + friction[rotors]
+    speeds = speeds_at_start(experiment, numbers)
+    of_motors = numbers.masses[rotors, 0] * accelerations + friction_at(numbers, speeds)[rotors]
     at_reference, slope = controllers_at(experiment, references)
     asked = at_reference + experiment.after_limit[:, 0]
     integrates = np.array([each.integral is not None for each in experiment.experiments])
     soft = np.where(integrates | (slope >= 0.0), -np.inf, slope)
-    stiffness = np.where(numbers.flexible, numbers.springs[:, 0], np.inf)
-    motors, load = references.copy(), np.zeros(n)
-    for _ in range(_SETTLING):
-        load = weigh(experiment, numbers, motors - load / stiffness) + of_links
-        after = references + (load + of_motors - asked) / soft
-        moved = float(np.max(np.abs(after - motors)))
-        motors = after
-        if moved <= _AT_REST * (1.0 + float(np.max(np.abs(motors)))):
-            break
-    places = np.zeros(speeds.size)
-    places[:n], places[rotors] = motors - load / stiffness, motors
+    places, load = places_at_start(experiment, numbers, references, soft, of_motors - asked)
     holding = load + of_motors - experiment.after_limit[:, 0]
     return RobotStart(places, speeds, tuple(float(t) if i else None for t, i in zip(holding, integrates, strict=True)))
 
 
-def weigh(experiment: RobotInput, numbers: RobotNumbers, places: FloatArray) -> FloatArray:
+def speeds_at_start(first: FirstSample, numbers: RobotNumbers) -> FloatArray:
+    """Return the velocities of all masses in steady motion, (masses,): of a link that of its motor."""
+    speeds = np.zeros(len(numbers.masses))
+    speeds[: numbers.rotors.size], speeds[numbers.rotors] = first.speeds, first.speeds
+    return speeds
+
+
+def places_at_start(
+    first: FirstSample, numbers: RobotNumbers, motors: FloatArray, soft: FloatArray, beside: FloatArray | float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """Return the positions of all masses in steady motion, (masses,), and the load on each motor, (n,).
+
+    Args:
+        first: how the robot moves.
+        numbers: of the robot.
+        motors: (n,) where the motors stand without a torque.
+        soft: (n,) the torque that moves each by 1 from there, negative; minus infinity of one that does not give way.
+        beside: (n,) torque of each motor beside the load.
+    """
+    n, rotors = numbers.rotors.size, numbers.rotors
+    friction = friction_at(numbers, speeds_at_start(first, numbers))
+    of_links = np.where(numbers.flexible, friction[:n], 0.0)
+    stiffness = np.where(numbers.flexible, numbers.springs[:, 0], np.inf)
+    free, load = motors, np.zeros(n)
+    for _ in range(_SETTLING):
+        load = weigh(first, numbers, motors - load / stiffness) + of_links
+        after = free + (load + beside) / soft
+        moved = float(np.max(np.abs(after - motors)))
+        motors = after
+        if moved <= _AT_REST * (1.0 + float(np.max(np.abs(motors)))):
+            break
+    places = np.zeros(len(numbers.masses))
+    places[:n], places[rotors] = motors - load / stiffness, motors
+    return places, load
+
+
+def weigh(experiment: FirstSample, numbers: RobotNumbers, places: FloatArray) -> FloatArray:
     """Return the torques that the links take at positions of their shafts, as they move at the first sample, (n,)."""
     from jointid.models.robots.equations import ROOM, equations_of_motion
 

@@ -14,7 +14,6 @@ from enum import StrEnum
 from typing import Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
@@ -29,6 +28,7 @@ from jointid.simulation.kernels.drive import IntArray
 from jointid.simulation.loop_input import LoopInput, as_logged, prepare, seen_torque
 from jointid.simulation.robot_clock import RobotClock, common_clock
 from jointid.simulation.robot_laws import PackedLaws, pack_laws
+from jointid.simulation.robot_numbers import Bools, RobotNumbers
 from jointid.simulation.robot_start import begin, reference_motion
 
 _FASTEST = 0.5  # rad of the fastest motion of the robot in one step: an error of some 1e-5 of the torque
@@ -37,7 +37,6 @@ _POSES = 5  # along the reference, at which the fastest motion is looked for
 _MORE = 2  # pieces per step and part, at most, beside a thousand
 _ASTRAY = 0.5, 0.1  # of a reference's travel, and rad or m: a joint that is farther off does not follow
 
-Bools: TypeAlias = NDArray[np.bool_]
 LoopTree: TypeAlias = tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 """Parents, kinds, axes, rotations, origins, gravity, joints from shafts: what the kernels take first."""
 
@@ -57,6 +56,11 @@ _OUTCOMES = (
     RobotOutcome.FINISHED, RobotOutcome.DIVERGED, RobotOutcome.TOO_STIFF, RobotOutcome.CHATTERING,
     RobotOutcome.NOT_POSITIVE,
 )  # fmt: skip
+
+
+def outcome_of(status: int) -> RobotOutcome:
+    """Return how a simulation ended, as the kernel says it."""
+    return _OUTCOMES[status]
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,54 +88,6 @@ class RobotLoop:
                 f"A robot has a controller for each joint; received {len(self.controllers)} for "
                 f"{counted(len(self.robot.links), 'joint')}: give one for each, in the order of the joints."
             )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RobotNumbers:
-    """The numbers of a candidate, as the kernel reads them.
-
-    Attributes:
-        inertials: (n, 10) of the links. rotors: (n,) the mass that each motor drives.
-        masses: (masses, 6) of the links, then of the rotors of flexible joints: inertia of the rotor (0 for the link of
-            a flexible joint), viscous, Coulomb and constant friction, and what viscous friction has more forwards, and
-            backwards.
-        springs: (n, 2) stiffness and damping; 0 for rigid joints.
-    """
-
-    inertials: FloatArray
-    rotors: IntArray
-    masses: FloatArray
-    springs: FloatArray
-
-    @classmethod
-    def of(cls, robot: Robot) -> RobotNumbers:
-        """Return those of a robot."""
-        joints, n = robot.joints, len(robot.links)
-        flexible = [i for i, joint in enumerate(joints) if joint.spring is not None]
-        rotors, springs = np.arange(n), np.zeros((n, 2))
-        rotors[flexible] = n + np.arange(len(flexible))
-        masses = np.zeros((n + len(flexible), 6))
-        for i, joint in enumerate(joints):
-            viscous = (0.0, joint.viscous, joint.viscous_back) if joint.asymmetric else (joint.viscous, 0.0, 0.0)
-            masses[rotors[i]] = joint.rotor_inertia, viscous[0], *joint.coulomb_both, *viscous[1:]
-            if joint.spring is not None:
-                springs[i] = joint.spring.stiffness, joint.spring.damping
-                masses[i, 1:3] = joint.spring.viscous, joint.spring.coulomb
-        return cls(robot.inertials, rotors, masses, springs)
-
-    @property
-    def flexible(self) -> Bools:
-        """Which joints are flexible, (n,)."""
-        return np.asarray(self.rotors >= self.rotors.size)
-
-    @property
-    def possible(self) -> bool:
-        """True if rotors have an inertia, friction and springs are not negative, and all are numbers."""
-        numbers = (self.inertials, self.masses, self.springs)
-        finite = all(bool(np.all(np.isfinite(values))) for values in numbers)
-        turning, held = self.masses[self.rotors.size :, 0], self.springs[self.flexible, 0]
-        least = min(float(np.min(self.masses[:, [1, 2, 4, 5]])), float(np.min(self.springs)))
-        return finite and least >= 0.0 and bool(np.all(turning > 0.0) and np.all(held > 0.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -341,7 +297,8 @@ def run_robot(
     start, outcome = np.zeros(masses), RobotOutcome.INVALID
     taken = 1 if steps is None else steps
     if numbers.possible:
-        taken = choose_steps(experiment, numbers) if steps is None else steps
+        longest = float(np.max(clock.lengths))
+        taken = choose_steps(experiment.tree, experiment.references, longest, numbers) if steps is None else steps
         outcome = RobotOutcome.FINISHED if taken <= _STEPS else RobotOutcome.TOO_STIFF
     rows = (_MORE * clock.steps * parts * min(taken, _STEPS) + 1000) if keep and outcome is RobotOutcome.FINISHED else 0
     tape = RobotTape.empty(clock.steps * parts, rows, masses)
@@ -362,7 +319,7 @@ def run_robot(
             tape.first, tape.lasting, tape.places, tape.speeds, tape.begun, tape.ended, tape.directions, tape.stopped,
             counts,
         )  # fmt: skip
-        outcome = _OUTCOMES[status]
+        outcome = outcome_of(status)
     done = int(counts[2])
     for signal in (command, tapped):
         signal[:, done:] = signal[:, done - 1 : done] if done else 0.0
@@ -400,8 +357,15 @@ def motion_at(run: RobotRun, parts: IntArray) -> MassMotion:
     return found
 
 
-def choose_steps(experiment: RobotInput, numbers: RobotNumbers) -> int:
-    """Return the steps in the longest part of a period that keep the robot's fastest motion within 0.5 rad each."""
+def choose_steps(tree: LoopTree, references: FloatArray, length: float, numbers: RobotNumbers) -> int:
+    """Return the steps of a time of this length that keep the robot's fastest motion within 0.5 rad each.
+
+    Args:
+        tree: of the links.
+        references: (samples, n) where the shafts are about.
+        length: s.
+        numbers: of the robot.
+    """
     from jointid.models.robots.equations import ROOM, equations_of_motion
 
     n, rotors = numbers.rotors.size, numbers.rotors
@@ -413,11 +377,10 @@ def choose_steps(experiment: RobotInput, numbers: RobotNumbers) -> int:
         both[i], both[rotors[i]] = 1.0, -1.0
         springs += numbers.springs[i, 0] * np.outer(both, both)
         dampers += numbers.springs[i, 1] * np.outer(both, both)
-    references = experiment.references
     for pose in references[:: max(len(references) // _POSES, 1)]:
         M = np.zeros((size, size))
         links = np.empty((n, n))
-        equations_of_motion(*experiment.tree, numbers.inertials, pose, still, still, room, links, np.empty(n))
+        equations_of_motion(*tree, numbers.inertials, pose, still, still, room, links, np.empty(n))
         M[:n, :n] = links
         M[np.diag_indices(size)] += numbers.masses[:, 0]
         lowest = float(np.linalg.eigvalsh(0.5 * (M + M.T))[0])
@@ -425,7 +388,7 @@ def choose_steps(experiment: RobotInput, numbers: RobotNumbers) -> int:
             continue
         each = [np.abs(np.linalg.eigvals(np.linalg.solve(M, matrix))) for matrix in (springs, dampers)]
         fastest = max(fastest, math.sqrt(float(np.max(each[0]))), float(np.max(each[1])))
-    return max(math.ceil(float(np.max(experiment.clock.lengths)) * fastest / _FASTEST), 1)
+    return max(math.ceil(length * fastest / _FASTEST), 1)
 
 
 def add_feed_forward(

@@ -11,7 +11,8 @@ from jointid.common.errors import MethodError
 from jointid.estimation.robots.flexible import FlexibleRobotFit, identify_flexible_robot
 from jointid.estimation.robots.torque_only import identify_robot_from_torques
 from jointid.models.robots.robot import JointSpring
-from jointid.simulation.robots import RobotLoop, RobotNumbers, simulate_robot
+from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.robots import RobotLoop, simulate_robot
 from tests.estimation.robots.test_rigid_robots import deviations, recorded
 from tests.robots_plants import Twin, six, two
 from tests.simulation.test_robots import COUPLED, changed

@@ -12,7 +12,8 @@ from jointid.common.errors import MethodError, RecordError
 from jointid.estimation.robots.didim import RobotFit, identify_rigid_robot
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.records.record import Channel, Record
-from jointid.simulation.robots import RobotLoop, RobotNumbers, prepare_robot, robot_records, run_robot, simulate_robot
+from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.robots import RobotLoop, prepare_robot, robot_records, run_robot, simulate_robot
 from tests.robots_plants import Twin, seven, six, two
 from tests.simulation.test_robots import COUPLED, ONE_WAY, changed
 

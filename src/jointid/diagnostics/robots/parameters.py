@@ -14,8 +14,7 @@ import numpy as np
 
 from jointid.estimation.robots.idim import KNOWN, RobotEstimate
 from jointid.estimation.robots.torque_only import RobotTorqueEstimate
-from jointid.simulation.robot_sensitivities import NumberOf
-from jointid.simulation.robots import RobotNumbers
+from jointid.simulation.robot_numbers import NumberOf, RobotNumbers
 
 _ROUGHLY = 1.0  # relative deviation
 

@@ -34,7 +34,7 @@ from jointid.common.messages import Progress
 from jointid.common.parameters import Bounds
 from jointid.estimation.methods.search import command_of, reconstructed_position
 from jointid.estimation.problems.closed_loop import torque_problem
-from jointid.estimation.robots.numbers import RobotParameters, columns_of, robot_parameters
+from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
 from jointid.estimation.robots.problem import RobotProblem, robot_problem
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.robots.robot import JointSpring, Robot
@@ -46,6 +46,7 @@ from jointid.records.signals.filtering import (
     lowpass,
     window_torque,
 )
+from jointid.simulation.robot_columns import columns_of
 from jointid.simulation.robots import MassMotion, RobotLoop, RobotOutcome, RobotRun
 from jointid.uncertainty.covariance import Covariance, robust
 

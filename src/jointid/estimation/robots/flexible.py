@@ -33,8 +33,8 @@ from jointid.estimation.robots.problem import RobotProblem, robot_problem
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import in_threads
-from jointid.simulation.robot_sensitivities import NumberOf, NumberPlace
-from jointid.simulation.robots import RobotLoop, RobotNumbers, RobotOutcome
+from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers
+from jointid.simulation.robots import RobotLoop, RobotOutcome
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Counted, Solution, Status, Step, solve
 from jointid.uncertainty.covariance import white

@@ -19,7 +19,8 @@ from jointid.models.robots.base_parameters import BaseParameters
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Channel, Record
-from jointid.simulation.robots import RobotLoop, RobotNumbers, RobotOutcome, prepare_robot, run_robot, simulation_of
+from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.robots import RobotLoop, RobotOutcome, prepare_robot, run_robot, simulation_of
 
 
 def robot_instruments(

@@ -12,21 +12,15 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parallel import threads
 from jointid.common.parameters import Parameter
-from jointid.estimation.robots.numbers import RobotParameters, columns_of
+from jointid.estimation.robots.numbers import RobotParameters
 from jointid.models.robots.dynamics import IntArray
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, decimate_all
 from jointid.simulation.closed_loop import in_threads
-from jointid.simulation.robot_sensitivities import NumberPlace, differentiate_torques
-from jointid.simulation.robots import (
-    RobotInput,
-    RobotLoop,
-    RobotOutcome,
-    RobotRun,
-    motion_at,
-    prepare_robot,
-    run_robot,
-)
+from jointid.simulation.robot_columns import columns_of
+from jointid.simulation.robot_numbers import NumberPlace
+from jointid.simulation.robot_sensitivities import differentiate_torques
+from jointid.simulation.robots import RobotInput, RobotLoop, RobotOutcome, RobotRun, motion_at, prepare_robot, run_robot
 
 _FEWEST = 16  # parameters whose derivatives are worth a thread
 _FAILED = 1e3  # times the measured torques: the error of a candidate that cannot be simulated

@@ -29,7 +29,8 @@ from jointid.models.robots.inertial import SYMBOLS, UNITS
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.robots import RobotLoop, RobotNumbers, RobotOutcome, run_robot
+from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.robots import RobotLoop, RobotOutcome, run_robot
 
 _WITHOUT = (
     "No joint shows a spring in this record: leave the springs out of the robot file and identify it as rigid, or "

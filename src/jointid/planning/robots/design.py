@@ -44,9 +44,9 @@ from jointid.planning.robots.motions import JointLimits, Motions, complete
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation import excitation
+from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.robots import (
     RobotLoop,
-    RobotNumbers,
     RobotOutcome,
     add_feed_forward,
     prepare_robot,

@@ -105,6 +105,29 @@ def _control(
 
 
 @compiled
+def _add_moved_links(
+    rotors: IntArray, springs: FloatArray, M: FloatArray, Cv: FloatArray, K: FloatArray, h: float, whole: float,
+    dq: FloatArray, rate: FloatArray, gained: FloatArray, moved_links: FloatArray,
+) -> None:  # fmt: skip
+    """Add what the links' changes of position, rate and velocity gained in a piece of h s add to the motors' torques.
+
+    A motor feels them by its spring, or, of a rigid joint, by the links that hang on others.
+    """
+    n, count = rotors.size, dq.shape[1]
+    share = h / whole
+    for i in range(n):
+        for j in range(n):
+            if rotors[j] == j or (rotors[i] != i and i != j):  # it is moved as prescribed, or on another's spring
+                continue
+            inert = M[i, j] / whole if rotors[i] == i else 0.0
+            damping = share * (Cv[i, j] if rotors[i] == i else -springs[i, 1])
+            stiffness = share * (K[i, j] if rotors[i] == i else -springs[i, 0])
+            for c in range(count):
+                middle = dq[j, c] - 0.5 * h * rate[j, c]
+                moved_links[i, c] += inert * gained[j, c] + damping * rate[j, c] + stiffness * middle
+
+
+@compiled
 def differentiate_run(
     parents: IntArray, kinds: IntArray, axes: FloatArray, rotations: FloatArray, origins: FloatArray,
     gravity: FloatArray, joints: FloatArray, inertials: FloatArray, rotors: IntArray, masses: FloatArray,
@@ -114,7 +137,8 @@ def differentiate_run(
     outputs: IntArray, taps: IntArray, cuts: NDArray[np.bool_],
     first: IntArray, lasting: FloatArray, places: FloatArray, speeds: FloatArray, begun: FloatArray,
     ended: FloatArray, directions: FloatArray, stopped: IntArray,
-    parameters: IntArray, dq: FloatArray, dz: FloatArray, before: FloatArray, command: FloatArray, tapped: FloatArray,
+    parameters: IntArray, dq: FloatArray, dv: FloatArray, dz: FloatArray, before: FloatArray, command: FloatArray,
+    tapped: FloatArray, moved_links: FloatArray,
 ) -> None:  # fmt: skip
     """Fill the derivatives of the torques, step of the clock by step.
 
@@ -123,14 +147,18 @@ def differentiate_run(
         parents, ..., every, ..., taps: of `kernels.robot_loop.run`, as the run had them.
         cuts, first, lasting, places, speeds, begun, ended, directions, stopped: what it wrote.
         parameters: (parameters, 3) what each is a number of, in which row and column.
-        dq: (masses, parameters) derivatives of the positions at the beginning, overwritten.
+        dq, dv: (masses, parameters) derivatives of positions and velocities at the beginning, overwritten.
         dz: (n, states, parameters) of the controllers' states there, overwritten.
         before: (n, parameters) of the torques before the first period.
-        command: (n, clock, parameters) out. tapped: the same, or (n, 0, 0) where it is the same.
+        command: (n, clock, parameters) out; or (n, clock, 0) of motors that are moved, whatever it takes. tapped: the
+            same as command, or (n, 0, 0) where it is the same.
+        moved_links: (n, parts of all steps, parameters) out, mean over each: what the links' change of motion adds to
+            the torque that a prescribed motion takes of a motor; or (n, 0, 0).
     """
     n, nd, count = parents.size, len(dq), len(parameters)
     parts, clock, pieces = lags.shape[1], command.shape[1], lasting.size
-    dv, dtau, rows, other = np.zeros((nd, count)), np.zeros((n, count)), np.zeros((n, count)), np.zeros((nd, count))
+    dtau, rows, other = np.zeros((n, count)), np.zeros((n, count)), np.zeros((nd, count))
+    controlled, prescribed, gained = command.shape[2] > 0, moved_links.shape[1] > 0, np.zeros((n, count))
     moved, fresh, raw = np.zeros(count), np.zeros((dz.shape[1], count)), np.zeros((cuts.shape[2], count))
     nothing = np.zeros(count)
     q, v, a = np.zeros(nd), np.zeros(nd), np.zeros(nd)
@@ -144,6 +172,8 @@ def differentiate_run(
     for k in range(clock):
         for j in range(n):
             own = k // every[j]
+            if not controlled:
+                break
             if k % every[j] != 0:  # this controller holds
                 command[j, k] = command[j, k - 1]
                 if tapped.shape[1] > 0:
@@ -162,12 +192,16 @@ def differentiate_run(
             end = first[at + 1] if at + 1 < first.size else pieces
             for j in range(n):
                 source = k - lags[j, part]
-                for c in range(count):
+                for c in range(count if controlled else 0):
                     dtau[j, c] = command[j, source, c] if source >= 0 else before[j, c]
+            whole = np.sum(lasting[first[at] : end])
             for piece in range(first[at], end):
                 if piece + 1 >= pieces:
                     return
                 h = lasting[piece]
+                for i in range(n if prescribed else 0):
+                    for c in range(count):
+                        gained[i, c] = 0.0
                 if h > 0.0:
                     for i in range(nd):
                         q0, q1, v0, v1 = places[piece, i], places[piece + 1, i], speeds[piece, i], speeds[piece + 1, i]
@@ -268,6 +302,9 @@ def differentiate_run(
                         if masses[i, 2] > 0.0 and directions[piece, i] == 0.0:
                             for c in range(count):
                                 dv[i, c] = 0.0
+                    for i in range(n if prescribed else 0):
+                        for c in range(count):
+                            gained[i, c] += 2.0 * (dv[i, c] - rows[i, c])
                 event = stopped[piece]
                 if event >= 0 and directions[piece, event] != 0.0:
                     largest = 0.0
@@ -281,3 +318,7 @@ def differentiate_run(
                             jump = begun[piece + 1, i] - ended[piece, i]
                             for c in range(count):
                                 dv[i, c] += jump * moved[c]
+                                if prescribed and i < n:
+                                    gained[i, c] += jump * moved[c]
+                if prescribed:
+                    _add_moved_links(rotors, springs, M, Cv, K, h, whole, dq, rows, gained, moved_links[:, at])

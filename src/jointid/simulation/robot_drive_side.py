@@ -1,0 +1,265 @@
+"""A robot without its controllers: the record prescribes how its motors move, and the torques that it takes follow.
+
+What the controllers are does not matter then; the record needs the motors' positions instead. The links of flexible
+joints are simulated, hung on springs whose other ends move as the motors did; of a rigid joint the link is its motor::
+
+    M(q) a + h(q, v) + Fv2 v + Fc2 sign(v) = K (qm - q) + D (vm - v)              the links of flexible joints
+    Jm am + Fv1 vm + Fc1 sign(vm) + offset + K (qm - q) + D (vm - v) = tau        their motors
+    Ia am + Fv vm + Fc sign(vm) + offset + (M(q) a + h(q, v))_i = tau             motors of rigid joints
+
+The kernel of the closed loop serves as it is (`kernels.robot_loop`): each motor is so heavy that nothing moves it but
+a torque that gives it its own acceleration, which is held in each part of a sample. Where it then is at the parts' ends
+is right to the fourth order, by the velocity ``v - h^2/12 v''`` there: what the straight line through velocities takes
+from a curved motion (Euler and Maclaurin) is put back. Sticking, sliding and reversing of the links are as in the loop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.models.robots.robot import Robot
+from jointid.simulation.prescribed import spline_of
+from jointid.simulation.robot_columns import columns_of
+from jointid.simulation.robot_numbers import Bools, NumberOf, NumberPlace, RobotNumbers
+from jointid.simulation.robot_sensitivities import slopes_at_start
+from jointid.simulation.robot_start import places_at_start, speeds_at_start
+from jointid.simulation.robots import LoopTree, MassMotion, RobotOutcome, RobotTape, choose_steps, outcome_of
+
+PARTS = 1
+"""Of a sample: with one the torque of a twin of six joints whose modes are at 8 to 30 Hz errs by 1e-5 at 1 kHz."""
+
+_HEAVY = 1e12  # kg m2 of a motor that is moved: what a link does to it is 1e-12 of that
+_STEPS = 64  # of a part, at most
+_MORE = 2  # pieces per step, at most, beside a thousand
+
+
+@dataclass(frozen=True, slots=True)
+class RobotDriveSide:
+    """A robot whose motors move as the record says, whatever their controllers: from motor positions to torques.
+
+    Attributes:
+        robot: links, joints and gravity.
+    """
+
+    robot: Robot
+
+
+@dataclass(frozen=True, eq=False)
+class MotorMotion:
+    """The motion of a robot's motors, prescribed.
+
+    Attributes:
+        tree: of the links, as `RobotInput` has it.
+        step: s of a part.
+        position, velocity: (parts + 1, n) at the ends of the parts.
+        joined: (parts + 1, n) the velocities that the held accelerations join (see the module).
+        speeds, accelerations: (n,) at the first sample.
+    """
+
+    tree: LoopTree
+    step: float
+    position: FloatArray
+    velocity: FloatArray
+    joined: FloatArray
+    speeds: FloatArray
+    accelerations: FloatArray
+
+    @cached_property
+    def held(self) -> FloatArray:
+        """Accelerations that are held in the parts, (parts, n)."""
+        return np.diff(self.joined, axis=0) / self.step
+
+    @cached_property
+    def means(self) -> MassMotion:
+        """Means over the parts, (parts, n); the direction of a part with a reversal is the mean of both signs."""
+        before, after = self.velocity[:-1], self.velocity[1:]
+        size = np.abs(before) + np.abs(after)
+        turned = (np.abs(after) - np.abs(before)) * np.sign(after) / np.where(size > 0.0, size, 1.0)
+        direction = np.where(before * after < 0.0, turned, np.sign(before + after))
+        gained = np.diff(self.velocity, axis=0) / self.step
+        return MassMotion(*_means(self.position, self.velocity, self.step), gained, direction)
+
+
+def prescribe_motion(
+    robot: Robot, positions: FloatArray, sample_time: float, resting: Bools | None = None, parts: int = PARTS
+) -> MotorMotion:
+    """Return the motion of motors through sampled positions, by an interpolating spline.
+
+    Args:
+        robot: whose motors they are.
+        positions: (samples, n) of the shafts that the motors turn, smooth at the scale of a sample: filtered.
+        sample_time: s.
+        resting: (n,) which motors rest at the first sample: what is left of their velocity there is rounding, with which
+            a link would slide.
+        parts: of a sample.
+    """
+    home = positions[0]
+    spline = spline_of(positions - home, sample_time)
+    step = sample_time / parts
+    edges = np.arange((len(positions) - 1) * parts + 1) * step
+    velocity, acceleration = spline.derivative()(edges), spline.derivative(2)(edges[:1])
+    joined = velocity - step**2 / 12.0 * spline.derivative(3)(edges)
+    if resting is not None:
+        joined[0, resting] = velocity[0, resting] = acceleration[0, resting] = 0.0
+    tree = (*robot.tree, robot.gravity, robot.joints_of_shafts)
+    position = np.asarray(spline(edges) + home)
+    return MotorMotion(tree, step, position, velocity, joined, velocity[0], acceleration[0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotDriveSideRun:
+    """The torques that one candidate takes along the motors' motion.
+
+    Attributes:
+        prescribed: the motors' motion. numbers: of the candidate.
+        outcome: how the simulation of the links ended; if it did not finish all else is 0.
+        start: (masses,) positions at the beginning, in steady motion.
+        motion: of all masses, means over the parts, (parts, masses).
+        torque: (parts, n), means over the parts. tape: of the simulation, empty unless it was kept.
+    """
+
+    prescribed: MotorMotion
+    numbers: RobotNumbers
+    outcome: RobotOutcome
+    start: FloatArray
+    motion: MassMotion
+    torque: FloatArray
+    tape: RobotTape
+
+
+def run_drive_side(prescribed: MotorMotion, numbers: RobotNumbers, steps: int | None = None) -> RobotDriveSideRun:
+    """Simulate the links under a prescribed motion of the motors; never raises for a candidate's sake: see its outcome.
+
+    Args:
+        prescribed: the motors' motion.
+        numbers: of the candidate.
+        steps: of the integrator per part; None takes as many as keep the fastest motion below 0.5 rad a step.
+    """
+    from jointid.simulation.kernels import robot_loop
+
+    n, masses, parts = numbers.rotors.size, len(numbers.masses), len(prescribed.held)
+    moved = _moved(numbers)
+    start, speeds = np.zeros(masses), np.zeros(masses)
+    outcome, tape = RobotOutcome.INVALID, RobotTape.empty(0, 0, masses)
+    if numbers.possible:
+        links = prescribed.position[:: max(len(prescribed.position) // 5, 1)]
+        taken = steps or choose_steps(prescribed.tree, links, prescribed.step, moved)
+        outcome = RobotOutcome.FINISHED if taken <= _STEPS else RobotOutcome.TOO_STIFF
+    if outcome is RobotOutcome.FINISHED:
+        start, speeds = _steady(prescribed, numbers)
+        places = start.copy()
+        if numbers.beside.size:
+            places[:n] += numbers.beside[:, 0]
+            speeds[:n] += numbers.beside[:, 1]
+        tape = RobotTape.empty(parts + 1, _MORE * (parts + 1) * taken + 1000, masses)
+        # One more part follows the last one, so that its end is on the tape, too.
+        asked = _HEAVY * np.vstack([prescribed.held, prescribed.held[-1:]]).T[:, np.newaxis]
+        command, counts = np.zeros((n, parts + 1)), np.zeros(3, dtype=np.int64)
+        none, of_state = np.zeros((n, 1, 0)), np.zeros((n, 1, 1, 0))
+        status = robot_loop.run(
+            *prescribed.tree, moved.inertials, moved.rotors, moved.masses, moved.springs,
+            np.array([prescribed.step]), np.zeros((n, 1), dtype=np.int64), np.ones(n, dtype=np.int64), taken,
+            np.zeros((n, 0)), np.zeros((n, 1, 0, 0)), none, np.zeros((n, 1, 0, 1)), of_state, np.zeros((n, 1, 1)),
+            np.zeros((n, 1, 1, 1)), np.full((n, 1), np.inf), np.full((n, 1), -1), np.zeros((n, 0, 0)),
+            np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64),
+            np.ascontiguousarray(asked), np.zeros((n, parts + 1)), np.zeros(n), places, speeds,
+            np.full(n, np.inf), command, np.zeros_like(command), np.zeros((n, 0, 0), dtype=np.bool_),
+            tape.first, tape.lasting, tape.places, tape.speeds, tape.begun, tape.ended, tape.directions, tape.stopped,
+            counts,
+        )  # fmt: skip
+        outcome, tape = outcome_of(status), tape.until(parts + 1, int(counts[1]))
+    if outcome is not RobotOutcome.FINISHED:
+        nothing = np.zeros((parts, masses))
+        return RobotDriveSideRun(
+            prescribed, numbers, outcome, start, MassMotion(nothing, nothing, nothing, nothing), nothing[:, :n], tape
+        )
+    motion = _motion(prescribed, numbers, tape)
+    return RobotDriveSideRun(prescribed, numbers, outcome, start, motion, _torque(prescribed, numbers, motion), tape)
+
+
+def differentiate_drive_side(run: RobotDriveSideRun, places: Sequence[NumberPlace]) -> FloatArray:
+    """Return how the torques change because the links move otherwise, (parts, n, parameters), by variation.
+
+    Beside that a number acts where it stands in its motor's equation: `columns_of` the run's motion.
+
+    Args:
+        run: that finished.
+        places: of the parameters.
+    """
+    from jointid.simulation.kernels import robot_sensitivities as kernels
+
+    prescribed, numbers, tape, count = run.prescribed, _moved(run.numbers), run.tape, len(places)
+    n, parts = numbers.rotors.size, len(prescribed.held)
+    dq, dv = np.zeros((len(numbers.masses), count)), np.zeros((len(numbers.masses), count))
+    of_robot = [c for c, place in enumerate(places) if place.of in (NumberOf.LINK, NumberOf.MASS, NumberOf.SPRING)]
+    rows = np.array([(NumberOf.MASS, numbers.rotors[0], 3)] * count, dtype=np.int64).reshape(-1, 3)  # moves nothing
+    for c in of_robot:
+        rows[c] = places[c].of, places[c].row, places[c].column
+    at_start = tuple(places[c] for c in of_robot)
+    dq[:, of_robot], _ = slopes_at_start(prescribed, run.numbers, run.start, np.zeros(n), at_start)
+    for c, place in enumerate(places):
+        if place.of is NumberOf.BESIDE:
+            (dv if place.column else dq)[place.row, c] = 1.0
+    found = np.zeros((n, parts + 1, count))
+    none, of_state = np.zeros((n, 1, 0)), np.zeros((n, 1, 1, 0))
+    kernels.differentiate_run(
+        *prescribed.tree, numbers.inertials, numbers.rotors, numbers.masses, numbers.springs,
+        np.zeros((n, 1), dtype=np.int64), np.ones(n, dtype=np.int64),
+        np.zeros((n, 1, 0, 0)), none, np.zeros((n, 1, 0, 1)), of_state, np.zeros((n, 1, 1)), np.zeros((n, 1, 1, 1)),
+        np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64), np.zeros((n, 0, 0), dtype=np.bool_),
+        tape.first, tape.lasting, tape.places, tape.speeds, tape.begun, tape.ended, tape.directions, tape.stopped,
+        rows, dq, dv, np.zeros((n, 0, count)), np.zeros((n, count)), np.zeros((n, parts + 1, 0)), np.zeros((n, 0, 0)),
+        found,
+    )  # fmt: skip
+    return found[:, :parts].transpose(1, 0, 2)
+
+
+def _moved(numbers: RobotNumbers) -> RobotNumbers:
+    """Return the robot whose motors are so heavy that they move as they are told."""
+    masses = numbers.masses.copy()
+    masses[numbers.rotors] = 0.0
+    masses[numbers.rotors, 0] = _HEAVY
+    return replace(numbers, masses=masses)
+
+
+def _steady(prescribed: MotorMotion, numbers: RobotNumbers) -> tuple[FloatArray, FloatArray]:
+    """Return positions and velocities of all masses at the first sample, in steady motion."""
+    speeds = speeds_at_start(prescribed, numbers)
+    speeds[numbers.rotors] = prescribed.joined[0]
+    stiff = np.full(numbers.rotors.size, -np.inf)
+    return places_at_start(prescribed, numbers, prescribed.position[0], stiff)[0], speeds
+
+
+def _motion(prescribed: MotorMotion, numbers: RobotNumbers, tape: RobotTape) -> MassMotion:
+    """Return the motion of all masses, means over the parts."""
+    places, speeds = tape.places[tape.first], tape.speeds[tape.first]
+    position, velocity = _means(places, speeds, prescribed.step)
+    acceleration = np.diff(speeds, axis=0) / prescribed.step
+    direction = np.sign(velocity)
+    of_motors, rotors = prescribed.means, numbers.rotors
+    direction[:, rotors], velocity[:, rotors] = of_motors.direction, of_motors.velocity
+    position[:, rotors], acceleration[:, rotors] = of_motors.position, of_motors.acceleration
+    return MassMotion(position, velocity, acceleration, direction)
+
+
+def _torque(prescribed: MotorMotion, numbers: RobotNumbers, motion: MassMotion) -> FloatArray:
+    """Return the motors' torques along a motion, (parts, n)."""
+    places = tuple(
+        NumberPlace(of, int(row), int(column))
+        for of in (NumberOf.LINK, NumberOf.MASS, NumberOf.SPRING)
+        for row, column in np.argwhere(numbers.arrays[of] != 0.0)
+    )
+    values = np.array([place.read(numbers) for place in places])
+    each = columns_of(prescribed.tree, numbers, places, motion, numbers.rotors)
+    return np.column_stack([columns @ values[own] for own, columns in each])
+
+
+def _means(places: FloatArray, speeds: FloatArray, step: float) -> tuple[FloatArray, FloatArray]:
+    """Return means over the parts of positions, by their ends and slopes, and of their rates, (parts, masses) each."""
+    middle = 0.5 * (places[:-1] + places[1:]) - step / 12.0 * np.diff(speeds, axis=0)
+    return middle, np.diff(places, axis=0) / step

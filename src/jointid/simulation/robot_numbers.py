@@ -1,0 +1,129 @@
+"""The numbers of a robot as its simulations read them, and the places of parameters among them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from enum import IntEnum
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jointid.common.arrays import FloatArray
+from jointid.models.robots.robot import Robot
+from jointid.simulation.kernels.drive import IntArray
+
+Bools: TypeAlias = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotNumbers:
+    """The numbers of a candidate, as the kernel reads them.
+
+    Attributes:
+        inertials: (n, 10) of the links. rotors: (n,) the mass that each motor drives.
+        masses: (masses, 6) of the links, then of the rotors of flexible joints: inertia of the rotor (0 for the link of
+            a flexible joint), viscous, Coulomb and constant friction, and what viscous friction has more forwards, and
+            backwards.
+        springs: (n, 2) stiffness and damping; 0 for rigid joints.
+        beside: (n, 2) position and velocity of each flexible joint's link at the first sample, beside where steady
+            motion has it; or (0, 2). log: (1, 1) s, by which the log shows torques late; or (0, 1). Both are read where
+            the record prescribes the motors' motion (`robot_drive_side`), and nowhere else.
+    """
+
+    inertials: FloatArray
+    rotors: IntArray
+    masses: FloatArray
+    springs: FloatArray
+    beside: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    log: FloatArray = field(default_factory=lambda: np.zeros((0, 1)))
+
+    @classmethod
+    def of(cls, robot: Robot) -> RobotNumbers:
+        """Return those of a robot."""
+        joints, n = robot.joints, len(robot.links)
+        flexible = [i for i, joint in enumerate(joints) if joint.spring is not None]
+        rotors, springs = np.arange(n), np.zeros((n, 2))
+        rotors[flexible] = n + np.arange(len(flexible))
+        masses = np.zeros((n + len(flexible), 6))
+        for i, joint in enumerate(joints):
+            viscous = (0.0, joint.viscous, joint.viscous_back) if joint.asymmetric else (joint.viscous, 0.0, 0.0)
+            masses[rotors[i]] = joint.rotor_inertia, viscous[0], *joint.coulomb_both, *viscous[1:]
+            if joint.spring is not None:
+                springs[i] = joint.spring.stiffness, joint.spring.damping
+                masses[i, 1:3] = joint.spring.viscous, joint.spring.coulomb
+        return cls(robot.inertials, rotors, masses, springs)
+
+    @property
+    def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+        """What parameters are numbers of, in the order of `NumberOf`."""
+        return self.inertials, self.masses, self.springs, self.beside, self.log
+
+    @property
+    def flexible(self) -> Bools:
+        """Which joints are flexible, (n,)."""
+        return np.asarray(self.rotors >= self.rotors.size)
+
+    @property
+    def possible(self) -> bool:
+        """True if rotors have an inertia, friction and springs are not negative, and all are numbers."""
+        finite = all(bool(np.all(np.isfinite(values))) for values in self.arrays)
+        turning, held = self.masses[self.rotors.size :, 0], self.springs[self.flexible, 0]
+        least = min(float(np.min(self.masses[:, [1, 2, 4, 5]])), float(np.min(self.springs)))
+        return finite and least >= 0.0 and bool(np.all(turning > 0.0) and np.all(held > 0.0))
+
+
+class NumberOf(IntEnum):
+    """What a parameter is a number of: a row of `RobotNumbers`."""
+
+    LINK = 0
+    MASS = 1
+    SPRING = 2
+    BESIDE = 3
+    LOG = 4
+
+
+@dataclass(frozen=True, slots=True)
+class NumberPlace:
+    """The place of a parameter among a candidate's numbers.
+
+    Attributes:
+        of: whose rows. row: which. column: of it.
+    """
+
+    of: NumberOf
+    row: int
+    column: int
+
+    @property
+    def is_friction(self) -> bool:
+        """Whether it is a friction, a constant torque, or a spring's damping: no inertia and no stiffness."""
+        return self.of in (NumberOf.MASS, NumberOf.SPRING) and self.column != 0
+
+    def read(self, numbers: RobotNumbers) -> float:
+        """Return the number."""
+        return float(numbers.arrays[self.of][self.row, self.column])
+
+
+def with_values(numbers: RobotNumbers, places: tuple[NumberPlace, ...], values: FloatArray) -> RobotNumbers:
+    """Return a candidate with other numbers in these places."""
+    inertials, masses, springs, beside, log = arrays = tuple(one.copy() for one in numbers.arrays)
+    for place, value in zip(places, values, strict=True):
+        arrays[place.of][place.row, place.column] = value
+    return replace(numbers, inertials=inertials, masses=masses, springs=springs, beside=beside, log=log)
+
+
+def all_places(numbers: RobotNumbers) -> tuple[NumberPlace, ...]:
+    """Return the places of every number that a robot has: masses, then springs, then links."""
+    n = numbers.rotors.size
+    masses = [
+        NumberPlace(NumberOf.MASS, row, column)
+        for row in range(len(numbers.masses))
+        for column in ((0, 2, 3, 4, 5) if np.any(numbers.masses[row, 4:]) else range(4))
+        if row in numbers.rotors or column in (1, 2)
+    ]
+    springs = [
+        NumberPlace(NumberOf.SPRING, int(i), column) for i in np.flatnonzero(numbers.flexible) for column in (0, 1)
+    ]
+    links = [NumberPlace(NumberOf.LINK, row, column) for row in range(n) for column in range(10)]
+    return (*masses, *springs, *links)
