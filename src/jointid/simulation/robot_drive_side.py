@@ -94,8 +94,8 @@ def prescribe_motion(
         robot: whose motors they are.
         positions: (samples, n) of the shafts that the motors turn, smooth at the scale of a sample: filtered.
         sample_time: s.
-        resting: (n,) which motors rest at the first sample: what is left of their velocity there is rounding, with which
-            a link would slide.
+        resting: (n,) which motors rest at the first sample: what is left of their velocity there is rounding, with
+            which a link would slide.
         parts: of a sample.
     """
     home = positions[0]

@@ -35,7 +35,7 @@ from jointid.common.parameters import Bounds
 from jointid.estimation.methods.search import command_of, reconstructed_position
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
-from jointid.estimation.robots.problem import RobotProblem, robot_problem
+from jointid.estimation.robots.problem import RobotLoopProblem, RobotProblem, Run, robot_problem
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.robots.robot import JointSpring, Robot
 from jointid.records.record import Channel, Record, Timing
@@ -47,6 +47,7 @@ from jointid.records.signals.filtering import (
     window_torque,
 )
 from jointid.simulation.robot_columns import columns_of
+from jointid.simulation.robot_drive_side import RobotDriveSideRun
 from jointid.simulation.robots import MassMotion, RobotLoop, RobotOutcome, RobotRun
 from jointid.uncertainty.covariance import Covariance, robust
 
@@ -78,7 +79,7 @@ class RobotFit:
     relative_error: FloatArray
     iterations: int
     converged: bool
-    run: RobotRun
+    run: RobotRun | RobotDriveSideRun
     information: FloatArray
 
     @property
@@ -157,7 +158,7 @@ def identify_rigid_robot(
 
 
 def fixed_point(
-    problem: RobotProblem, x: FloatArray, run: RobotRun, iterations: int, progress: Progress = lambda _: None
+    problem: RobotProblem[Run], x: FloatArray, run: Run, iterations: int, progress: Progress = lambda _: None
 ) -> RobotFit:
     """Return where steps by the regressor of the simulated motion lead to, from a start that could be simulated."""
     bounds, size = (
@@ -183,9 +184,9 @@ def fixed_point(
 
 
 def conclude(
-    problem: RobotProblem,
+    problem: RobotProblem[Run],
     x: FloatArray,
-    run: RobotRun,
+    run: Run,
     J: FloatArray,
     Z: FloatArray,
     made: int,
@@ -217,7 +218,7 @@ def conclude(
     )
 
 
-def joint_sizes(problem: RobotProblem, left: FloatArray, count: int, floor: float) -> FloatArray:
+def joint_sizes(problem: RobotProblem[Run], left: FloatArray, count: int, floor: float) -> FloatArray:
     """Return the sizes of the joints' errors, (n,), of a residual that so many parameters left."""
     rows = problem.by_joint(left)
     degrees = max(rows.size - count, 1) / rows.size
@@ -225,7 +226,7 @@ def joint_sizes(problem: RobotProblem, left: FloatArray, count: int, floor: floa
     return np.asarray(np.maximum(np.sqrt(np.mean(rows**2, axis=1) / degrees), least))
 
 
-def _step(problem: RobotProblem, W: FloatArray, error: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _step(problem: RobotProblem[Run], W: FloatArray, error: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the weighted least-squares step, its standard deviations for white errors, and what it leaves, (rows,)."""
     from jointid.common.compiled import triangle_of
 
@@ -250,7 +251,7 @@ def _step(problem: RobotProblem, W: FloatArray, error: FloatArray) -> tuple[Floa
     return step, std, error - W @ step
 
 
-def _moved(problem: RobotProblem, x: FloatArray, after: FloatArray, run: RobotRun) -> tuple[FloatArray, RobotRun]:
+def _moved(problem: RobotProblem[Run], x: FloatArray, after: FloatArray, run: Run) -> tuple[FloatArray, Run]:
     """Return where a step leads, halved while it cannot be simulated there."""
     for _ in range(_HALVINGS):
         found = problem.run(after)
@@ -261,7 +262,7 @@ def _moved(problem: RobotProblem, x: FloatArray, after: FloatArray, run: RobotRu
 
 
 def start_of(
-    problem: RobotProblem, loop: RobotLoop, records: Sequence[Record], progress: Progress
+    problem: RobotLoopProblem, loop: RobotLoop, records: Sequence[Record], progress: Progress
 ) -> tuple[FloatArray, RobotRun]:
     """Return where a search begins and the run there: the inverse model on the motion that the controllers saw."""
     failures = []
@@ -284,7 +285,9 @@ def start_of(
     )
 
 
-def _seen_motion(problem: RobotProblem, loop: RobotLoop, records: Sequence[Record]) -> tuple[FloatArray, FloatArray]:
+def _seen_motion(
+    problem: RobotLoopProblem, loop: RobotLoop, records: Sequence[Record]
+) -> tuple[FloatArray, FloatArray]:
     """Return the motors' torques and the positions that the controllers must have seen, (samples, n) each."""
     measured, references = _commanded_motion(problem, loop, records)
     found, samples = [], len(measured)
@@ -300,7 +303,7 @@ def _seen_motion(problem: RobotProblem, loop: RobotLoop, records: Sequence[Recor
 
 
 def _commanded_motion(
-    problem: RobotProblem, loop: RobotLoop, records: Sequence[Record]
+    problem: RobotLoopProblem, loop: RobotLoop, records: Sequence[Record]
 ) -> tuple[FloatArray, FloatArray]:
     """Return the motors' torques and the references, (samples, n) each."""
     del loop, records
@@ -308,7 +311,7 @@ def _commanded_motion(
     return problem.measured, problem.experiment.references[clock.looked // clock.lengths.size]
 
 
-def _regressed(problem: RobotProblem, torques: FloatArray, positions: FloatArray) -> FloatArray:
+def _regressed(problem: RobotLoopProblem, torques: FloatArray, positions: FloatArray) -> FloatArray:
     """Return what the inverse model finds on a motion, within bounds, the joints weighing by their errors."""
     sample_time, cutoff = problem.sample_time, problem.filtering.position_cutoff
     assert cutoff is not None
@@ -319,7 +322,7 @@ def _regressed(problem: RobotProblem, torques: FloatArray, positions: FloatArray
     motion = MassMotion(smooth, velocity, acceleration, np.sign(velocity))
     parameters = problem.parameters
     rotors = parameters.base.rotors
-    columns = columns_of(problem.experiment.tree, parameters.base, parameters.places, motion, rotors)
+    columns = columns_of(problem.tree, parameters.base, parameters.places, motion, rotors)
     held = [Channel(torques[:, j], "N m", sample_time, Timing.HELD) for j in range(n)]  # its unit is not read
     seen = np.column_stack(
         [window_torque(channel, each.law.delay) for channel, each in zip(held, each_loop, strict=True)]

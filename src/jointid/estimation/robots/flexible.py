@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -30,6 +31,7 @@ from jointid.common.parameters import Parameter
 from jointid.estimation.robots.didim import RobotFit, conclude, identify_rigid_robot, joint_sizes
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
 from jointid.estimation.robots.problem import RobotProblem, robot_problem
+from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import in_threads
@@ -39,7 +41,9 @@ from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Counted, Solution, Status, Step, solve
 from jointid.uncertainty.covariance import white
 
-_BELOW = 4.0  # Hz: below the modes, where a robot is as good as rigid
+SLOW = Filtering(cutoff=4.0)
+"""Below the modes, where a robot is as good as rigid."""
+
 _POSES = 40  # along the references, over which inertias are averaged
 _SHARE = 0.5  # of the inertia about a joint, at most, that its rotor begins with
 _ROOM = 0.6  # of what the rotors can take before the links' mass matrix is not positive
@@ -135,19 +139,54 @@ def identify_flexible_robot(
             simulated at the start, or a robot of rigid joints explains the torques better.
     """
     robot = loop.robot
-    flexible = [joint.name for joint in robot.joints if joint.spring is not None]
+    parameters = robot_parameters(robot, offsets=offsets, logarithmic=True)
+    problem = robot_problem(loop, records, parameters, filtering)
+    require_springs(robot, problem.sample_time, frequencies)
+    rigid = identify_rigid_robot(loop, records, SLOW, offsets=offsets, progress=progress)
+    return search_springs(problem, robot, rigid, frequencies, evaluations, progress)
+
+
+def require_springs(robot: Robot, sample_time: float, frequencies: Mapping[str, float] | None) -> None:
+    """Raise MethodError if no joint has a spring, a frequency is missing, or the log is too slow to look for one."""
+    flexible = _springs(robot)
     if not flexible:
         raise MethodError("No joint of this robot has a spring; give one a JointSpring, or identify it as rigid.")
-    if frequencies is not None and (missing := sorted(set(flexible) - set(frequencies))):
+    if frequencies is None:
+        _row(sample_time)
+    elif missing := sorted(set(flexible) - set(frequencies)):
         raise MethodError(
             f"A frequency is needed for each flexible joint; {', '.join(missing)} has none: give one in Hz, or none "
             "at all to have them looked for."
         )
-    parameters = robot_parameters(robot, offsets=offsets, logarithmic=True)
-    problem = robot_problem(loop, records, parameters, filtering)
-    if frequencies is None:
-        _row(problem.sample_time)
-    rigid = identify_rigid_robot(loop, records, Filtering(cutoff=_BELOW), offsets=offsets, progress=progress)
+
+
+def _springs(robot: Robot) -> list[str]:
+    """Return the names of the flexible joints."""
+    return [joint.name for joint in robot.joints if joint.spring is not None]
+
+
+def search_springs(
+    problem: RobotProblem[Any],
+    robot: Robot,
+    rigid: RobotFit,
+    frequencies: Mapping[str, float] | None,
+    evaluations: int,
+    progress: Progress,
+) -> FlexibleRobotFit:
+    """Return the flexible robot that leaves the least torque error, searched from the rigid one.
+
+    Args:
+        problem: of the flexible robot.
+        robot: that is identified.
+        rigid: what was found of it with stiff joints, below the modes.
+        frequencies: of the flexible joints, Hz, or None to look for them.
+        evaluations: at most, of each search.
+        progress: is told the steps.
+
+    Raises:
+        MethodError: nothing can be simulated at the start, or a robot of rigid joints explains the torques better.
+    """
+    parameters, flexible = problem.parameters, _springs(robot)
     problem = problem.weighted(joint_sizes(problem, problem.error(rigid.run), rigid.values.size, _least(problem)))
     start = StartOfSprings.of(problem, rigid, robot.names)
     hertz = frequencies or start.search(progress)
@@ -202,7 +241,7 @@ class _End:
         problem: as the last of them weighed it. solution: of that. made: evaluations of all.
     """
 
-    problem: RobotProblem
+    problem: RobotProblem[Any]
     solution: Solution
     made: int
 
@@ -211,7 +250,7 @@ class _End:
         weights = self.problem.weights(self.solution.residual.size)
         return self.solution.residual / weights, self.solution.jacobian / weights[:, np.newaxis]
 
-    def reweighted(self) -> RobotProblem:
+    def reweighted(self) -> RobotProblem[Any]:
         """Return the problem with the sizes of the errors that are left."""
         error, slopes = self.linearised()
         return self.problem.weighted(joint_sizes(self.problem, error, slopes.shape[1], _least(self.problem)))
@@ -240,7 +279,7 @@ class _End:
         return conclude(self.problem, x, run, J, J, self.made, self.solution.converged, _least(self.problem))
 
 
-def _least(problem: RobotProblem) -> float:
+def _least(problem: RobotProblem[Any]) -> float:
     """Return the norm of an error that no joint's is smaller than."""
     seen = problem.by_joint(problem.decimated(problem.measured))
     return _EXACT * float(np.max(np.linalg.norm(seen, axis=1)))
@@ -253,7 +292,7 @@ def _reach(parameters: RobotParameters, values: FloatArray) -> FloatArray:
 
 
 def _search(
-    problem: RobotProblem,
+    problem: RobotProblem[Any],
     start: FloatArray | _End,
     tolerance: float,
     evaluations: int,
@@ -285,14 +324,14 @@ class StartOfSprings:
         rotors, links: (n,) inertias of the rotors, and of the links about the joints.
     """
 
-    problem: RobotProblem
+    problem: RobotProblem[Any]
     names: tuple[str, ...]
     split: FloatArray
     rotors: FloatArray
     links: FloatArray
 
     @classmethod
-    def of(cls, problem: RobotProblem, rigid: RobotFit, names: tuple[str, ...]) -> StartOfSprings:
+    def of(cls, problem: RobotProblem[Any], rigid: RobotFit, names: tuple[str, ...]) -> StartOfSprings:
         """Split a rigid robot: friction in halves, rotors as large as the links' mass matrix lets them be.
 
         Of the rotors that the rigid robot tells apart from their links some it hardly knows, and with these as they are
@@ -301,7 +340,7 @@ class StartOfSprings:
         """
         numbers = problem.parameters.base
         whole = rigid.parameters.numbers(rigid.values)
-        poses = problem.experiment.references
+        poses = problem.poses
         masses = np.array([_mass_matrix(problem, whole, pose) for pose in poses[:: max(len(poses) // _POSES, 1)]])
         about = np.mean(np.diagonal(masses, axis1=1, axis2=2), axis=0)
         # Of a matrix M that is positive M - diag(r) is, too, for r up to this share of what each joint feels alone.
@@ -374,13 +413,13 @@ def _row(sample_time: float) -> list[float]:
     return row
 
 
-def _mass_matrix(problem: RobotProblem, numbers: RobotNumbers, pose: FloatArray) -> FloatArray:
+def _mass_matrix(problem: RobotProblem[Any], numbers: RobotNumbers, pose: FloatArray) -> FloatArray:
     """Return that of a robot of rigid joints, rotors included, (n, n)."""
     from jointid.models.robots.equations import ROOM, equations_of_motion
 
     still, room = np.zeros(pose.size), np.empty((pose.size, ROOM))
     M = np.empty((pose.size, pose.size))
-    equations_of_motion(*problem.experiment.tree, numbers.inertials, pose, still, still, room, M, np.empty(pose.size))
+    equations_of_motion(*problem.tree, numbers.inertials, pose, still, still, room, M, np.empty(pose.size))
     return M + np.diag(numbers.masses[: pose.size, 0])
 
 
@@ -455,7 +494,7 @@ def _split(
     return values, rotors
 
 
-def _bounded(problem: RobotProblem, start: StartOfSprings) -> RobotProblem:
+def _bounded(problem: RobotProblem[Any], start: StartOfSprings) -> RobotProblem[Any]:
     """Return the problem with each spring between the softest and the stiffest that are looked for."""
     inertias = start.rotors * start.links / (start.rotors + start.links)
     lowest, highest = (2.0 * math.pi * share / problem.sample_time for share in (_SOFTEST, _STIFFEST))
@@ -470,7 +509,7 @@ def _bounded(problem: RobotProblem, start: StartOfSprings) -> RobotProblem:
     return replace(problem, parameters=replace(problem.parameters, parameters=free))
 
 
-def _judge(fit: RobotFit, problem: RobotProblem, joint: str, unit: str) -> SpringVerdict:
+def _judge(fit: RobotFit, problem: RobotProblem[Any], joint: str, unit: str) -> SpringVerdict:
     """Return whether the records show a joint's spring."""
     stiffness, deviation = fit.value(f"{joint}.stiffness")
     compliance, spread = 1.0 / stiffness, deviation / stiffness**2

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Generic, Self, TypeVar
 
 import numpy as np
 
@@ -18,67 +20,114 @@ from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, decimate_all
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.robot_columns import columns_of
-from jointid.simulation.robot_numbers import NumberPlace
+from jointid.simulation.robot_drive_side import RobotDriveSideRun
+from jointid.simulation.robot_numbers import NumberPlace, RobotNumbers
 from jointid.simulation.robot_sensitivities import differentiate_torques
-from jointid.simulation.robots import RobotInput, RobotLoop, RobotOutcome, RobotRun, motion_at, prepare_robot, run_robot
+from jointid.simulation.robots import (
+    LoopTree,
+    RobotInput,
+    RobotLoop,
+    RobotOutcome,
+    RobotRun,
+    motion_at,
+    prepare_robot,
+    run_robot,
+)
+
+Run = TypeVar("Run", RobotRun, RobotDriveSideRun)
+"""Of one candidate, by whatever simulates it."""
 
 _FEWEST = 16  # parameters whose derivatives are worth a thread
 _FAILED = 1e3  # times the measured torques: the error of a candidate that cannot be simulated
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RobotProblem:
-    """The torques of a robot's records against its loops, simulated from their references.
+class RobotProblem(ABC, Generic[Run]):
+    """The torques of a robot's records against a simulation of it.
 
     Rows are those of one joint after the other, which share their instants, each divided by the joint's `sigma`.
 
     Attributes:
-        experiment: what the loops are driven with.
         measured: (samples, n) torques.
         filtering: resolved.
         parameters: what is identified.
         sigma: (n,) of the joints' errors, by which they weigh.
     """
 
-    experiment: RobotInput
     measured: FloatArray
     filtering: Filtering
     parameters: RobotParameters
     sigma: FloatArray
 
     @property
+    @abstractmethod
+    def tree(self) -> LoopTree:
+        """Of the links, as kernels read it."""
+
+    @property
+    @abstractmethod
+    def sample_time(self) -> float:
+        """Of the log, s."""
+
+    @property
+    @abstractmethod
+    def poses(self) -> FloatArray:
+        """Where the shafts are about in the record, (samples, n)."""
+
+    @abstractmethod
+    def run(self, x: FloatArray, *, keep: bool = True) -> Run:
+        """Simulate a candidate, and keep what its derivatives need."""
+
+    @abstractmethod
+    def error(self, run: Run) -> FloatArray:
+        """Return the filtered error of a run, measured less simulated, (rows,), not weighted."""
+
+    @abstractmethod
+    def slopes(self, run: Run, x: FloatArray) -> FloatArray:
+        """Return the derivatives of a run's filtered torques by what is searched, (rows, free), not weighted."""
+
+    @abstractmethod
+    def regressor(self, run: Run) -> FloatArray:
+        """Return the columns of the motors' equations on the run's motion, filtered, (rows, free), not weighted."""
+
+    @property
     def free(self) -> tuple[Parameter, ...]:
         """The parameters, with bounds of what is searched."""
         return self.parameters.parameters
 
-    @property
-    def sample_time(self) -> float:
-        """Of the log, s."""
-        return self.experiment.clock.sample_time
-
-    def weighted(self, sigma: FloatArray) -> RobotProblem:
+    def weighted(self, sigma: FloatArray) -> Self:
         """Return the problem with other sizes of the joints' errors."""
         return replace(self, sigma=sigma)
 
-    def run(self, x: FloatArray, *, keep: bool = True) -> RobotRun:
-        """Simulate a candidate."""
-        return run_robot(self.experiment, self.parameters.numbers(self.parameters.values(x)), keep=keep)
+    def numbers(self, x: FloatArray) -> RobotNumbers:
+        """Return the numbers of a candidate."""
+        return self.parameters.numbers(self.parameters.values(x))
+
+    def thinned(self, each: Sequence[FloatArray]) -> FloatArray:
+        """Return signals of each joint, (samples,) or (samples, columns), filtered, one after the other."""
+        return np.concatenate(decimate_all(each, self.filtering, self.sample_time))
 
     def decimated(self, signals: FloatArray) -> FloatArray:
         """Return signals, (samples, n), filtered, one joint after the other, (rows,), not weighted."""
-        return np.concatenate(decimate_all(list(signals.T), self.filtering, self.sample_time))
+        return self.thinned(list(signals.T))
 
     def decimated_columns(self, parts: Sequence[tuple[IntArray, FloatArray]]) -> FloatArray:
         """Return the columns of each joint, as `columns_of` gives them, filtered, (rows, parameters), not weighted."""
         count = len(self.parameters.places)
 
-        def filtered(part: tuple[IntArray, FloatArray]) -> FloatArray:
-            (seen,) = decimate_all([part[1]], self.filtering, self.sample_time)
+        def filtered(j: int) -> FloatArray:
+            own, columns = parts[j]
+            seen = self.thinned_joint(j, columns)
             rows = np.zeros((len(seen), count))
-            rows[:, part[0]] = seen
+            rows[:, own] = seen
             return rows
 
-        return np.concatenate(in_threads(filtered, parts))
+        return np.concatenate(in_threads(filtered, range(len(parts))))
+
+    def thinned_joint(self, joint: int, columns: FloatArray) -> FloatArray:
+        """Return columns of one joint, (samples, columns), filtered, (rows, columns)."""
+        del joint
+        return decimate_all([columns], self.filtering, self.sample_time)[0]
 
     def by_joint(self, rows: FloatArray) -> FloatArray:
         """Return rows as (n, instants)."""
@@ -87,34 +136,6 @@ class RobotProblem:
     def weights(self, rows: int) -> FloatArray:
         """Return one over the size of each row's error, (rows,)."""
         return np.repeat(1.0 / self.sigma, rows // self.sigma.size)
-
-    def error(self, run: RobotRun) -> FloatArray:
-        """Return the filtered error of a run, measured less simulated, (rows,), not weighted."""
-        return self.decimated(self.measured - run.torque)
-
-    def slopes(self, run: RobotRun, x: FloatArray) -> FloatArray:
-        """Return the derivatives of a run's filtered torques by what is searched, (rows, free), not weighted."""
-        places = self.parameters.places
-        share = max(math.ceil(len(places) / threads()), _FEWEST)
-
-        def of(some: tuple[NumberPlace, ...]) -> FloatArray:
-            each = differentiate_torques(run, some)
-            return np.concatenate(decimate_all(each, self.filtering, self.sample_time))
-
-        J = np.column_stack(in_threads(of, [places[i : i + share] for i in range(0, len(places), share)]))
-        return np.asarray(J * np.where(self.parameters.logarithmic, self.parameters.values(x), 1.0))
-
-    def regressor(self, run: RobotRun) -> FloatArray:
-        """Return the columns of the motors' equations on the simulated motion, filtered, (rows, free), not weighted."""
-        begun, rotors = self.experiment.clock.begun, run.numbers.rotors
-        left, parts = list(range(rotors.size)), dict[int, tuple[IntArray, FloatArray]]()
-        while left:  # torques that begin to act together
-            together = [j for j in left if np.array_equal(begun[j], begun[left[0]])]
-            motion = motion_at(run, begun[together[0]])
-            found = columns_of(self.experiment.tree, run.numbers, self.parameters.places, motion, rotors[together])
-            parts |= dict(zip(together, found, strict=True))
-            left = [j for j in left if j not in together]
-        return self.decimated_columns([parts[j] for j in range(rotors.size)])
 
     def residual(self, x: FloatArray) -> FloatArray:
         """Return the weighted residual, (rows,); large where the candidate cannot be simulated."""
@@ -138,10 +159,70 @@ class RobotProblem:
         seen = self.decimated(self.measured)
         return _FAILED * seen * self.weights(seen.size)
 
+    def in_blocks(self, of: Callable[[tuple[NumberPlace, ...]], FloatArray]) -> FloatArray:
+        """Return columns of all parameters, (rows, parameters), some at a time in threads."""
+        places = self.parameters.places
+        share = max(math.ceil(len(places) / threads()), _FEWEST)
+        return np.column_stack(in_threads(of, [places[i : i + share] for i in range(0, len(places), share)]))
+
+    def by_searched(self, columns: FloatArray, x: FloatArray) -> FloatArray:
+        """Return derivatives by the parameters, (rows, free), as those by what is searched."""
+        return np.asarray(columns * np.where(self.parameters.logarithmic, self.parameters.values(x), 1.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotLoopProblem(RobotProblem[RobotRun]):
+    """The torques of a robot's records against its loops, simulated from their references.
+
+    Attributes:
+        experiment: what the loops are driven with.
+    """
+
+    experiment: RobotInput
+
+    @property
+    def tree(self) -> LoopTree:
+        """Of the links."""
+        return self.experiment.tree
+
+    @property
+    def sample_time(self) -> float:
+        """Of the log, s."""
+        return self.experiment.clock.sample_time
+
+    @property
+    def poses(self) -> FloatArray:
+        """The references, (samples, n)."""
+        return self.experiment.references
+
+    def run(self, x: FloatArray, *, keep: bool = True) -> RobotRun:
+        """Simulate a candidate."""
+        return run_robot(self.experiment, self.numbers(x), keep=keep)
+
+    def error(self, run: RobotRun) -> FloatArray:
+        """Return the filtered error of a run, measured less simulated, (rows,), not weighted."""
+        return self.decimated(self.measured - run.torque)
+
+    def slopes(self, run: RobotRun, x: FloatArray) -> FloatArray:
+        """Return the derivatives of a run's filtered torques by what is searched, (rows, free), not weighted."""
+        return self.by_searched(self.in_blocks(lambda some: self.thinned(differentiate_torques(run, some))), x)
+
+    def regressor(self, run: RobotRun) -> FloatArray:
+        """Return the columns of the motors' equations on the simulated motion, filtered, (rows, free), not weighted."""
+        begun, rotors = self.experiment.clock.begun, run.numbers.rotors
+        left, parts = list(range(rotors.size)), dict[int, tuple[IntArray, FloatArray]]()
+        while left:  # torques that begin to act together
+            together = [j for j in left if np.array_equal(begun[j], begun[left[0]])]
+            motion = motion_at(run, begun[together[0]])
+            found = columns_of(self.tree, run.numbers, self.parameters.places, motion, rotors[together])
+            parts |= dict(zip(together, found, strict=True))
+            left = [j for j in left if j not in together]
+        return self.decimated_columns([parts[j] for j in range(rotors.size)])
+
 
 def robot_problem(
     loop: RobotLoop, records: Sequence[Record], parameters: RobotParameters, filtering: Filtering | None = None
-) -> RobotProblem:
+) -> RobotLoopProblem:
     """Return the problem of reproducing the torques of a robot's records by simulating its loops.
 
     Raises:
@@ -158,4 +239,4 @@ def robot_problem(
         raise MethodError(f"The torque of {', '.join(dead)} is 0 throughout; log it, or leave its joint out.")
     model = "flexible" if any(loop.robot.flexible) else "rigid"
     resolved = (filtering or Filtering()).resolved(experiment.clock.sample_time, model)
-    return RobotProblem(experiment, measured, resolved, parameters, np.std(measured, axis=0) + 1e-300)
+    return RobotLoopProblem(measured, resolved, parameters, np.std(measured, axis=0) + 1e-300, experiment)

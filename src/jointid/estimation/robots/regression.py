@@ -25,6 +25,7 @@ from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import (
     Filtering,
+    decimate_all,
     differentiate,
     differentiate_twice,
     lowpass,
@@ -58,33 +59,39 @@ class RobotMotion:
 
     def thinned(self, columns: FloatArray) -> FloatArray:
         """Return columns, (samples, n, columns), decimated: (n instants, columns), joint after joint, 0 at rest."""
-        first, last = self.filtering.borders
-        inside = slice(first, len(columns) - last)
-        seen = through_window(columns.transpose(1, 0, 2), self.filtering)[:, inside]
-        return self._decimated(seen, inside)
+        seen = through_window(columns.transpose(1, 0, 2), self.filtering)
+        return np.concatenate([self.decimated(j, equation) for j, equation in enumerate(seen)])
 
     def thinned_torque(self) -> FloatArray:
         """Return the torques decimated, (n instants,), joint after joint, 0 at rest."""
+        return np.concatenate([self.decimated(j, each[:, np.newaxis]) for j, each in enumerate(self.torque.T)])[:, 0]
+
+    @property
+    def inside(self) -> slice:
+        """The samples that no border of the filters reaches."""
         first, last = self.filtering.borders
-        inside = slice(first, len(self.torque) - last)
-        return self._decimated(self.torque[inside].T[:, :, np.newaxis], inside)[:, 0]
+        return slice(first, len(self.torque) - last)
 
-    def _decimated(self, equations: FloatArray, inside: slice) -> FloatArray:
-        found = []
-        for equation, moving in zip(equations, self.moving[inside].T, strict=True):
-            rows = self.filtering.decimate(equation * moving[:, np.newaxis], self.sample_time)
-            rows[self.filtering.decimate(moving, self.sample_time) <= _TOLD] = 0.0
-            found.append(rows)
-        return np.concatenate(found)
+    def decimated(self, joint: int, columns: FloatArray) -> FloatArray:
+        """Return columns of a joint's equation, (samples, columns), decimated, (rows, columns), 0 at rest."""
+        moving = self.moving[self.inside, joint]
+        rows, whole = decimate_all(
+            [columns[self.inside] * moving[:, np.newaxis], moving], self.filtering, self.sample_time
+        )
+        return np.where(whole[:, np.newaxis] <= _TOLD, 0.0, rows)
 
 
-def motion_of_robot(robot: Robot, records: Sequence[Record], filtering: Filtering) -> RobotMotion:
+def motion_of_robot(
+    robot: Robot, records: Sequence[Record], filtering: Filtering, said: str = "IDIM of a robot", model: str = "rigid"
+) -> RobotMotion:
     """Return the motion of a robot and its motors' torques.
 
     Args:
         robot: whose coupling takes the motors' positions to the joints'.
         records: of each joint, with torque and motor position behind the gear, on one clock.
         filtering: of positions and rows.
+        said: the method, in the words of an error.
+        model: of the joints, whose cut-offs are taken where there are none: "rigid" or "flexible".
 
     Raises:
         RecordError: a channel is missing, or the joints' records have not one clock.
@@ -94,9 +101,7 @@ def motion_of_robot(robot: Robot, records: Sequence[Record], filtering: Filterin
     channels, positions = [], []
     for joint, link, record in zip(robot.joints, robot.links, records, strict=True):
         try:
-            torque, (position,) = torque_and_positions(
-                record, RigidJoint(link.kind), ("motor_position",), "IDIM of a robot"
-            )
+            torque, (position,) = torque_and_positions(record, RigidJoint(link.kind), ("motor_position",), said)
         except RecordError as error:
             raise RecordError([f"{joint.name}: {fault}" for fault in error.faults]) from error
         channels.append(torque)
@@ -108,7 +113,7 @@ def motion_of_robot(robot: Robot, records: Sequence[Record], filtering: Filterin
             "sample time: resample them."
         )
     sample_time, size = channels[0].sample_time, min(map(len, positions))
-    filtering = filtering.resolved(sample_time)
+    filtering = filtering.resolved(sample_time, model)
     assert filtering.position_cutoff is not None
     motors = np.column_stack([position[:size] for position in positions])
     smooth = lowpass(motors, filtering.position_cutoff, sample_time)

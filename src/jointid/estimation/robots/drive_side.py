@@ -1,0 +1,206 @@
+"""The drive side of a robot: its flexible joints from motor torques and motor positions, whatever its controllers are.
+
+The motors' positions are filtered and prescribed, the links simulated on their springs, and the torques that this takes
+compared with those that were logged (`simulation.robot_drive_side`), through one window and one filter. Where a motor
+rests or turns round its row is left out, as in IDIM. The search is that of the closed loop (`flexible`), begun from a
+robot of rigid joints, which here is a regression on the measured motion.
+
+Beside the robot's parameters two of the record are searched: by how much the log shows the torques late, one number for
+all joints, which else would be taken for the springs' damping; and where motors move at the first sample the links'
+position and velocity there, beside those of steady motion.
+
+Noise of the positions is not modelled: what the filter leaves of it pulls the values, as in IDIM by least squares.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.messages import Progress
+from jointid.common.parameters import Parameter, Quantity
+from jointid.estimation.problems.base import log_delay as delay_of_log
+from jointid.estimation.problems.rest import moving_weights
+from jointid.estimation.robots.didim import fixed_point
+from jointid.estimation.robots.flexible import SLOW, FlexibleRobotFit, require_springs, search_springs
+from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
+from jointid.estimation.robots.problem import RobotProblem
+from jointid.estimation.robots.regression import RobotMotion, motion_of_robot
+from jointid.models.robots.robot import Robot
+from jointid.records.record import Record
+from jointid.records.signals.filtering import Filtering, window_parts
+from jointid.simulation.robot_columns import columns_of
+from jointid.simulation.robot_drive_side import (
+    PARTS,
+    MotorMotion,
+    RobotDriveSideRun,
+    differentiate_drive_side,
+    prescribe_motion,
+    run_drive_side,
+)
+from jointid.simulation.robot_numbers import Bools, NumberOf, NumberPlace
+from jointid.simulation.robots import LoopTree
+
+_ITERATIONS = 5  # of the robot of rigid joints, which is linear: the second finds nothing left to move
+_DELAY = NumberPlace(NumberOf.LOG, 0, 0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotDriveSideProblem(RobotProblem[RobotDriveSideRun]):
+    """The torques of a robot's records along its motors' own motion.
+
+    Attributes:
+        motion: as it was measured. prescribed: the motors' motion.
+    """
+
+    motion: RobotMotion
+    prescribed: MotorMotion
+
+    @property
+    def tree(self) -> LoopTree:
+        """Of the links."""
+        return self.prescribed.tree
+
+    @property
+    def sample_time(self) -> float:
+        """Of the log, s."""
+        return self.motion.sample_time
+
+    @property
+    def poses(self) -> FloatArray:
+        """The motors' positions, (samples, n)."""
+        return self.prescribed.position[::PARTS]
+
+    def run(self, x: FloatArray, *, keep: bool = True) -> RobotDriveSideRun:
+        """Simulate a candidate; its tape is kept anyway."""
+        del keep
+        return run_drive_side(self.prescribed, self.numbers(x))
+
+    def error(self, run: RobotDriveSideRun) -> FloatArray:
+        """Return the filtered error of a run, measured less predicted, (rows,), not weighted."""
+        return self.decimated(self.measured - self._seen(run, run.torque))
+
+    def slopes(self, run: RobotDriveSideRun, x: FloatArray) -> FloatArray:
+        """Return the derivatives of a run's filtered torques by what is searched, (rows, free), not weighted."""
+
+        def of(some: tuple[NumberPlace, ...]) -> FloatArray:
+            moved = differentiate_drive_side(run, some)
+            return self.thinned([self._seen(run, moved[:, j]) for j in range(moved.shape[1])])
+
+        columns = self.in_blocks(of) + self.regressor(run)
+        if _DELAY in self.parameters.places:
+            late = self.decimated(self._seen(run, run.torque, 1) / self.sample_time)
+            columns[:, self.parameters.places.index(_DELAY)] = late
+        return self.by_searched(columns, x)
+
+    def regressor(self, run: RobotDriveSideRun) -> FloatArray:
+        """Return the columns of the motors' equations on the run's motion, filtered, (rows, free), not weighted."""
+        parts = columns_of(self.tree, run.numbers, self.parameters.places, run.motion, run.numbers.rotors)
+        return self.decimated_columns([(own, self._seen(run, columns)) for own, columns in parts])
+
+    def thinned(self, each: Sequence[FloatArray]) -> FloatArray:
+        """Return signals of each joint, (samples,) or (samples, columns), filtered, one after the other, 0 at rest."""
+        rows = [self.thinned_joint(j, one.reshape(len(one), -1)) for j, one in enumerate(each)]
+        return np.concatenate([row[:, 0] if one.ndim == 1 else row for row, one in zip(rows, each, strict=True)])
+
+    def thinned_joint(self, joint: int, columns: FloatArray) -> FloatArray:
+        """Return columns of one joint, (samples, columns), filtered, (rows, columns), 0 at rest."""
+        return self.motion.decimated(joint, columns)
+
+    def _seen(self, run: RobotDriveSideRun, parts: FloatArray, order: int = 0) -> FloatArray:
+        """Return means over the parts, (parts, columns), through the torques' window, as late as the log shows them.
+
+        The window takes a signal for constant within a part. What this takes from a curved one is put back.
+        """
+        late = float(run.numbers.log[0, 0]) / self.sample_time if run.numbers.log.size else 0.0
+        curved = parts.copy()
+        curved[1:-1] -= np.diff(parts, 2, axis=0) / 12.0
+        return window_parts(curved, PARTS, late, order)
+
+
+def drive_side_problem(
+    robot: Robot,
+    records: Sequence[Record],
+    parameters: RobotParameters,
+    filtering: Filtering | None = None,
+    delay: float | None = 0.0,
+) -> RobotDriveSideProblem:
+    """Return the problem of reproducing the torques of a robot's records along its motors' motion.
+
+    Args:
+        robot: that moves.
+        records: of each joint, with torque and motor position behind the gear, on one clock.
+        parameters: of the robot.
+        filtering: of positions and torques.
+        delay: s, by which the log shows the torques late; None to search it.
+
+    Raises:
+        RecordError: a channel is missing, or the joints' records have not one clock.
+    """
+    model = "flexible" if any(robot.flexible) else "rigid"
+    motion = motion_of_robot(robot, records, filtering or Filtering(), "The drive side of a robot", model)
+    resting = np.array([moving_weights(each)[0] == 0.0 for each in (motion.v @ robot.coupling.T).T])
+    prescribed = prescribe_motion(robot, motion.q @ robot.coupling.T, motion.sample_time, resting)
+    sigma = np.std(motion.torque, axis=0) + 1e-300
+    parameters = _of_record(parameters, robot, resting, delay_of_log(delay, motion.sample_time))
+    return RobotDriveSideProblem(motion.torque, motion.filtering, parameters, sigma, motion, prescribed)
+
+
+def _of_record(parameters: RobotParameters, robot: Robot, resting: Bools, delay: Parameter) -> RobotParameters:
+    """Return parameters with those of the record: the log's delay, and the links' first state where motors move."""
+    n = len(robot)
+    more = [(delay, _DELAY)] if delay.free else []
+    for j in np.flatnonzero(np.array(robot.flexible) & ~resting):
+        for column, (word, quantity) in enumerate((("position", Quantity.POSITION), ("velocity", Quantity.VELOCITY))):
+            name = f"{robot.joints[j].name}.initial_link_{word}"
+            more.append((Parameter(name, f"initial_{word}", quantity), NumberPlace(NumberOf.BESIDE, int(j), column)))
+    log = np.array([[0.0 if delay.free else delay.start]])
+    return replace(
+        parameters,
+        parameters=(*parameters.parameters, *(one for one, _ in more)),
+        places=(*parameters.places, *(place for _, place in more)),
+        logarithmic=np.append(parameters.logarithmic, np.zeros(len(more), dtype=np.bool_)),
+        base=replace(parameters.base, beside=np.zeros((n, 2)), log=log),
+        grouping=np.vstack([parameters.grouping, np.zeros((len(more), len(parameters.dropped)))]),
+    )
+
+
+def identify_flexible_drive_side(
+    robot: Robot,
+    records: Sequence[Record],
+    filtering: Filtering | None = None,
+    *,
+    frequencies: Mapping[str, float] | None = None,
+    offsets: bool = True,
+    evaluations: int = 60,
+    delay: float | None = None,
+    progress: Progress = lambda _: None,
+) -> FlexibleRobotFit:
+    """Identify a robot, of which some joints are flexible, from motor torques and positions; references are not read.
+
+    Args:
+        robot: whose joints with a spring are flexible. Of its numbers only the links' places and gravity are read.
+        records: one for each joint, with torque and motor position behind the gear, of one log; to show a spring the
+            motion must excite its mode, as a multisine on top of it does.
+        filtering: of positions and torques; the torques' cut-off above the modes, the positions' five times that.
+        frequencies: Hz, see `identify_flexible_robot`.
+        offsets: whether each motor has a constant torque that is identified, too.
+        evaluations: simulations with derivatives, at most, of each search.
+        delay: s, by which the log shows torques later than positions; None to identify it.
+        progress: is told the steps.
+
+    Raises:
+        RecordError: a channel is missing, or the joints' records have not one clock.
+        MethodError: as of `identify_flexible_robot`.
+    """
+    stiff = replace(robot, joints=tuple(replace(joint, spring=None) for joint in robot.joints))
+    parameters = robot_parameters(robot, offsets=offsets, logarithmic=True)
+    problem = drive_side_problem(robot, records, parameters, filtering, delay)
+    require_springs(robot, problem.sample_time, frequencies)
+    slow = drive_side_problem(stiff, records, robot_parameters(stiff, offsets=offsets), SLOW)
+    x = np.zeros(len(slow.free))
+    rigid = fixed_point(slow, x, slow.run(x), _ITERATIONS, progress)
+    return search_springs(problem, robot, rigid, frequencies, evaluations, progress)
