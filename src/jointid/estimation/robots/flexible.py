@@ -18,7 +18,7 @@ gyroscopic torques are left out [Spong 1987].
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -143,7 +143,9 @@ def identify_flexible_robot(
     problem = robot_problem(loop, records, parameters, filtering)
     require_springs(robot, problem.sample_time, frequencies)
     rigid = identify_rigid_robot(loop, records, SLOW, offsets=offsets, progress=progress)
-    return search_springs(problem, robot, rigid, frequencies, evaluations, progress)
+    return search_springs(
+        problem, robot, rigid, lambda start: frequencies or start.search(progress), evaluations, progress
+    )
 
 
 def require_springs(robot: Robot, sample_time: float, frequencies: Mapping[str, float] | None) -> None:
@@ -169,7 +171,7 @@ def search_springs(
     problem: RobotProblem[Any],
     robot: Robot,
     rigid: RobotFit,
-    frequencies: Mapping[str, float] | None,
+    look: Callable[[StartOfSprings], Mapping[str, float]],
     evaluations: int,
     progress: Progress,
 ) -> FlexibleRobotFit:
@@ -179,7 +181,7 @@ def search_springs(
         problem: of the flexible robot.
         robot: that is identified.
         rigid: what was found of it with stiff joints, below the modes.
-        frequencies: of the flexible joints, Hz, or None to look for them.
+        look: for the frequencies of the flexible joints at which the search is to begin, Hz, in the robot split.
         evaluations: at most, of each search.
         progress: is told the steps.
 
@@ -189,7 +191,7 @@ def search_springs(
     parameters, flexible = problem.parameters, _springs(robot)
     problem = problem.weighted(joint_sizes(problem, problem.error(rigid.run), rigid.values.size, _least(problem)))
     start = StartOfSprings.of(problem, rigid, robot.names)
-    hertz = frequencies or start.search(progress)
+    hertz = look(start)
     problem = _bounded(problem, start)
     values = start.values(hertz)
     x, reach = parameters.searched(values), _reach(parameters, values)
