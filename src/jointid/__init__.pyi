@@ -28,9 +28,11 @@ from .estimation.robots.consistent import consistent_robot
 from .estimation.robots.drive_gains import identify_drive_gains
 from .estimation.robots.idim import RobotEstimate, RobotIDIM, identify_robot
 from .estimation.robots.payload import identify_payload
-from .estimation.robots.torque_only import (
+from .estimation.robots.torque_estimate import (
     RobotDIDIM,
+    RobotDriveSideFit,
     RobotTorqueEstimate,
+    identify_robot_drive_side,
     identify_robot_from_torques,
     validate_robot_torques,
 )
@@ -110,6 +112,7 @@ __all__ = [
     "Robot",
     "RobotDIDIM",
     "RobotDiagnosis",
+    "RobotDriveSideFit",
     "RobotEstimate",
     "RobotFile",
     "RobotIDIM",
@@ -148,6 +151,7 @@ __all__ = [
     "identify_drive_gains",
     "identify_payload",
     "identify_robot",
+    "identify_robot_drive_side",
     "identify_robot_from_torques",
     "inspect",
     "intervals",

@@ -25,7 +25,7 @@ from jointid.config.loading import apply_changes, parse_toml
 from jointid.config.robot_file import RobotFile
 from jointid.estimation.result.answer import Trust
 from jointid.estimation.robots.idim import KNOWN, RobotEstimate, RobotIDIM
-from jointid.estimation.robots.torque_only import RobotTorqueEstimate
+from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
 from jointid.models.robots.base_parameters import FRICTION
 from jointid.records.record import Record
 from jointid.simulation.robot_numbers import RobotNumbers

@@ -32,7 +32,13 @@ from jointid.config.schema import CONSTANT, ControllerTable, FilteringTable, Tra
 from jointid.config.schema_record import ChannelsTable, DriveTable, RecordTable
 from jointid.config.table import Number, Positive, Table, Text, keys_from, sentences, with_unit
 from jointid.estimation.robots.idim import RobotEstimate, RobotIDIM, identify_robot
-from jointid.estimation.robots.torque_only import RobotDIDIM, RobotTorqueEstimate, identify_robot_from_torques
+from jointid.estimation.robots.torque_estimate import (
+    RobotDIDIM,
+    RobotDriveSideFit,
+    RobotTorqueEstimate,
+    identify_robot_drive_side,
+    identify_robot_from_torques,
+)
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
 from jointid.planning.robots.motions import JointLimits
 from jointid.records.record import Record
@@ -105,29 +111,34 @@ class RobotJointTable(Table):
         return replace(joint, **given)
 
 
-@keys_from(RobotIDIM, RobotDIDIM, types={"fixed": (NumbersByName, dict)})
-class RobotMethodTable(Table):
-    """[method]: how the robot is identified; some keys are for one method only."""
+RobotMethod: TypeAlias = RobotIDIM | RobotDIDIM | RobotDriveSideFit
+_METHODS: dict[str, type] = {"idim": RobotIDIM, "didim": RobotDIDIM, "drive_side": RobotDriveSideFit}
 
-    name: Literal["idim", "didim"] | None = Field(
+
+@keys_from(*_METHODS.values(), types={"fixed": (NumbersByName, dict), "frequencies": (NumbersByName, dict)})
+class RobotMethodTable(Table):
+    """[method]: how the robot is identified; some keys are for some methods only."""
+
+    name: Literal["idim", "didim", "drive_side"] | None = Field(
         None,
-        description="idim, from motor positions and torques, or didim, from torques and references; without it idim "
-        "where [record.channels] or a joint has a motor_position",
+        description="idim, from motor positions and torques, didim, from torques and references, or drive_side, of "
+        "flexible joints from motor positions and torques; without it idim where [record.channels] or a joint has a "
+        "motor_position, and drive_side where a joint has a spring, too",
     )
 
-    def method(self, measured: bool) -> RobotIDIM | RobotDIDIM:
+    def method(self, measured: bool, flexible: bool) -> RobotMethod:
         """Return the method that is named, or, of records with motor positions or without, the one they are for.
 
         Raises:
-            JointFileError: a key is of the other method.
+            JointFileError: a key is of another method.
         """
-        name = self.name or ("idim" if measured else "didim")
-        own, other = (RobotIDIM, RobotDIDIM) if name == "idim" else (RobotDIDIM, RobotIDIM)
-        given = self.settings("name")
-        for one in settings_of(other):
-            if one.name in given:
-                raise JointFileError(f"method.{one.name} is a setting of another method than {name}; leave it out.")
-        return own(**{one.name: given[one.name] for one in settings_of(own) if one.name in given})
+        name = self.name or ("didim" if not measured else "drive_side" if flexible else "idim")
+        given, own = self.settings("name"), {one.name for one in settings_of(_METHODS[name])}
+        for key in given:
+            if key not in own:
+                raise JointFileError(f"method.{key} is a setting of another method than {name}; leave it out.")
+        method: RobotMethod = _METHODS[name](**given)
+        return method
 
 
 class RobotFileTable(Table):
@@ -151,7 +162,7 @@ class RobotFile:
         robot: the model, with what the file says of its joints; gravity as the base stands.
         joints: the joint file of each joint: channels, transmission, controller.
         filtering: how signals are filtered.
-        method: how the robot is identified: by IDIM, or by DIDIM from torques and references.
+        method: how the robot is identified: by IDIM, by DIDIM from torques and references, or on the drive side.
         feed_forward: what the drives are given beside the controllers' torque.
         limits: what each joint may do in a test that is planned.
         in_motion: whether the records begin while the robot moves.
@@ -162,7 +173,7 @@ class RobotFile:
     robot: Robot
     joints: tuple[JointFile, ...]
     filtering: Filtering
-    method: RobotIDIM | RobotDIDIM
+    method: RobotMethod
     feed_forward: FeedForward
     limits: tuple[JointLimits, ...]
     in_motion: bool
@@ -188,10 +199,10 @@ class RobotFile:
         if faults:
             raise JointFileError(faults)
         robot = _robot(said, path.parent)
-        method = said.method.method(_has_positions(raw))
+        method = said.method.method(_has_positions(raw), any(robot.flexible))
         return cls(
             robot,
-            _joint_files(raw, robot, path, "idim" if isinstance(method, RobotIDIM) else "didim"),
+            _joint_files(raw, robot, path, "didim" if isinstance(method, RobotDIDIM) else "idim"),
             said.filtering.build(),
             method,
             said.robot.feed_forward,
@@ -300,8 +311,12 @@ class RobotFile:
             progress: is told how a search goes.
 
         Raises:
-            RecordError, MethodError: see `identify_robot` and `identify_robot_from_torques`.
+            RecordError, MethodError: see `identify_robot`, `identify_robot_from_torques`, `identify_robot_drive_side`.
         """
+        if isinstance(self.method, RobotDriveSideFit):
+            return identify_robot_drive_side(
+                self.robot, records, self.method, filtering=self.filtering, progress=progress
+            )
         if isinstance(self.method, RobotIDIM):
             loop = self.loop if self._simulates else None
             return identify_robot(self.robot, records, self.method, filtering=self.filtering, loop=loop)
@@ -310,7 +325,9 @@ class RobotFile:
     @property
     def _simulates(self) -> bool:
         """True if the method simulates the robot under its controllers."""
-        return not isinstance(self.method, RobotIDIM) or self.method.estimator == "iv"
+        return isinstance(self.method, RobotDIDIM) or (
+            isinstance(self.method, RobotIDIM) and self.method.estimator == "iv"
+        )
 
     def write(self, records: Sequence[Record], path: str | os.PathLike[str]) -> None:
         """Write one record of each joint into a file that `records` reads; channels without a column as JOINT.CHANNEL.

@@ -14,7 +14,7 @@ from jointid.diagnostics.robots.parameters import Told, parameters_by_joint
 from jointid.diagnostics.robots.torques import DIRECTION, FRICTION
 from jointid.estimation.robots.didim import identify_rigid_robot
 from jointid.estimation.robots.idim import RobotIDIM, identify_robot
-from jointid.estimation.robots.torque_only import identify_robot_from_torques
+from jointid.estimation.robots.torque_estimate import identify_robot_from_torques
 from jointid.models.controllers import Controller
 from jointid.records.record import Record
 from jointid.simulation.robots import RobotLoop, add_feed_forward, robot_records, simulate_robot

@@ -9,7 +9,7 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.estimation.robots.flexible import FlexibleRobotFit, identify_flexible_robot
-from jointid.estimation.robots.torque_only import identify_robot_from_torques
+from jointid.estimation.robots.torque_estimate import identify_robot_from_torques
 from jointid.models.robots.robot import JointSpring
 from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.robots import RobotLoop, simulate_robot

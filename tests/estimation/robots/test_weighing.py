@@ -13,7 +13,7 @@ from jointid.estimation.robots.drive_gains import identify_drive_gains
 from jointid.estimation.robots.flexible import SpringVerdict
 from jointid.estimation.robots.idim import RobotIDIM, identify_robot
 from jointid.estimation.robots.payload import payload_difference, payload_of_torques
-from jointid.estimation.robots.torque_only import identify_robot_from_torques
+from jointid.estimation.robots.torque_estimate import identify_robot_from_torques
 from jointid.estimation.robots.weighing import WeighedPayload, weigh_payload, weigh_payload_from_torques
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Robot

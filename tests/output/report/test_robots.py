@@ -9,8 +9,8 @@ import numpy as np
 
 from jointid.estimation.robots.flexible import SpringVerdict
 from jointid.estimation.robots.idim import identify_robot
-from jointid.estimation.robots.torque_only import RobotDIDIM, RobotTorqueEstimate
-from jointid.estimation.robots.torque_only import identify_robot_from_torques as identify
+from jointid.estimation.robots.torque_estimate import RobotDIDIM, RobotTorqueEstimate
+from jointid.estimation.robots.torque_estimate import identify_robot_from_torques as identify
 from jointid.output.report.robots import RobotReport
 from jointid.records.record import Record
 from jointid.simulation.robots import robot_records, simulate_robot

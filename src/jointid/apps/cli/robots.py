@@ -16,7 +16,7 @@ from jointid.common.messages import Progress, silent
 if TYPE_CHECKING:
     from jointid.config.robot_file import RobotFile
     from jointid.estimation.robots.idim import RobotEstimate
-    from jointid.estimation.robots.torque_only import RobotTorqueEstimate
+    from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
     from jointid.estimation.robots.validation import RobotValidation
     from jointid.records.record import Record
 
@@ -99,12 +99,12 @@ def validate_robot_file(path: Path, options: Options, outputs: Outputs) -> None:
 def _held_out(file: RobotFile, estimate: RobotEstimate | RobotTorqueEstimate, other: Path) -> RobotValidation:
     """Hold an estimate against another record than its own."""
     from jointid.estimation.robots.idim import RobotEstimate
-    from jointid.estimation.robots.torque_only import validate_robot_torques
+    from jointid.estimation.robots.torque_estimate import validate_robot_torques
     from jointid.estimation.robots.validation import validate_robot
 
     if isinstance(estimate, RobotEstimate):
         return validate_robot(estimate, file.records(other))
-    return validate_robot_torques(estimate, file.driven(other))
+    return validate_robot_torques(estimate, file.to_identify(other))
 
 
 def diagnose_robot_file(path: Path, options: Options) -> None:
@@ -182,12 +182,18 @@ def payload(
     """
     from jointid.estimation.robots.drive_gains import identify_drive_gains
     from jointid.estimation.robots.idim import RobotIDIM
+    from jointid.estimation.robots.torque_estimate import RobotDriveSideFit
     from jointid.estimation.robots.weighing import weigh_payload, weigh_payload_from_torques
 
     outputs = Outputs({"--json": json})
     outputs.spare("--without", without)
     outputs.spare("--with", with_)
     file = _loaded(robot, changes, outputs)
+    if isinstance(file.method, RobotDriveSideFit):
+        raise MethodError(
+            "A payload is weighed by IDIM or by DIDIM, and this robot file is identified on the drive side; add "
+            "--set method.name=idim, whose filter is to be well below the modes."
+        )
     if not isinstance(file.method, RobotIDIM):
         if mass is not None:
             raise MethodError(
@@ -221,7 +227,7 @@ def export_robot_file(path: Path, changes: Sequence[str], out: Path) -> None:
     _, _, estimate = _identified(path, changes, Outputs({"--out": out}), silent)
     if not isinstance(estimate, RobotEstimate):
         raise MethodError(
-            "Bodies are fitted to an estimate by IDIM, of motor positions, and this robot file asks for DIDIM; add "
+            "Bodies are fitted to an estimate by IDIM, of motor positions, and this robot file asks for another; add "
             "--set method.name=idim, with a record that has them."
         )
     found = consistent_robot(estimate)

@@ -22,7 +22,7 @@ from jointid.diagnostics.law_on_position import LawOnPosition, compare_law
 from jointid.diagnostics.robots.parameters import ParameterOfJoint, Told, parameters_by_joint
 from jointid.diagnostics.robots.torques import RobotTorques, torques_of
 from jointid.estimation.robots.idim import RobotEstimate
-from jointid.estimation.robots.torque_only import RobotTorqueEstimate
+from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
 from jointid.models.controllers import Controller
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.robots.robot import Robot
@@ -306,8 +306,8 @@ def diagnose_robot(
     that is told as following one shape may follow others that look alike on this motion.
     """
     robot, torques, parameters = estimate.robot, torques_of(estimate, records), parameters_by_joint(estimate)
-    if not controllers and isinstance(estimate, RobotTorqueEstimate):
-        controllers = estimate.loop.controllers
+    if not controllers and isinstance(estimate, RobotTorqueEstimate) and isinstance(estimate.closing, RobotLoop):
+        controllers = estimate.closing.controllers
     laws = _laws(robot, records, controllers)
     joints = []
     for k, name in enumerate(robot.names):

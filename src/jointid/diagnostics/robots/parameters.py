@@ -13,7 +13,7 @@ from enum import StrEnum
 import numpy as np
 
 from jointid.estimation.robots.idim import KNOWN, RobotEstimate
-from jointid.estimation.robots.torque_only import RobotTorqueEstimate
+from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
 from jointid.simulation.robot_numbers import NumberOf, RobotNumbers
 
 _ROUGHLY = 1.0  # relative deviation

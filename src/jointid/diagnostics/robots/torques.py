@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.estimation.robots.idim import RobotEstimate
-from jointid.estimation.robots.problem import robot_problem
+from jointid.estimation.robots.numbers import robot_parameters
+from jointid.estimation.robots.problem import RobotLoopProblem
 from jointid.estimation.robots.regression import base_rows, motion_of_robot
-from jointid.estimation.robots.torque_only import RobotTorqueEstimate
+from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate, problem_of
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
-from jointid.records.signals.filtering import Filtering, decimate_all
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.robots import simulation_of
 
-_WHOLE = 0.9  # of the weight of a row whose samples are all seen, as a filter leaves it
 _SLOW = 0.1  # of the largest speed: where friction may rise towards standstill
 _HARMONICS = 4  # of the travel
 
@@ -88,8 +88,7 @@ def _by_inverse_model(estimate: RobotEstimate, records: Sequence[Record]) -> Rob
     rows = base_rows(robot, estimate.base, motion)
     coupling = robot.coupling.T
     q, v, a = (one @ coupling for one in (motion.q, motion.v, motion.a))
-    # A row beside one that is left out has some of that in it, and less noise: whole ones alone are judged.
-    seen = motion.thinned(np.ones((*motion.q.shape, 1)))[:, 0].reshape(len(robot), -1) > _WHOLE
+    seen = motion.whole_rows
 
     def thin(columns: FloatArray) -> FloatArray:
         return motion.thinned(columns).reshape(len(robot), -1, columns.shape[2])
@@ -105,17 +104,26 @@ def _by_inverse_model(estimate: RobotEstimate, records: Sequence[Record]) -> Rob
 
 
 def _by_simulation(estimate: RobotTorqueEstimate, records: Sequence[Record]) -> RobotTorques:
-    robot, run = estimate.robot, estimate.fit.run
-    problem = robot_problem(estimate.loop, records, estimate.fit.parameters, estimate.filtering)
-    motion, rotors = simulation_of(run).motion, run.numbers.rotors
+    robot, numbers = estimate.robot, estimate.numbers()
+    problem = problem_of(estimate.closing, records, robot_parameters(robot), estimate.filtering)
     measured = problem.by_joint(problem.decimated(problem.measured))
-    predicted = measured - problem.by_joint(problem.error(run))
+    error = problem.error_of(numbers)
+    assert error is not None  # it was identified from these records
+    predicted = measured - problem.by_joint(error)
 
     def thin(columns: FloatArray) -> FloatArray:
-        return np.stack(decimate_all(list(np.moveaxis(columns, 1, 0)), problem.filtering, problem.sample_time))
+        whole = problem.thinned(list(np.moveaxis(columns, 1, 0)))
+        return whole.reshape(len(robot), -1, columns.shape[2])
 
-    q, v, a = (one[:, rotors] for one in (motion.position, motion.velocity, motion.acceleration))
-    seen = np.ones(measured.shape, dtype=np.bool_)
+    if isinstance(problem, RobotLoopProblem):
+        moved = simulation_of(problem.simulate(numbers)).motion
+        motion = moved.position, moved.velocity, moved.acceleration
+        q, v, a = (one[:, numbers.rotors] for one in motion)
+        seen = np.ones(measured.shape, dtype=np.bool_)
+    else:
+        coupling = robot.coupling.T
+        q, v, a = (one @ coupling for one in (problem.motion.q, problem.motion.v, problem.motion.a))
+        seen = problem.motion.whole_rows
     return _torques(
         robot, problem.filtering, problem.sample_time, (measured, predicted, None), seen,
         thin(np.stack([q, v], axis=2)), (q, v, a), problem.measured, thin,

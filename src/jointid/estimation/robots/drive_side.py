@@ -43,7 +43,7 @@ from jointid.simulation.robot_drive_side import (
     prescribe_motion,
     run_drive_side,
 )
-from jointid.simulation.robot_numbers import Bools, NumberOf, NumberPlace
+from jointid.simulation.robot_numbers import Bools, NumberOf, NumberPlace, RobotNumbers
 from jointid.simulation.robots import LoopTree, RobotOutcome
 
 _LOWEST, _HIGHEST, _APART = 4.0, 60.0, 1.25  # Hz: the row in which a link's frequency is looked for, and its ratio
@@ -79,10 +79,10 @@ class RobotDriveSideProblem(RobotProblem[RobotDriveSideRun]):
         """The motors' positions, (samples, n)."""
         return self.prescribed.position[::PARTS]
 
-    def run(self, x: FloatArray, *, keep: bool = True) -> RobotDriveSideRun:
-        """Simulate a candidate; its tape is kept anyway."""
+    def simulate(self, numbers: RobotNumbers, *, keep: bool = True) -> RobotDriveSideRun:
+        """Simulate a robot; its tape is kept anyway."""
         del keep
-        return run_drive_side(self.prescribed, self.numbers(x))
+        return run_drive_side(self.prescribed, numbers)
 
     def error(self, run: RobotDriveSideRun) -> FloatArray:
         """Return the filtered error of a run, measured less predicted, (rows,), not weighted."""

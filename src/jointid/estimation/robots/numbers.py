@@ -10,7 +10,7 @@ rigid joint is then grouped with its link, that of a flexible one stands alone [
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,7 +71,11 @@ class RobotParameters:
         return tuple(formula_of(row, first, symbols) for first, row in enumerate(both))
 
     def group(self, numbers: RobotNumbers) -> FloatArray:
-        """Return the parameters of a robot with these numbers, each with what is grouped with it, (parameters,)."""
+        """Return the parameters of a robot with these numbers, each with what is grouped with it, (parameters,).
+
+        Those that are of the record, not of the robot, are as in `base`.
+        """
+        numbers = replace(numbers, beside=self.base.beside, log=self.base.log)
         kept, dropped = (np.array([p.read(numbers) for p in places]) for places in (self.places, self.dropped))
         return np.asarray(kept + self.grouping @ dropped)
 

@@ -23,7 +23,7 @@ from jointid.estimation.methods.linear import Rows
 from jointid.estimation.robots.idim import RobotEstimate, RobotIDIM
 from jointid.estimation.robots.numbers import RobotParameters
 from jointid.estimation.robots.regression import base_rows, motion_of_robot
-from jointid.estimation.robots.torque_only import RobotTorqueEstimate
+from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
 from jointid.models.robots.base_parameters import base_parameters, inverse_columns
 from jointid.models.robots.inertial import SYMBOLS, mass_properties
 from jointid.models.robots.robot import Robot

@@ -75,8 +75,8 @@ class RobotProblem(ABC, Generic[Run]):
         """Where the shafts are about in the record, (samples, n)."""
 
     @abstractmethod
-    def run(self, x: FloatArray, *, keep: bool = True) -> Run:
-        """Simulate a candidate, and keep what its derivatives need."""
+    def simulate(self, numbers: RobotNumbers, *, keep: bool = True) -> Run:
+        """Simulate a robot, and keep what its derivatives need."""
 
     @abstractmethod
     def error(self, run: Run) -> FloatArray:
@@ -99,9 +99,14 @@ class RobotProblem(ABC, Generic[Run]):
         """Return the problem with other sizes of the joints' errors."""
         return replace(self, sigma=sigma)
 
-    def numbers(self, x: FloatArray) -> RobotNumbers:
-        """Return the numbers of a candidate."""
-        return self.parameters.numbers(self.parameters.values(x))
+    def run(self, x: FloatArray, *, keep: bool = True) -> Run:
+        """Simulate a candidate."""
+        return self.simulate(self.parameters.numbers(self.parameters.values(x)), keep=keep)
+
+    def error_of(self, numbers: RobotNumbers) -> FloatArray | None:
+        """Return the filtered error of a robot with these numbers, (rows,); None if it cannot be simulated."""
+        run = self.simulate(numbers, keep=False)
+        return self.error(run) if run.outcome is RobotOutcome.FINISHED else None
 
     def thinned(self, each: Sequence[FloatArray]) -> FloatArray:
         """Return signals of each joint, (samples,) or (samples, columns), filtered, one after the other."""
@@ -195,9 +200,9 @@ class RobotLoopProblem(RobotProblem[RobotRun]):
         """The references, (samples, n)."""
         return self.experiment.references
 
-    def run(self, x: FloatArray, *, keep: bool = True) -> RobotRun:
-        """Simulate a candidate."""
-        return run_robot(self.experiment, self.numbers(x), keep=keep)
+    def simulate(self, numbers: RobotNumbers, *, keep: bool = True) -> RobotRun:
+        """Simulate a robot."""
+        return run_robot(self.experiment, numbers, keep=keep)
 
     def error(self, run: RobotRun) -> FloatArray:
         """Return the filtered error of a run, measured less simulated, (rows,), not weighted."""

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
@@ -34,6 +35,7 @@ from jointid.records.signals.filtering import (
 
 _LONG = 20  # samples in a row that are a rest, as for one joint
 _SMEAR = 0.4  # of the position filter's period
+_WHOLE = 0.9  # of the weight of a row whose samples are all seen, as a filter leaves it
 _TOLD = 0.05  # of a row's weight: what holds less is of rest
 
 
@@ -71,6 +73,14 @@ class RobotMotion:
         """The samples that no border of the filters reaches."""
         first, last = self.filtering.borders
         return slice(first, len(self.torque) - last)
+
+    @property
+    def whole_rows(self) -> NDArray[np.bool_]:
+        """Which rows have nothing in them of samples that are left out, (n, rows): these alone are judged.
+
+        A row beside one that is left out has some of that in it, and less noise.
+        """
+        return self.thinned(np.ones((*self.q.shape, 1)))[:, 0].reshape(self.q.shape[1], -1) > _WHOLE
 
     def decimated(self, joint: int, columns: FloatArray) -> FloatArray:
         """Return columns of a joint's equation, (samples, columns), decimated, (rows, columns), 0 at rest."""

@@ -27,7 +27,7 @@ from jointid.estimation.robots.payload import (
     payload_of_torques,
     require_told,
 )
-from jointid.estimation.robots.torque_only import RobotDIDIM, RobotTorqueEstimate, identify_robot_from_torques
+from jointid.estimation.robots.torque_estimate import RobotDIDIM, RobotTorqueEstimate, identify_robot_from_torques
 from jointid.models.robots.inertial import is_consistent
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record

@@ -17,7 +17,7 @@ from jointid.diagnostics.robots.diagnose import FeedForwardName, RobotDiagnosis,
 from jointid.diagnostics.robots.parameters import ParameterOfJoint, Told
 from jointid.diagnostics.robots.torques import RobotTorques
 from jointid.estimation.robots.idim import RobotEstimate
-from jointid.estimation.robots.torque_only import RobotTorqueEstimate
+from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
 from jointid.estimation.robots.validation import RobotValidation
 from jointid.models.controllers import Controller
 from jointid.models.robots.robot import Robot

@@ -37,7 +37,7 @@ from jointid.estimation.robots.consistent import mass_matrix_at
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.problem import robot_problem
 from jointid.estimation.robots.regression import friction_symbols
-from jointid.estimation.robots.torque_only import parameter_units
+from jointid.estimation.robots.torque_estimate import parameter_units
 from jointid.models.robots.base_parameters import FRICTION, base_parameters, friction_columns, inverse_columns
 from jointid.models.robots.robot import Robot
 from jointid.planning.robots.motions import JointLimits, Motions, complete

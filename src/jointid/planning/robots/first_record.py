@@ -11,8 +11,9 @@ from jointid.common.arrays import FloatArray
 from jointid.diagnostics.robots.torques import torques_of
 from jointid.estimation.robots.idim import RobotEstimate
 from jointid.estimation.robots.regression import motion_of_robot
-from jointid.estimation.robots.torque_only import RobotTorqueEstimate
+from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
 from jointid.records.record import Record
+from jointid.simulation.robot_drive_side import RobotDriveSide
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +50,7 @@ def first_record(estimate: RobotEstimate | RobotTorqueEstimate, records: Sequenc
     """
     torques = torques_of(estimate, records)
     left = np.array([np.sqrt(np.mean(e[s] ** 2)) for e, s in zip(torques.error, torques.seen, strict=True)])
-    if isinstance(estimate, RobotEstimate):
+    if isinstance(estimate, RobotEstimate) or isinstance(estimate.closing, RobotDriveSide):
         found = motion_of_robot(estimate.robot, records, estimate.filtering)
         motion, sample_time = (found.q, found.v, found.a), found.sample_time
     else:

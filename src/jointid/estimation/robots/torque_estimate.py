@@ -1,13 +1,15 @@
-"""A robot identified by DIDIM, as an answer: from torques and references alone, its joints rigid or flexible.
+"""A robot identified by simulating it, as an answer: by DIDIM or on the drive side, its joints rigid or flexible.
 
-It is held against another record as it was identified, by simulating the robot under its controllers, and beside the
-robot that one had before: the masses, rotors and springs of model and robot file, with the friction that was found.
+It is held against another record as it was identified, by simulating the robot under its controllers or along its
+motors' motion, and beside the robot that one had before: the masses, rotors and springs of model and robot file, with
+the friction that was found.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -16,21 +18,23 @@ from jointid.common.document import Document, Documented, Facts, Paragraph, Tabl
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, silent
 from jointid.common.parameters import TORQUE_UNIT, unit_of
-from jointid.common.settings import check_settings, documented, setting
+from jointid.common.settings import check_settings, declare, documented, setting
 from jointid.common.text import interval, number
 from jointid.common.units import Kind
 from jointid.estimation.robots.didim import RobotFit, identify_rigid_robot
+from jointid.estimation.robots.drive_side import RobotDriveSideProblem, drive_side_problem, identify_flexible_drive_side
 from jointid.estimation.robots.flexible import SpringVerdict, identify_flexible_robot
 from jointid.estimation.robots.idim import errors_table
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
-from jointid.estimation.robots.problem import robot_problem
+from jointid.estimation.robots.problem import RobotLoopProblem, robot_problem
 from jointid.estimation.robots.validation import RobotValidation, require_unseen
 from jointid.models.robots.inertial import SYMBOLS, UNITS
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
+from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.simulation.robots import RobotLoop, RobotOutcome, run_robot
+from jointid.simulation.robots import RobotLoop
 
 _WITHOUT = (
     "No joint shows a spring in this record: leave the springs out of the robot file and identify it as rigid, or "
@@ -41,6 +45,22 @@ _TOLD = 0.5  # relative deviation: the interval of a parameter that is known wor
 _UNSETTLED = "The search did not settle: do not rely on what is below. Allow more evaluations, or look at the record."
 
 
+def _evaluations() -> Any:
+    """Return the setting of how long a search of springs may be."""
+    return setting(60, "simulations with derivatives at most, of each search of springs", at_least=1)
+
+
+def _frequencies() -> Any:
+    """Return the setting of where a search of springs begins."""
+    return field(
+        default_factory=dict,
+        metadata=declare(
+            "by the names of the flexible joints the frequencies of motor against link, Hz, at which the search of "
+            "springs begins; without them they are looked for"
+        ),
+    )
+
+
 @documented
 @dataclass(frozen=True, slots=True)
 class RobotDIDIM:
@@ -48,7 +68,26 @@ class RobotDIDIM:
 
     offsets: bool = setting(True, "whether a constant torque of each motor is identified, too")
     iterations: int = setting(30, "iterations at most, of the robot of rigid joints", at_least=1)
-    evaluations: int = setting(60, "simulations with derivatives at most, of each search of springs", at_least=1)
+    evaluations: int = _evaluations()
+    frequencies: Mapping[str, float] = _frequencies()
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+@documented
+@dataclass(frozen=True, slots=True)
+class RobotDriveSideFit:
+    """Settings of the drive side of a robot."""
+
+    offsets: bool = setting(True, "whether a constant torque of each motor is identified, too")
+    evaluations: int = _evaluations()
+    frequencies: Mapping[str, float] = _frequencies()
+    log_delay: float | None = setting(
+        None,
+        "how much later than it acts the log shows the torque, of all joints alike; without it identified",
+        unit="s",
+    )
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -56,10 +95,10 @@ class RobotDIDIM:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotTorqueEstimate(Documented):
-    """A robot's friction, rotors, springs and base parameters, from torques and references alone.
+    """A robot's friction, rotors, springs and base parameters, from torques and references, or motor positions.
 
     Attributes:
-        loop: the robot that was begun with, and its controllers.
+        closing: the robot that was begun with, under its controllers or along its motors' motion.
         fit: parameters, their covariance, and what is left of each joint's torque.
         nominal_errors: (n,) what the robot that was begun with leaves, simulated; infinite where it cannot be.
         springs: a verdict for each flexible joint.
@@ -67,17 +106,17 @@ class RobotTorqueEstimate(Documented):
         filtering: resolved.
     """
 
-    loop: RobotLoop
+    closing: RobotLoop | RobotDriveSide
     fit: RobotFit
     nominal_errors: FloatArray
     springs: tuple[SpringVerdict, ...]
-    settings: RobotDIDIM
+    settings: RobotDIDIM | RobotDriveSideFit
     filtering: Filtering
 
     @property
     def robot(self) -> Robot:
         """The robot that was begun with."""
-        return self.loop.robot
+        return self.closing.robot
 
     @property
     def joint_errors(self) -> FloatArray:
@@ -126,9 +165,12 @@ class RobotTorqueEstimate(Documented):
             details: whether those that this record does not tell from 0 stand there too, and what sums they are.
         """
         kind = "of springs, rotors and links" if self.springs else "of rigid joints"
+        how = "DIDIM of a robot, from torques and references alone"
+        if isinstance(self.closing, RobotDriveSide):
+            how = "drive side of a robot, from motor torques and motor positions"
         settled = "settled" if self.fit.converged else "did not settle: do not rely on it"
         facts = (
-            ("method", f"DIDIM of a robot, from torques and references alone, {kind}"),
+            ("method", f"{how}, {kind}"),
             ("search", f"{settled} after {self.fit.iterations} {'simulations' if self.springs else 'iterations'}"),
         )
         rows, units, refused = [], parameter_units(self.robot, self.fit.parameters), self._refused
@@ -183,7 +225,7 @@ def parameter_units(robot: Robot, parameters: RobotParameters) -> dict[str, str]
         if one.symbol in SYMBOLS:
             found[one.name] = UNITS[SYMBOLS.index(one.symbol)]
         else:
-            kind = kinds[one.name.rpartition(".")[0]]
+            kind = kinds.get(one.name.rpartition(".")[0], "revolute")  # the log's delay is no joint's
             found[one.name] = unit_of(one.quantity, kind, TORQUE_UNIT[kind])
     return found
 
@@ -212,51 +254,108 @@ def identify_robot_from_torques(
     springs: tuple[SpringVerdict, ...] = ()
     if any(loop.robot.flexible):
         found = identify_flexible_robot(
-            loop, records, filtering, offsets=settings.offsets, evaluations=settings.evaluations, progress=progress
-        )
+            loop, records, filtering, frequencies=settings.frequencies or None, offsets=settings.offsets,
+            evaluations=settings.evaluations, progress=progress,
+        )  # fmt: skip
         fit, springs = found.fit, found.springs
     else:
         fit = identify_rigid_robot(
             loop, records, filtering, offsets=settings.offsets, iterations=settings.iterations, progress=progress
         )
-    found_numbers = fit.parameters.numbers(fit.values)
-    nominal, resolved = _errors(loop, records, filtering, _nominal(loop.robot, found_numbers))
-    return RobotTorqueEstimate(loop, fit, nominal, springs, settings, resolved)
+    return _held_beside_nominal(loop, records, fit, springs, settings, filtering)
+
+
+def identify_robot_drive_side(
+    robot: Robot,
+    records: Sequence[Record],
+    settings: RobotDriveSideFit | None = None,
+    *,
+    filtering: Filtering | None = None,
+    progress: Progress = silent,
+) -> RobotTorqueEstimate:
+    """Identify a robot with flexible joints from motor torques and motor positions, whatever its controllers are.
+
+    Args:
+        robot: whose joints with a spring are flexible. Its own numbers are what the answer is held beside.
+        records: of each joint, with torque and motor position behind the gear, on one clock; references are not read.
+        settings: of the method.
+        filtering: of positions and torques.
+        progress: is told the steps.
+
+    Raises:
+        RecordError, MethodError: see `identify_flexible_drive_side`.
+    """
+    settings = settings or RobotDriveSideFit()
+    found = identify_flexible_drive_side(
+        robot, records, filtering, frequencies=settings.frequencies or None, offsets=settings.offsets,
+        evaluations=settings.evaluations, delay=settings.log_delay, progress=progress,
+    )  # fmt: skip
+    return _held_beside_nominal(RobotDriveSide(robot), records, found.fit, found.springs, settings, filtering)
+
+
+def _held_beside_nominal(
+    closing: RobotLoop | RobotDriveSide,
+    records: Sequence[Record],
+    fit: RobotFit,
+    springs: tuple[SpringVerdict, ...],
+    settings: RobotDIDIM | RobotDriveSideFit,
+    filtering: Filtering | None,
+) -> RobotTorqueEstimate:
+    nominal = _nominal(closing.robot, fit.parameters.numbers(fit.values))
+    errors, resolved = _errors(closing, records, filtering, nominal)
+    return RobotTorqueEstimate(closing, fit, errors, springs, settings, resolved)
 
 
 def validate_robot_torques(estimate: RobotTorqueEstimate, records: Sequence[Record]) -> RobotValidation:
-    """Hold an estimate against another record of the same loops, simulated, beside the robot that one had before.
+    """Hold an estimate against another record, simulated as it was identified, beside the robot that one had before.
 
     Args:
         estimate: from another record.
-        records: of each joint, as `identify_robot_from_torques` takes them.
+        records: of each joint, as `identify_robot_from_torques` or `identify_robot_drive_side` takes them.
 
     Raises:
         MethodError: the estimate cannot be simulated along that record, or it is the estimate's own.
     """
-    mine, _ = _errors(estimate.loop, records, estimate.filtering, estimate.numbers())
+    closing, found = estimate.closing, estimate.numbers()
+    mine, _ = _errors(closing, records, estimate.filtering, found)
     require_unseen(mine, estimate.joint_errors)
-    nominal, _ = _errors(estimate.loop, records, estimate.filtering, _nominal(estimate.robot, estimate.numbers()))
+    nominal, _ = _errors(closing, records, estimate.filtering, _nominal(estimate.robot, found))
     if not np.all(np.isfinite(mine)):
-        raise MethodError("The robot that was identified cannot be simulated along this record; check its references.")
+        what = "references" if isinstance(closing, RobotLoop) else "motor positions"
+        raise MethodError(f"The robot that was identified cannot be simulated along this record; check its {what}.")
     return RobotValidation(estimate.robot, mine, nominal, settled=estimate.fit.converged)
 
 
 def _nominal(robot: Robot, found: RobotNumbers) -> RobotNumbers:
-    """Return the robot that one had before, with the friction that was found: one without friction is no opponent."""
+    """Return the robot that one had before, with the friction that was found: one without friction is no opponent.
+
+    The log's delay is not the robot's, and is as it was found, too.
+    """
     numbers = RobotNumbers.of(robot)
     masses = numbers.masses.copy()
     masses[:, 1:] = found.masses[:, 1:]
-    return replace(numbers, masses=masses)
+    return replace(numbers, masses=masses, log=found.log)
 
 
 def _errors(
-    loop: RobotLoop, records: Sequence[Record], filtering: Filtering | None, numbers: RobotNumbers
+    closing: RobotLoop | RobotDriveSide, records: Sequence[Record], filtering: Filtering | None, numbers: RobotNumbers
 ) -> tuple[FloatArray, Filtering]:
     """Return what a robot leaves of each joint's filtered torque, (n,), infinite if it cannot be simulated."""
-    problem = robot_problem(loop, records, robot_parameters(loop.robot), filtering)
-    run = run_robot(problem.experiment, numbers)
-    if run.outcome is not RobotOutcome.FINISHED:
-        return np.full(len(loop.robot), np.inf), problem.filtering
-    left, whole = (problem.by_joint(rows) for rows in (problem.error(run), problem.decimated(problem.measured)))
+    problem = problem_of(closing, records, robot_parameters(closing.robot), filtering)
+    error = problem.error_of(numbers)
+    if error is None:
+        return np.full(len(closing.robot), np.inf), problem.filtering
+    left, whole = (problem.by_joint(rows) for rows in (error, problem.decimated(problem.measured)))
     return np.linalg.norm(left, axis=1) / np.linalg.norm(whole, axis=1), problem.filtering
+
+
+def problem_of(
+    closing: RobotLoop | RobotDriveSide,
+    records: Sequence[Record],
+    parameters: RobotParameters,
+    filtering: Filtering | None,
+) -> RobotLoopProblem | RobotDriveSideProblem:
+    """Return the problem of reproducing a robot's torques, under its controllers or along its motors' motion."""
+    if isinstance(closing, RobotLoop):
+        return robot_problem(closing, records, parameters, filtering)
+    return drive_side_problem(closing.robot, records, parameters, filtering)
