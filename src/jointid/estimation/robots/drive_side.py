@@ -201,10 +201,10 @@ def identify_flexible_drive_side(
         RecordError: a channel is missing, or the joints' records have not one clock.
         MethodError: as of `identify_flexible_robot`.
     """
+    require_springs(robot, frequencies)
     stiff = replace(robot, joints=tuple(replace(joint, spring=None) for joint in robot.joints))
     parameters = robot_parameters(robot, offsets=offsets, logarithmic=True)
     problem = drive_side_problem(robot, records, parameters, filtering, delay)
-    require_springs(robot, problem.sample_time, frequencies)
     slow = drive_side_problem(stiff, records, robot_parameters(stiff, offsets=offsets), SLOW)
     # To leave rows out is to multiply by what switches, and that brings the modes, which this robot has not, down to
     # what is slow: of a twin of six joints it left 23 % of a joint's torque, and 4 % with the rows.

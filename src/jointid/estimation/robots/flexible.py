@@ -26,7 +26,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress
+from jointid.common.messages import Progress, no_choice
 from jointid.common.parameters import Parameter
 from jointid.estimation.robots.didim import RobotFit, conclude, identify_rigid_robot, joint_sizes
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
@@ -139,27 +139,30 @@ def identify_flexible_robot(
             simulated at the start, or a robot of rigid joints explains the torques better.
     """
     robot = loop.robot
+    require_springs(robot, frequencies)
     parameters = robot_parameters(robot, offsets=offsets, logarithmic=True)
     problem = robot_problem(loop, records, parameters, filtering)
-    require_springs(robot, problem.sample_time, frequencies)
+    if frequencies is None:
+        _row(problem.sample_time)
     rigid = identify_rigid_robot(loop, records, SLOW, offsets=offsets, progress=progress)
     return search_springs(
         problem, robot, rigid, lambda start: frequencies or start.search(progress), evaluations, progress
     )
 
 
-def require_springs(robot: Robot, sample_time: float, frequencies: Mapping[str, float] | None) -> None:
-    """Raise MethodError if no joint has a spring, a frequency is missing, or the log is too slow to look for one."""
+def require_springs(robot: Robot, frequencies: Mapping[str, float] | None) -> None:
+    """Raise MethodError if no joint has a spring, or a frequency is missing, or is of no flexible joint."""
     flexible = _springs(robot)
     if not flexible:
         raise MethodError("No joint of this robot has a spring; give one a JointSpring, or identify it as rigid.")
-    if frequencies is None:
-        _row(sample_time)
-    elif missing := sorted(set(flexible) - set(frequencies)):
+    if frequencies is not None and (missing := sorted(set(flexible) - set(frequencies))):
         raise MethodError(
             f"A frequency is needed for each flexible joint; {', '.join(missing)} has none: give one in Hz, or none "
             "at all to have them looked for."
         )
+    for name in frequencies or ():
+        if name not in flexible:
+            raise MethodError(f"A name in frequencies{no_choice(name, flexible)}")
 
 
 def _springs(robot: Robot) -> list[str]:
@@ -344,6 +347,12 @@ class StartOfSprings:
         whole = rigid.parameters.numbers(rigid.values)
         poses = problem.poses
         masses = np.array([_mass_matrix(problem, whole, pose) for pose in poses[:: max(len(poses) // _POSES, 1)]])
+        if not np.min(np.linalg.eigvalsh(masses)) > 0.0:
+            raise MethodError(
+                "The robot of rigid joints that the search of springs begins with has a mass matrix that is not "
+                "positive in a pose of the record, so the record hardly tells the masses; move all joints faster, and "
+                "differently from each other, or longer."
+            )
         about = np.mean(np.diagonal(masses, axis1=1, axis2=2), axis=0)
         # Of a matrix M that is positive M - diag(r) is, too, for r up to this share of what each joint feels alone.
         alone = np.min(1.0 / np.diagonal(np.linalg.inv(masses), axis1=1, axis2=2), axis=0)
