@@ -1,12 +1,13 @@
-"""Random robots identified by DIDIM from no start: whether the search ends at the noise, and what 2 sigma hold.
+"""Random robots identified from no start, by DIDIM or on the drive side: whether the search ends at the noise.
 
 Each seed makes a serial robot of 2 to 7 joints, a quarter of them prismatic, with bodies, rotors, friction,
 controllers, motion and noise at random; of flexible robots some joints, at least one, have a spring and the motion a
 multisine. What DIDIM is given is the geometry and the controllers: masses, rotors, friction and springs are wiped out.
+The drive side is given motor positions, without noise, instead of references and controllers.
 
-The search is at the noise if no joint's filtered error is more than 5 % above that of the noise alone. Coverage is
-counted over all parameters but those at a bound and of joints whose spring is refused, and apart over those that are
-known to a tenth.
+The search is at the noise if no joint's filtered error is more than 5 % above that of the noise alone. What 2 sigma
+hold is counted over all parameters but those at a bound and of joints whose spring is refused, and apart over those
+that are known to a tenth.
 """
 
 from __future__ import annotations
@@ -29,16 +30,18 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.estimation.robots.consistent import mass_matrix_at
 from jointid.estimation.robots.didim import RobotFit, identify_rigid_robot
+from jointid.estimation.robots.drive_side import RobotDriveSideProblem, identify_flexible_drive_side
 from jointid.estimation.robots.flexible import identify_flexible_robot
 from jointid.estimation.robots.idim import RobotIDIM, identify_robot
-from jointid.estimation.robots.problem import robot_problem
+from jointid.estimation.robots.torque_estimate import problem_of
 from jointid.models.controllers import PD, PID, Cascade
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.records.record import Channel, Record
-from jointid.records.signals.filtering import Filtering
-from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.simulation.robots import RobotLoop, RobotOutcome, RobotSimulation, robot_records, simulate_robot
+from jointid.records.signals.filtering import Filtering, window_torque
+from jointid.simulation.robot_drive_side import RobotDriveSide
+from jointid.simulation.robot_numbers import NumberOf, RobotNumbers
+from jointid.simulation.robots import RobotLoop, RobotOutcome, RobotRun, RobotSimulation, robot_records, simulate_robot
 from studies.seeds import judge_seeds
 
 _AT_NOISE = 1.05  # times the noise: what a joint's filtered error may be
@@ -244,8 +247,11 @@ class Found:
         return self.settled and self.left <= _AT_NOISE
 
 
-def judge(seed: int, flexible: bool, estimator: str = "") -> Found | None:
-    """Identify the robot of a seed from torques and references; by IDIM too, of this estimator, where one is named."""
+def judge(seed: int, flexible: bool, estimator: str = "", drive_side: bool = False) -> Found | None:
+    """Identify the robot of a seed from torques and references, or on the drive side, from torques and positions.
+
+    By IDIM too, of this estimator, where one is named.
+    """
     made = drives(seed, flexible)
     if made is None:
         return None
@@ -256,7 +262,10 @@ def judge(seed: int, flexible: bool, estimator: str = "") -> Found | None:
     began, shown, refused = time.process_time(), 0, tuple[str, ...]()
     try:
         if flexible:
-            found = identify_flexible_robot(made.unknown, made.records)
+            if drive_side:
+                found = identify_flexible_drive_side(made.unknown.robot, made.records)
+            else:
+                found = identify_flexible_robot(made.unknown, made.records)
             fit, shown = found.fit, sum(one.shown for one in found.springs)
             refused = tuple(f"{one.joint}." for one in found.springs if not one.shown)
         else:
@@ -267,6 +276,7 @@ def judge(seed: int, flexible: bool, estimator: str = "") -> Found | None:
     truth = fit.parameters.group(RobotNumbers.of(robot))
     free = np.array([one.lower < value for one, value in zip(fit.parameters.parameters, fit.values, strict=True)])
     free &= ~np.array([name.startswith(refused) for name in fit.names])
+    free &= np.array([place.of in (NumberOf.LINK, NumberOf.MASS, NumberOf.SPRING) for place in fit.parameters.places])
     std = np.maximum(fit.covariance.std, 1e-300)
     about = replace(
         about, settled=fit.converged, iterations=fit.iterations, seconds=spent, left=_left(made, fit),
@@ -279,9 +289,14 @@ def judge(seed: int, flexible: bool, estimator: str = "") -> Found | None:
 def _left(made: Drives, fit: RobotFit) -> float:
     """Return the largest filtered error of a joint, times that of the noise alone."""
     # The filtering is that of the fit: a rigid robot's, or a flexible one's.
-    problem = robot_problem(made.loop, made.records, fit.parameters)
-    noise = problem.by_joint(problem.decimated(made.noise[: len(problem.measured)]))
-    error = problem.by_joint(problem.error(fit.run))
+    closing = made.loop if isinstance(fit.run, RobotRun) else RobotDriveSide(made.loop.robot)
+    problem, noise = problem_of(closing, made.records, fit.parameters), made.noise
+    if isinstance(problem, RobotDriveSideProblem):
+        noise = np.column_stack([window_torque(Channel(column, "N m", problem.sample_time)) for column in noise.T])
+    noise = problem.by_joint(problem.decimated(noise[: len(problem.measured)]))
+    found = problem.error_of(fit.run.numbers)
+    assert found is not None
+    error = problem.by_joint(found)
     return float(np.max(np.linalg.norm(error, axis=1) / np.linalg.norm(noise, axis=1)))
 
 
@@ -326,11 +341,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--flexible", action="store_true")
+    parser.add_argument("--drive-side", action="store_true", help="flexible robots from motor positions")
     parser.add_argument("--idim", default="", help="an estimator of IDIM, to be judged too")
     parser.add_argument("--out", type=Path, help="folder where results are kept, and found again")
     given = parser.parse_args(arguments)
     seeds = range(given.first, given.first + given.count)
-    asked = {"flexible": given.flexible, "estimator": given.idim}
+    asked = {"flexible": given.flexible, "estimator": given.idim, "drive_side": given.drive_side}
     runs = list[Found]()
     for found in judge_seeds("studies.robots:judge", seeds, asked, out=given.out):
         sys.stdout.write(json.dumps(found) + "\n")

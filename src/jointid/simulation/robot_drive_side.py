@@ -58,6 +58,8 @@ class MotorMotion:
         step: s of a part.
         position, velocity: (parts + 1, n) at the ends of the parts.
         joined: (parts + 1, n) the velocities that the held accelerations join (see the module).
+        direction: (parts, n) of the velocity, 1 or -1, mean over each part; filtered as the positions are where the
+            torques are, too.
         speeds, accelerations: (n,) at the first sample.
     """
 
@@ -66,6 +68,7 @@ class MotorMotion:
     position: FloatArray
     velocity: FloatArray
     joined: FloatArray
+    direction: FloatArray
     speeds: FloatArray
     accelerations: FloatArray
 
@@ -76,13 +79,9 @@ class MotorMotion:
 
     @cached_property
     def means(self) -> MassMotion:
-        """Means over the parts, (parts, n); the direction of a part with a reversal is the mean of both signs."""
-        before, after = self.velocity[:-1], self.velocity[1:]
-        size = np.abs(before) + np.abs(after)
-        turned = (np.abs(after) - np.abs(before)) * np.sign(after) / np.where(size > 0.0, size, 1.0)
-        direction = np.where(before * after < 0.0, turned, np.sign(before + after))
+        """Means over the parts, (parts, n)."""
         gained = np.diff(self.velocity, axis=0) / self.step
-        return MassMotion(*_means(self.position, self.velocity, self.step), gained, direction)
+        return MassMotion(*_means(self.position, self.velocity, self.step), gained, self.direction)
 
 
 def prescribe_motion(
@@ -108,7 +107,15 @@ def prescribe_motion(
         joined[0, resting] = velocity[0, resting] = acceleration[0, resting] = 0.0
     tree = (*robot.tree, robot.gravity, robot.joints_of_shafts)
     position = np.asarray(spline(edges) + home)
-    return MotorMotion(tree, step, position, velocity, joined, velocity[0], acceleration[0])
+    return MotorMotion(tree, step, position, velocity, joined, _direction(velocity), velocity[0], acceleration[0])
+
+
+def _direction(velocity: FloatArray) -> FloatArray:
+    """Return the mean sign of velocities over each part, (parts, n), where they run straight from end to end."""
+    before, after = velocity[:-1], velocity[1:]
+    size = np.abs(before) + np.abs(after)
+    turned = (np.abs(after) - np.abs(before)) * np.sign(after) / np.where(size > 0.0, size, 1.0)
+    return np.where(before * after < 0.0, turned, np.sign(before + after))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -353,7 +353,7 @@ def problem_of(
     closing: RobotLoop | RobotDriveSide,
     records: Sequence[Record],
     parameters: RobotParameters,
-    filtering: Filtering | None,
+    filtering: Filtering | None = None,
 ) -> RobotLoopProblem | RobotDriveSideProblem:
     """Return the problem of reproducing a robot's torques, under its controllers or along its motors' motion."""
     if isinstance(closing, RobotLoop):
