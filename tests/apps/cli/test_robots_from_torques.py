@@ -227,3 +227,48 @@ def test_controllers_are_judged_beside_the_feed_forward_that_the_file_computes(t
     run("report", joint, "--record", one, "--html", page, "--json", tmp_path / "report.json")
     told = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
     assert told["diagnosis"]["as_declared"] is True
+
+
+def test_the_drive_side_of_flexible_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """With motor positions in the file, and springs, and no controllers at all once the records are there."""
+    twin = two((12.0, 18.0))
+    write_files(tmp_path, twin, 5.0, multisine=0.004)
+    joint = tmp_path / "robot.toml"
+    text = joint.read_text(encoding="utf-8")
+    measured = text.replace("[record.channels]", '[record.channels]\nmotor_position = { column = "q{axis}" }')
+    joint.write_text(measured, encoding="utf-8")
+    for name, of in (("one.csv", "references.csv"), ("two.csv", "others.csv")):
+        run("simulate", joint, "--record", tmp_path / of, "--out", tmp_path / name)
+        logged(tmp_path, name, 0.01, 7)
+    capsys.readouterr()
+    alone = measured.replace('reference = { column = "r{axis}" }\n', "")
+    alone = "\n".join(
+        line
+        for line in alone.splitlines()
+        if not line.startswith(("[joints.controller]", "law", "position_gain", "deriv"))
+    )
+    joint.write_text(alone, encoding="utf-8")
+    one, two_, found = tmp_path / "one.csv", tmp_path / "two.csv", tmp_path / "found.json"
+    run("identify", joint, "--record", one, "--json", found)
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "drive side of a robot, from motor torques and motor positions, of springs, rotors and links" in printed
+    answer = json.loads(found.read_text(encoding="utf-8"))
+    for one_joint in twin.robot.joints:
+        assert one_joint.spring is not None
+        row = answer["parameters"][f"{one_joint.name}.stiffness"]
+        assert row["value"] == pytest.approx(one_joint.spring.stiffness, rel=0.02)
+    run("validate", joint, "--set", 'record.file="one.csv"', "--record", two_)
+    assert "nominal model" in capsys.readouterr().out
+    run("diagnose", joint, "--record", one)
+    page = tmp_path / "page.html"
+    run("report", joint, "--record", one, "--html", page)
+    assert "drive side of a robot" in page.read_text(encoding="utf-8")
+    near = "method.frequencies={joint1=13.0,joint2=20.0}"
+    run("identify", joint, "--record", one, "--set", near, "--set", "method.log_delay=0.0")
+    assert "log_delay" not in capsys.readouterr().out
+    with pytest.raises(MethodError, match="A payload is weighed by IDIM or by DIDIM"):
+        run("payload", joint, "--without", one, "--with", two_)
+    with pytest.raises(JointFileError, match="iterations is a setting of another method than drive_side"):
+        run("identify", joint, "--record", one, "--set", "method.iterations=3")
+    with pytest.raises(MethodError, match="under its controllers, and joint1, joint2 has none"):
+        run("design", joint, "--record", one)

@@ -1,0 +1,134 @@
+"""Robots whose motors move as prescribed: torques as in the loop that moved them, and how they change."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jointid.common.arrays import FloatArray
+from jointid.estimation.problems.rest import moving_weights, turning_weights
+from jointid.models.robots.robot import Robot
+from jointid.records.signals.filtering import window_parts
+from jointid.simulation.robot_columns import columns_of
+from jointid.simulation.robot_drive_side import (
+    MotorMotion,
+    RobotDriveSideRun,
+    differentiate_drive_side,
+    prescribe_motion,
+    run_drive_side,
+)
+from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, all_places, with_values
+from jointid.simulation.robots import RobotOutcome, RobotSimulation, simulate_robot
+from tests.robots_plants import Twin, six, two
+from tests.simulation.test_robots import COUPLED, changed
+
+
+def played(twin: Twin, duration: float = 3.0) -> RobotSimulation:
+    """Return a twin in its loops, in steps that leave no error beside that of the drive side."""
+    return simulate_robot(twin.loop(), twin.records(duration, multisine=0.004), steps=6)
+
+
+def prescribed(robot: Robot, run: RobotSimulation, parts: int = 1, first: int = 0) -> MotorMotion:
+    resting = np.full(len(robot), first == 0)
+    return prescribe_motion(robot, run.motor_position[first:], run.sample_time, resting, parts)
+
+
+def error(found: RobotDriveSideRun, run: RobotSimulation, parts: int = 1, first: int = 0) -> FloatArray:
+    """Return the error of each joint's torque, rms, as a share, but where a motor rests or turns round."""
+    curved = found.torque.copy()
+    curved[1:-1] -= np.diff(found.torque, 2, axis=0) / 12.0
+    seen, logged = window_parts(curved, parts, 0.0), window_parts(run.torque[first:-1], 1, 0.0)
+    moving = np.column_stack([moving_weights(v) * turning_weights(v) for v in run.motor_velocity[first:].T])
+    left = ((seen - logged) * moving)[600:-20]  # the twin's first 0.6 s begin with a jolt, which is no smooth motion
+    return np.asarray(np.sqrt(np.mean(left**2, axis=0)) / np.std(logged, axis=0))
+
+
+@pytest.mark.parametrize(
+    "twin",
+    [
+        two((12.0, 18.0)),
+        two((12.0, None)),
+        two((None, 18.0)),
+        changed(two((12.0, 18.0)), *COUPLED),
+        pytest.param(six((True, True, False, True, False, True)), marks=pytest.mark.slow),
+    ],
+    ids=["flexible", "rigid second", "rigid first", "coupled motors", "six"],
+)
+def test_the_torque_is_that_of_the_loop_that_moved_the_motors(twin: Twin) -> None:
+    run = played(twin)
+    numbers = RobotNumbers.of(twin.robot)
+    found = run_drive_side(prescribed(twin.robot, run), numbers)
+    assert found.outcome is RobotOutcome.FINISHED
+    # What a link that begins to stick does to the motor of a rigid joint is a jump within a sample.
+    bounds = np.where(numbers.flexible, 2e-4, 1e-3)
+    assert np.all(error(found, run) < bounds)
+    # Springs that are a hundredth stiffer are seen.
+    stiffer = replace(numbers, springs=1.01 * numbers.springs)
+    assert np.max(error(run_drive_side(prescribed(twin.robot, run), stiffer), run)) > 2e-3
+
+
+def test_where_the_motors_are_at_the_ends_of_the_parts_is_right_to_the_fourth_order() -> None:
+    twin = two((12.0, 18.0))
+    run, numbers, off = played(twin), RobotNumbers.of(twin.robot), []
+    for parts in (1, 2, 4):
+        found = run_drive_side(prescribed(twin.robot, run, parts), numbers)
+        there = found.tape.places[found.tape.first][::parts, numbers.rotors]
+        off.append(float(np.max(np.abs(there[600:] - run.motor_position[600:]))))
+    assert off[0] < 1e-6
+    assert off[0] / off[1] > 10.0
+    assert off[1] / off[2] > 10.0
+
+
+def test_a_record_may_begin_in_motion() -> None:
+    """With the links where they were at its first sample; from steady motion their swing would be missed."""
+    twin, first = two((12.0, 18.0)), 1000
+    run, numbers = played(twin), RobotNumbers.of(twin.robot)
+    motion = prescribed(twin.robot, run, first=first)
+    steady = run_drive_side(motion, replace(numbers, beside=np.zeros((2, 2))))
+    beside = np.column_stack([run.link_position[first] - steady.start[:2], run.link_velocity[first] - motion.speeds])
+    found = run_drive_side(motion, replace(numbers, beside=beside))
+    at = found.tape.places[found.tape.first][: len(run.link_position) - first, :2]
+    assert at == pytest.approx(run.link_position[first:], abs=3e-6)
+    lost = steady.tape.places[steady.tape.first][:500, :2] - run.link_position[first : first + 500]
+    assert np.max(np.abs(lost)) > 1e-4
+
+
+@pytest.mark.parametrize(
+    "hertz", [(12.0, 18.0), (12.0, None), (None, 12.0)], ids=["flexible", "rigid second", "rigid first"]
+)
+def test_derivatives_are_those_of_differences(hertz: tuple[float | None, float | None]) -> None:
+    twin = two(hertz)
+    run = played(twin)
+    numbers = replace(RobotNumbers.of(twin.robot), beside=np.zeros((2, 2)), log=np.zeros((1, 1)))
+    motion = prescribed(twin.robot, run, parts=4)
+    places = (
+        *all_places(numbers),
+        *(NumberPlace(NumberOf.BESIDE, int(i), 0) for i in np.flatnonzero(numbers.flexible)),
+    )
+    found = run_drive_side(motion, numbers)
+    slopes = differentiate_drive_side(found, places)
+    for i, (own, columns) in enumerate(columns_of(motion.tree, numbers, places, found.motion, numbers.rotors)):
+        slopes[:, i, own] += columns
+    sizes = np.linalg.norm(slopes, axis=(0, 1))
+    for c, place in enumerate(places):
+        value = place.read(numbers)
+        step = 1e-6 if place.of is NumberOf.BESIDE else 1e-4 * max(abs(value), 1e-2)
+        ends = [run_drive_side(motion, with_values(numbers, (place,), np.array([value + d]))) for d in (step, -step)]
+        difference = (ends[0].torque - ends[1].torque) / (2 * step)
+        size = max(float(np.linalg.norm(difference)), 1e-6 * float(np.median(sizes)))
+        assert np.linalg.norm(slopes[:, :, c] - difference) < 0.01 * size, place
+
+
+def test_what_cannot_be_simulated_is_said() -> None:
+    twin = two((12.0, 18.0))
+    motion, numbers = prescribed(twin.robot, played(twin, 1.0)), RobotNumbers.of(twin.robot)
+    for other, outcome in (
+        (replace(numbers, springs=-numbers.springs), RobotOutcome.INVALID),
+        (replace(numbers, springs=1e8 * numbers.springs), RobotOutcome.TOO_STIFF),
+        (replace(numbers, inertials=-numbers.inertials), RobotOutcome.NOT_POSITIVE),
+    ):
+        found = run_drive_side(motion, other)
+        assert found.outcome is outcome
+        assert not np.any(found.torque)
