@@ -50,6 +50,7 @@ from jointid.simulation.robots import LoopTree, RobotOutcome
 _LOWEST, _HIGHEST, _APART = 4.0, 60.0, 1.25  # Hz: the row in which a link's frequency is looked for, and its ratio
 _DAMPING = 0.1  # of critical, of springs that are looked for: wide enough to be seen from the next of the row
 _GAIN, _CLEAR = 0.97, 0.75  # of a joint's torque error, that a spring leaves: it has one, and it needs no second look
+_SMEAR = 1.0  # periods of the position filter, which rings about a reversal, and no more at the same instant in both
 _ITERATIONS = 5  # of the robot of rigid joints, which is linear: the second finds nothing left to move
 _DELAY = NumberPlace(NumberOf.LOG, 0, 0)
 
@@ -147,7 +148,7 @@ def drive_side_problem(
         RecordError: a channel is missing, or the joints' records have not one clock.
     """
     model = "flexible" if any(robot.flexible) else "rigid"
-    motion = motion_of_robot(robot, records, filtering or Filtering(), "The drive side of a robot", model)
+    motion = motion_of_robot(robot, records, filtering or Filtering(), "The drive side of a robot", model, _SMEAR)
     resting = np.array([moving_weights(each)[0] == 0.0 for each in (motion.v @ robot.coupling.T).T])
     prescribed = prescribe_motion(robot, motion.q @ robot.coupling.T, motion.sample_time, resting)
     # What the filter takes from the motion it is to take from the torques, too, and from friction's own.

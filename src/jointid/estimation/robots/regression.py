@@ -92,7 +92,12 @@ class RobotMotion:
 
 
 def motion_of_robot(
-    robot: Robot, records: Sequence[Record], filtering: Filtering, said: str = "IDIM of a robot", model: str = "rigid"
+    robot: Robot,
+    records: Sequence[Record],
+    filtering: Filtering,
+    said: str = "IDIM of a robot",
+    model: str = "rigid",
+    smear: float = _SMEAR,
 ) -> RobotMotion:
     """Return the motion of a robot and its motors' torques.
 
@@ -102,6 +107,7 @@ def motion_of_robot(
         filtering: of positions and rows.
         said: the method, in the words of an error.
         model: of the joints, whose cut-offs are taken where there are none: "rigid" or "flexible".
+        smear: periods of the position filter on each side of a rest or a reversal that are left out with it.
 
     Raises:
         RecordError: a channel is missing, or the joints' records have not one clock.
@@ -135,8 +141,8 @@ def motion_of_robot(
         velocity = differentiate(smooth, sample_time)
         acceleration = differentiate(velocity, sample_time)
         torques = [channel.values[:size] for channel in channels]
-    smear = math.ceil(_SMEAR / (filtering.position_cutoff * sample_time))
-    moving = [moving_weights(each, max(_LONG, 4 * smear), smear) * turning_weights(each, smear) for each in velocity.T]
+    reach = math.ceil(smear / (filtering.position_cutoff * sample_time))
+    moving = [moving_weights(each, max(_LONG, 4 * reach), reach) * turning_weights(each, reach) for each in velocity.T]
     joints = np.linalg.inv(robot.coupling).T
     return RobotMotion(
         smooth @ joints,
