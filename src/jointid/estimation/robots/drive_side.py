@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -224,7 +225,7 @@ def identify_flexible_drive_side(
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class SearchOfSprings:
     """The search for frequencies to begin with, joint after joint, where the motors move as they were measured.
 
@@ -241,20 +242,36 @@ class SearchOfSprings:
     problem: RobotDriveSideProblem
     progress: Progress
 
+    @cached_property
+    def _measured(self) -> FloatArray:
+        return self.problem.by_joint(self.problem.decimated(self.problem.measured))
+
     def frequencies(self, start: StartOfSprings) -> dict[str, float]:
         """Return a frequency for each flexible joint, of rotor against link, Hz."""
         highest = min(_HIGHEST, self._cutoff)
         row = [_LOWEST * _APART**i for i in range(math.floor(math.log(highest / _LOWEST) / math.log(_APART)) + 1)]
+        ways = [self._one_by_one(start, row), self._together(start, row)]
+        costs = in_threads(lambda way: float(np.sum(self._costs(start, way))), ways)
+        placed = ways[int(np.argmin(costs))]
+        for joint, hertz in placed.items():
+            self.progress(f"{start.names[joint]}: its link swings behind its motor at {hertz:.3g} Hz")
+        shares = np.sqrt((start.rotors + start.links) / np.where(start.rotors > 0.0, start.rotors, 1.0))
+        return {
+            name: placed[j] * float(shares[j]) if j in placed else start.stiff for j, name in enumerate(start.names)
+        }
+
+    def _one_by_one(self, start: StartOfSprings, row: Sequence[float]) -> dict[int, float]:
+        """Return the frequencies of joints that are placed in rounds, until no other one gains."""
         left = [int(j) for j in np.flatnonzero(self.problem.parameters.base.flexible)]
-        placed, measured = dict[int, float](), self.problem.by_joint(self.problem.decimated(self.problem.measured))
-
-        def cost(case: tuple[int, float | None]) -> float:
-            joint, hertz = case
-            return self._cost(start, placed if hertz is None else placed | {joint: hertz}, joint, measured[joint])
-
+        placed = dict[int, float]()
         while left:
             cases: list[tuple[int, float | None]] = [(joint, hertz) for joint in left for hertz in (None, *row)]
-            costs = np.array(in_threads(cost, cases)).reshape(len(left), -1)
+
+            def cost(case: tuple[int, float | None]) -> float:
+                joint, hertz = case
+                return float(self._costs(start, placed if hertz is None else placed | {joint: hertz}, (joint,))[0])
+
+            costs = np.sqrt(np.array(in_threads(cost, cases)).reshape(len(left), -1))
             gains = np.min(costs[:, 1:], axis=1) / costs[:, 0]
             if not np.min(gains) < _GAIN:
                 break
@@ -262,11 +279,20 @@ class SearchOfSprings:
                 if gain < _CLEAR or gain == np.min(gains):
                     placed[joint] = row[int(np.argmin(own[1:]))]
                     left.remove(joint)
-                    self.progress(f"{start.names[joint]}: its link swings behind its motor at {placed[joint]:.3g} Hz")
-        shares = np.sqrt((start.rotors + start.links) / np.where(start.rotors > 0.0, start.rotors, 1.0))
-        return {
-            name: placed[j] * float(shares[j]) if j in placed else start.stiff for j, name in enumerate(start.names)
-        }
+        return placed
+
+    def _together(self, start: StartOfSprings, row: Sequence[float]) -> dict[int, float]:
+        """Return the frequencies with which all joints are best off when all have the same, or each its own of those.
+
+        Joints that load each other swing together, at frequencies that none of them has alone.
+        """
+        flexible = [int(j) for j in np.flatnonzero(self.problem.parameters.base.flexible)]
+        same = [dict.fromkeys(flexible, hertz) for hertz in row]
+        costs = np.array(in_threads(lambda way: self._costs(start, way), same))
+        own = {j: row[int(np.argmin(costs[:, j]))] for j in flexible}
+        whole = np.sum(costs, axis=1)
+        best = same[int(np.argmin(whole))]
+        return own if np.sum(self._costs(start, own)) < np.min(whole) else best
 
     @property
     def _cutoff(self) -> float:
@@ -274,8 +300,13 @@ class SearchOfSprings:
         assert cutoff is not None
         return cutoff
 
-    def _cost(self, start: StartOfSprings, placed: Mapping[int, float], joint: int, measured: FloatArray) -> float:
-        """Return what is left of a joint's torque, with springs at the placed frequencies and nowhere else."""
+    def _costs(
+        self, start: StartOfSprings, placed: Mapping[int, float], joints: Sequence[int] | None = None
+    ) -> FloatArray:
+        """Return what is left of each joint's torque, squared, as a share, with springs where they are placed.
+
+        Of all joints, or of some; 1 where the robot cannot be simulated.
+        """
         problem, parameters = self.problem, self.problem.parameters
         numbers = parameters.numbers(start.all_at(start.stiff))
         rotors, springs = np.arange(numbers.rotors.size), np.zeros_like(numbers.springs)
@@ -284,12 +315,17 @@ class SearchOfSprings:
             rotors[other] = numbers.rotors[other]
             springs[other] = start.links[other] * w * np.array([w, 2.0 * _DAMPING])
         run = run_drive_side(problem.prescribed, replace(numbers, rotors=rotors, springs=springs))
+        asked = range(rotors.size) if joints is None else joints
         if run.outcome is not RobotOutcome.FINISHED:
-            return math.inf
-        motor = int(rotors[joint])
+            return np.ones(len(asked))
+        return np.array([self._left(run, joint) for joint in asked])
+
+    def _left(self, run: RobotDriveSideRun, joint: int) -> float:
+        """Return what is left of a joint's torque beside what rotor, friction and a share of its load explain."""
+        motor, measured = int(run.numbers.rotors[joint]), self._measured[joint]
         own = [motion[:, motor] for motion in (run.motion.acceleration, run.motion.velocity, run.motion.direction)]
         columns = np.column_stack([*own, np.ones(len(run.torque)), run.torque[:, joint]])
-        W = problem.thinned_joint(joint, problem.seen(run, columns))
+        W = self.problem.thinned_joint(joint, self.problem.seen(run, columns))
         norms = column_norms(W)
         left = measured - W / norms @ np.linalg.lstsq(W / norms, measured, rcond=None)[0]
-        return float(np.linalg.norm(left))
+        return float(left @ left / (measured @ measured))
