@@ -51,6 +51,7 @@ from jointid.simulation.robots import LoopTree, RobotOutcome
 _LOWEST, _HIGHEST, _APART = 4.0, 60.0, 1.25  # Hz: the row in which a link's frequency is looked for, and its ratio
 _DAMPING = 0.1  # of critical, of springs that are looked for: wide enough to be seen from the next of the row
 _GAIN, _CLEAR = 0.97, 0.75  # of a joint's torque error, that a spring leaves: it has one, and it needs no second look
+_SWEEPS = 3  # over the joints, at most, each tried again at all frequencies
 _SMEAR = 1.0  # periods of the position filter, which rings about a reversal, and no more at the same instant in both
 _ITERATIONS = 5  # of the robot of rigid joints, which is linear: the second finds nothing left to move
 _DELAY = NumberPlace(NumberOf.LOG, 0, 0)
@@ -251,8 +252,8 @@ class SearchOfSprings:
         highest = min(_HIGHEST, self._cutoff)
         row = [_LOWEST * _APART**i for i in range(math.floor(math.log(highest / _LOWEST) / math.log(_APART)) + 1)]
         ways = [self._one_by_one(start, row), self._together(start, row)]
-        costs = in_threads(lambda way: float(np.sum(self._costs(start, way))), ways)
-        placed = ways[int(np.argmin(costs))]
+        costs = in_threads(lambda way: self._whole(start, way), ways)
+        placed = self._swept(start, row, ways[int(np.argmin(costs))])
         for joint, hertz in placed.items():
             self.progress(f"{start.names[joint]}: its link swings behind its motor at {hertz:.3g} Hz")
         shares = np.sqrt((start.rotors + start.links) / np.where(start.rotors > 0.0, start.rotors, 1.0))
@@ -281,6 +282,20 @@ class SearchOfSprings:
                     left.remove(joint)
         return placed
 
+    def _swept(self, start: StartOfSprings, row: Sequence[float], placed: dict[int, float]) -> dict[int, float]:
+        """Return the frequencies after each joint was tried again, beside the others, while all torques gain by it."""
+        least = self._whole(start, placed)
+        for _ in range(_SWEEPS):
+            before = least
+            for joint in np.flatnonzero(self.problem.parameters.base.flexible):
+                ways = [placed | {int(joint): hertz} for hertz in row]
+                costs = in_threads(lambda way: self._whole(start, way), ways)
+                if min(costs) < _GAIN * least:
+                    least, placed = min(costs), ways[int(np.argmin(costs))]
+            if not least < before:
+                break
+        return placed
+
     def _together(self, start: StartOfSprings, row: Sequence[float]) -> dict[int, float]:
         """Return the frequencies with which all joints are best off when all have the same, or each its own of those.
 
@@ -290,15 +305,18 @@ class SearchOfSprings:
         same = [dict.fromkeys(flexible, hertz) for hertz in row]
         costs = np.array(in_threads(lambda way: self._costs(start, way), same))
         own = {j: row[int(np.argmin(costs[:, j]))] for j in flexible}
-        whole = np.sum(costs, axis=1)
-        best = same[int(np.argmin(whole))]
-        return own if np.sum(self._costs(start, own)) < np.min(whole) else best
+        best = same[int(np.argmin(np.sum(np.log(costs), axis=1)))]
+        return min(own, best, key=lambda way: self._whole(start, way))
 
     @property
     def _cutoff(self) -> float:
         cutoff = self.problem.filtering.cutoff
         assert cutoff is not None
         return cutoff
+
+    def _whole(self, start: StartOfSprings, placed: Mapping[int, float]) -> float:
+        """Return the error of all joints, each as good as another: the product of what is left of them."""
+        return float(np.exp(0.5 * np.sum(np.log(self._costs(start, placed)))))
 
     def _costs(
         self, start: StartOfSprings, placed: Mapping[int, float], joints: Sequence[int] | None = None
