@@ -10,14 +10,15 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from jointid import Cascade
+from jointid import Cascade, MethodError
 from jointid.config.robot_file import RobotFile, load_robot_file
 from jointid.diagnostics.robots.diagnose import diagnose_robot
 from jointid.estimation.robots.consistent import mass_matrix_at
 from jointid.estimation.robots.idim import identify_robot
+from jointid.estimation.robots.torque_estimate import identify_robot_drive_side
 from jointid.estimation.robots.validation import validate_robot
 from jointid.models.robots.base_parameters import base_parameters, inverse_columns
-from jointid.models.robots.robot import Robot
+from jointid.models.robots.robot import JointSpring, Robot
 
 pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
 
@@ -85,6 +86,17 @@ def test_the_table_is_what_comes_out(file: RobotFile, data_dir: Path, first: str
 
 def test_both_ways_are_on_the_page() -> None:
     assert [row[:2] for row in ROWS] == [("A", "B"), ("B", "A")]
+
+
+@pytest.mark.parametrize("name", ["A", "B"])
+def test_its_springs_are_refused_on_the_drive_side(file: RobotFile, data_dir: Path, name: str) -> None:
+    joints = tuple(
+        replace(joint, spring=JointSpring(stiffness) if stiffness else None)
+        for joint, stiffness in zip(file.robot.joints, (4.58e6, 7.52e6, 4.10e6, 0, 0, 0), strict=True)
+    )
+    records = file.records(data_dir / "kr300" / f"rec_{name}.mat")
+    with pytest.raises(MethodError, match="a mass matrix that is not positive in a pose of the record"):
+        identify_robot_drive_side(replace(file.robot, joints=joints), records)
 
 
 def test_no_law_of_reference_and_position_makes_its_torque(file: RobotFile, data_dir: Path) -> None:

@@ -280,7 +280,7 @@ def start_of(
     raise MethodError(
         "The robot cannot be simulated where its search begins: "
         + " ".join(failures)
-        + " Check the controllers' gains, "
+        + " Check the controllers' gains, and their period where they run faster than the log, "
         "the signs and units of torques and references, and the joints' places."
     )
 

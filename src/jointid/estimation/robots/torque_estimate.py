@@ -24,7 +24,7 @@ from jointid.common.units import Kind
 from jointid.estimation.robots.didim import RobotFit, identify_rigid_robot
 from jointid.estimation.robots.drive_side import RobotDriveSideProblem, drive_side_problem, identify_flexible_drive_side
 from jointid.estimation.robots.flexible import SpringVerdict, identify_flexible_robot
-from jointid.estimation.robots.idim import errors_table
+from jointid.estimation.robots.idim import KNOWN, errors_table
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
 from jointid.estimation.robots.problem import RobotLoopProblem, robot_problem
 from jointid.estimation.robots.validation import RobotValidation, require_unseen
@@ -154,6 +154,12 @@ class RobotTorqueEstimate(Documented):
         """Whether springs were looked for, and none was found."""
         return bool(self.springs) and not any(one.shown for one in self.springs)
 
+    @property
+    def _known(self) -> int:
+        """How many parameters are known to a tenth."""
+        each = zip(self.fit.names, self.fit.values, self.fit.covariance.std, strict=True)
+        return sum(std < KNOWN * abs(value) for name, value, std in each if name not in self._refused)
+
     def numbers(self) -> RobotNumbers:
         """Return the robot that was identified, as it is simulated."""
         return self.fit.parameters.numbers(self.fit.values)
@@ -183,7 +189,8 @@ class RobotTorqueEstimate(Documented):
                 shown = interval(float(value), _TWO * float(std))
                 rows.append((name, shown, units[name], f"{100 * share:.2g}"))
         hidden = len(self.fit.names) - len(rows)
-        caption = f"{hidden} more are not told from 0 by this record" if hidden else "all that torques can tell"
+        caption = f"{self._known} of {len(self.fit.names)} parameters are known to a tenth, 1 sigma"
+        caption += f"; {hidden} more are not told from 0 by this record" if hidden else ""
         sums = [
             (name, sum_of)
             for name, sum_of in zip(self.fit.names, self.fit.parameters.formulas(self.robot), strict=True)
