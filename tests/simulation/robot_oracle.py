@@ -42,7 +42,9 @@ def simulate_pd(
     """
     n, size = numbers.rotors.size, len(numbers.masses)
     every, delays = every or (1,) * n, delays or (0.0,) * n
-    coulomb, still = numbers.masses[:, 2], np.zeros(numbers.rotors.size)
+    still = np.zeros(numbers.rotors.size)
+    rise, below = numbers.masses[:, 6], np.where(numbers.masses[:, 7] > 0.0, numbers.masses[:, 7], 1.0)
+    coulomb = numbers.masses[:, 2] + rise  # at rest
     joints = tree[6] if tree[6].size else np.eye(n)
     q, v = start.copy(), np.zeros(size) if speeds is None else speeds.copy()
     modes = np.sign(v)
@@ -70,11 +72,13 @@ def simulate_pd(
                 force[r] -= spring
         return M, force
 
-    def accelerations(M: FloatArray, force: FloatArray, modes: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def accelerations(
+        M: FloatArray, force: FloatArray, modes: FloatArray, v: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         free = modes != 0
-        a = np.zeros(size)
-        a[free] = np.linalg.solve(M[np.ix_(free, free)], (force - modes * coulomb)[free])
-        return a, force - M @ a - modes * coulomb  # of the second only what rests is read
+        a, grip = np.zeros(size), coulomb - rise * (1.0 - np.exp(-((v / below) ** 2)))
+        a[free] = np.linalg.solve(M[np.ix_(free, free)], (force - modes * grip)[free])
+        return a, force - M @ a - modes * grip  # of the second only what rests is read
 
     def settled(q: FloatArray, v: FloatArray, torque: FloatArray, modes: FloatArray) -> FloatArray:
         standing = np.flatnonzero((v == 0) & (coulomb > 0))
@@ -82,7 +86,7 @@ def simulate_pd(
         for choice in itertools.product((0.0, 1.0, -1.0), repeat=standing.size):
             tried = modes.copy()
             tried[standing] = choice
-            a, held = accelerations(M, force, tried)
+            a, held = accelerations(M, force, tried, v)
             rests = tried[standing] == 0
             if np.all(np.abs(held[standing][rests]) <= coulomb[standing][rests] * (1 + 1e-12) + 1e-12) and np.all(
                 (a * tried)[standing][~rests] > 0
@@ -97,7 +101,7 @@ def simulate_pd(
 
             def slope(_: float, y: FloatArray, modes: FloatArray = modes, torque: FloatArray = torque) -> FloatArray:
                 M, force = forces(y[:size], y[size:], torque)
-                return np.concatenate([y[size:], accelerations(M, force, modes)[0]])
+                return np.concatenate([y[size:], accelerations(M, force, modes, y[size:])[0]])
 
             guards = []
             for i in np.flatnonzero(coulomb > 0):
@@ -112,7 +116,7 @@ def simulate_pd(
                         t: float, y: FloatArray, i: int = i, modes: FloatArray = modes, torque: FloatArray = torque
                     ) -> float:
                         M, force = forces(y[:size], y[size:], torque)
-                        return float(coulomb[i] * (1 + 1e-11) - abs(accelerations(M, force, modes)[1][i]))
+                        return float(coulomb[i] * (1 + 1e-11) - abs(accelerations(M, force, modes, y[size:])[1][i]))
 
                 guard.terminal, guard.direction = True, -1  # type: ignore[attr-defined]
                 guards.append((i, guard))
@@ -131,7 +135,7 @@ def simulate_pd(
                         v[i] = 0.0
                     else:
                         _, force = forces(q, v, torque)
-                        held = accelerations(forces(q, v, torque)[0], force, modes)[1][i]
+                        held = accelerations(forces(q, v, torque)[0], force, modes, v)[1][i]
                         modes[i] = np.sign(held)
         return q, v, modes
 

@@ -13,7 +13,7 @@ from jointid.simulation.robot_numbers import NumberPlace, RobotNumbers, all_plac
 from jointid.simulation.robot_sensitivities import differentiate_torque
 from jointid.simulation.robots import RobotInput, RobotLoop, prepare_robot, run_robot
 from tests.robots_plants import six, two
-from tests.simulation.test_robots import COUPLED, ONE_WAY, changed, faster
+from tests.simulation.test_robots import COUPLED, ONE_WAY, RISING, changed, faster
 
 LATE = tuple(
     Cascade(position_gain=20.0, velocity_gain=kv, integral_gain=8.0, position_period=2e-3, delay=1.3e-3)
@@ -52,12 +52,14 @@ def differences(
         (six().loop(), 1, 2e-3),
         (changed(two((None, 12.0)), *COUPLED).loop(), 4, 5e-3),
         (changed(two((None, 12.0)), *ONE_WAY).loop(), 4, 5e-3),
+        (changed(two((None, 12.0)), *RISING).loop(), 4, 5e-3),
         (RobotLoop(two((None, 12.0)).robot, APART), 4, 5e-3),
         (replace(two((None, 12.0)).loop(), in_motion=True), 4, 5e-3),
     ],
     ids=[
         "two rigid", "one flexible", "two flexible", "late cascades of two rates", "at their limits", "six rigid",
-        "motors coupled", "friction another backwards", "clocks that differ", "in motion",
+        "motors coupled", "friction another backwards", "friction that rises towards standstill", "clocks that differ",
+        "in motion",
     ],
 )  # fmt: skip
 def test_variation_is_the_derivative_of_the_run(loop: RobotLoop, steps: int, worst: float) -> None:

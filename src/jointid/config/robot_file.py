@@ -49,7 +49,16 @@ from jointid.simulation.robots import RobotLoop, add_feed_forward
 _UPRIGHT = 1e-3  # rad, that a base is off the upright and yet upright
 _TURNS = 2 * math.pi  # rad
 
-_OF_JOINT = ("rotor_inertia", "viscous", "coulomb", "offset", "viscous_backwards", "coulomb_backwards")
+_OF_JOINT = (
+    "rotor_inertia",
+    "viscous",
+    "coulomb",
+    "offset",
+    "viscous_backwards",
+    "coulomb_backwards",
+    "stribeck_force",
+    "stribeck_speed",
+)
 
 FeedForward: TypeAlias = Literal["none", "gravity", "inverse-model", "logged"]
 Angles = Annotated[list[Number], Field(min_length=3, max_length=3), Says("a list of three numbers")]

@@ -10,7 +10,7 @@ from jointid.common.parallel import threads
 from jointid.models.robots.dynamics import IntArray
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.simulation.closed_loop import in_threads
-from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers
+from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, stribeck_share
 from jointid.simulation.robots import LoopTree, MassMotion
 
 
@@ -25,7 +25,7 @@ def columns_of(
 
     Args:
         tree: of `RobotInput`.
-        numbers: of which only the rotors are read.
+        numbers: of which only the rotors are read, and the speeds below which friction rises.
         places: of the parameters.
         motion: of all masses.
         rows: of the masses.
@@ -43,7 +43,7 @@ def columns_of(
             if place.of is NumberOf.LINK:
                 of_links.append((row, len(SYMBOLS) * place.row + place.column, line))
             elif place.of is NumberOf.MASS:
-                lines[line] = _of_mass(motion, int(row), place.column)
+                lines[line] = _of_mass(motion, int(row), place.column, numbers)
             else:
                 moved, motor = (velocity if place.column else position), numbers.rotors[place.row]
                 stretch = moved[:, motor] - moved[:, place.row]
@@ -77,12 +77,14 @@ def _acts(place: NumberPlace, row: int, numbers: RobotNumbers, carried: NDArray[
     return row == place.row or (place.of is NumberOf.SPRING and row == numbers.rotors[place.row])
 
 
-def _of_mass(motion: MassMotion, row: int, column: int) -> FloatArray | float:
+def _of_mass(motion: MassMotion, row: int, column: int, numbers: RobotNumbers) -> FloatArray | float:
     """Return what a number of a mass is multiplied with in its equation, (samples,)."""
     velocity = motion.velocity[:, row]
     if column in (0, 2):
         return motion.acceleration[:, row] if column == 0 else motion.direction[:, row]
     if column == 3:
         return 1.0
+    if column == 6:
+        return motion.direction[:, row] * stribeck_share(numbers.masses[row], velocity)
     one_way = np.maximum(velocity, 0.0) if column == 4 else np.minimum(velocity, 0.0)
     return velocity if column == 1 else np.asarray(one_way)

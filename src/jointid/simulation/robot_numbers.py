@@ -22,9 +22,10 @@ class RobotNumbers:
 
     Attributes:
         inertials: (n, 10) of the links. rotors: (n,) the mass that each motor drives.
-        masses: (masses, 6) of the links, then of the rotors of flexible joints: inertia of the rotor (0 for the link of
-            a flexible joint), viscous, Coulomb and constant friction, and what viscous friction has more forwards, and
-            backwards.
+        masses: (masses, 8) of the links, then of the rotors of flexible joints: inertia of the rotor (0 for the link of
+            a flexible joint), viscous, Coulomb and constant friction, what viscous friction has more forwards, and
+            backwards, what Coulomb friction rises by towards standstill, and the speed below which it does (0 of one
+            that does not).
         springs: (n, 2) stiffness and damping; 0 for rigid joints.
         beside: (n, 2) position and velocity of each flexible joint's link at the first sample, beside where steady
             motion has it; or (0, 2). log: (1, 1) s, by which the log shows torques late; or (0, 1). Both are read where
@@ -45,10 +46,11 @@ class RobotNumbers:
         flexible = [i for i, joint in enumerate(joints) if joint.spring is not None]
         rotors, springs = np.arange(n), np.zeros((n, 2))
         rotors[flexible] = n + np.arange(len(flexible))
-        masses = np.zeros((n + len(flexible), 6))
+        masses = np.zeros((n + len(flexible), 8))
         for i, joint in enumerate(joints):
             viscous = (0.0, joint.viscous, joint.viscous_back) if joint.asymmetric else (joint.viscous, 0.0, 0.0)
-            masses[rotors[i]] = joint.rotor_inertia, viscous[0], *joint.coulomb_both, *viscous[1:]
+            rise = joint.stribeck_force, joint.stribeck_speed or 0.0
+            masses[rotors[i]] = joint.rotor_inertia, viscous[0], *joint.coulomb_both, *viscous[1:], *rise
             if joint.spring is not None:
                 springs[i] = joint.spring.stiffness, joint.spring.damping
                 masses[i, 1:3] = joint.spring.viscous, joint.spring.coulomb
@@ -60,6 +62,11 @@ class RobotNumbers:
         return self.inertials, self.masses, self.springs, self.beside, self.log
 
     @property
+    def sliding(self) -> Bools:
+        """Which masses have Coulomb friction, (masses,), so that they may rest."""
+        return np.asarray(self.masses[:, 2] + self.masses[:, 6] > 0.0)
+
+    @property
     def flexible(self) -> Bools:
         """Which joints are flexible, (n,)."""
         return np.asarray(self.rotors >= self.rotors.size)
@@ -69,7 +76,7 @@ class RobotNumbers:
         """True if rotors have an inertia, friction and springs are not negative, and all are numbers."""
         finite = all(bool(np.all(np.isfinite(values))) for values in self.arrays)
         turning, held = self.masses[self.rotors.size :, 0], self.springs[self.flexible, 0]
-        least = min(float(np.min(self.masses[:, [1, 2, 4, 5]])), float(np.min(self.springs)))
+        least = min(float(np.min(self.masses[:, [1, 2, 4, 5, 6, 7]])), float(np.min(self.springs)))
         return finite and least >= 0.0 and bool(np.all(turning > 0.0) and np.all(held > 0.0))
 
 
@@ -105,6 +112,15 @@ class NumberPlace:
         return float(numbers.arrays[self.of][self.row, self.column])
 
 
+def stribeck_share(masses: FloatArray, speeds: FloatArray) -> FloatArray:
+    """Return the share of its rise that a friction has at a speed, as masses and speeds broadcast.
+
+    ``exp(-(v / vS)^2)``, as of one joint (`models.friction.StribeckFriction`).
+    """
+    below = masses[..., 7]
+    return np.where(below > 0.0, np.exp(-((speeds / np.where(below > 0.0, below, 1.0)) ** 2)), 0.0)
+
+
 def with_values(numbers: RobotNumbers, places: tuple[NumberPlace, ...], values: FloatArray) -> RobotNumbers:
     """Return a candidate with other numbers in these places."""
     inertials, masses, springs, beside, log = arrays = tuple(one.copy() for one in numbers.arrays)
@@ -119,8 +135,8 @@ def all_places(numbers: RobotNumbers) -> tuple[NumberPlace, ...]:
     masses = [
         NumberPlace(NumberOf.MASS, row, column)
         for row in range(len(numbers.masses))
-        for column in ((0, 2, 3, 4, 5) if np.any(numbers.masses[row, 4:]) else range(4))
-        if row in numbers.rotors or column in (1, 2)
+        for column in (*((0, 2, 3, 4, 5) if np.any(numbers.masses[row, 4:6]) else range(4)), 6)
+        if (row in numbers.rotors or column in (1, 2)) and (column != 6 or numbers.masses[row, 7] > 0.0)
     ]
     springs = [
         NumberPlace(NumberOf.SPRING, int(i), column) for i in np.flatnonzero(numbers.flexible) for column in (0, 1)

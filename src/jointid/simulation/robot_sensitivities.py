@@ -10,7 +10,7 @@ from jointid.common.arrays import FloatArray
 from jointid.records.record import Tap
 from jointid.simulation.closed_loop import first_state
 from jointid.simulation.loop_input import as_logged
-from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers
+from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, stribeck_share
 from jointid.simulation.robot_start import FirstSample, controllers_at, weigh
 from jointid.simulation.robots import RobotRun
 
@@ -112,7 +112,8 @@ def slopes_at_start(
             joint = int(np.flatnonzero(rotors == place.row)[0]) if place.row in rotors else place.row
             v = float(speeds[joint])
             one_way = v * (v < 0.0 if place.column == 5 else v >= 0.0)
-            effects = first.accelerations[joint], v, np.sign(v), 1.0, one_way, one_way
+            rise = float(stribeck_share(numbers.masses[place.row], np.array(v))) * np.sign(v)
+            effects = first.accelerations[joint], v, np.sign(v), 1.0, one_way, one_way, rise
             (own if place.row == rotors[joint] else direct)[joint, c] = effects[place.column]
         elif place.column == 0:
             stretched[place.row, c] = (motors - links)[place.row]

@@ -16,6 +16,7 @@ from jointid.common.arrays import FloatArray
 from jointid.models.controllers import REFERENCE
 from jointid.simulation.closed_loop import first_state
 from jointid.simulation.loop_input import LoopInput
+from jointid.simulation.robot_numbers import stribeck_share
 
 if TYPE_CHECKING:
     from jointid.simulation.robot_numbers import RobotNumbers
@@ -66,10 +67,11 @@ def reference_motion(each: LoopInput) -> tuple[float, float]:
 
 
 def friction_at(numbers: RobotNumbers, speeds: FloatArray) -> FloatArray:
-    """Return viscous, Coulomb and constant friction of all masses at their velocities, (masses,)."""
+    """Return the friction of all masses at their velocities, (masses,)."""
     masses = numbers.masses
     viscous = masses[:, 1] + np.where(speeds < 0.0, masses[:, 5], masses[:, 4])
-    return np.asarray(viscous * speeds + masses[:, 2] * np.sign(speeds) + masses[:, 3])
+    grip = masses[:, 2] + masses[:, 6] * stribeck_share(masses, speeds)
+    return np.asarray(viscous * speeds + grip * np.sign(speeds) + masses[:, 3])
 
 
 def controllers_at(experiment: RobotInput, places: FloatArray) -> tuple[FloatArray, FloatArray]:

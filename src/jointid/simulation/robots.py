@@ -349,7 +349,7 @@ def motion_at(run: RobotRun, parts: IntArray) -> MassMotion:
         held = np.tile(run.start, (parts.size, 1))
         return MassMotion(held, 0.0 * held, 0.0 * held, 0.0 * held)
     at = tape.first[np.minimum(parts, tape.first.size - 1)]
-    velocity, sliding = tape.speeds[at], run.numbers.masses[:, 2] > 0.0
+    velocity, sliding = tape.speeds[at], run.numbers.sliding
     direction = np.where(sliding, tape.directions[at], np.sign(velocity))
     found = MassMotion(tape.places[at], velocity, tape.begun[at], direction)
     for values in (found.position, found.velocity, found.acceleration):
@@ -371,7 +371,10 @@ def choose_steps(tree: LoopTree, references: FloatArray, length: float, numbers:
     n, rotors = numbers.rotors.size, numbers.rotors
     still, room = np.zeros(n), np.empty((n, ROOM))
     size, fastest = len(numbers.masses), 0.0
-    springs, dampers = np.zeros((size, size)), np.diag(numbers.masses[:, 1] + np.max(numbers.masses[:, 4:], axis=1))
+    rise, below = numbers.masses[:, 6:].T
+    steep = np.where(below > 0.0, rise / np.where(below > 0.0, below, 1.0), 0.0)  # some share less than the steepest
+    springs = np.zeros((size, size))
+    dampers = np.diag(numbers.masses[:, 1] + np.max(numbers.masses[:, 4:6], axis=1) + steep)
     for i in np.flatnonzero(numbers.flexible):
         both = np.zeros(size)
         both[i], both[rotors[i]] = 1.0, -1.0

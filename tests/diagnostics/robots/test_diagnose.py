@@ -81,6 +81,10 @@ def test_a_friction_that_differs_by_direction_is_said_and_named() -> None:
     assert not found.explained
     assert found.follows is not None and found.follows[0] == DIRECTION
     assert not identify_robot(loop.robot, records).cautions
+    rising = replace(loop.robot.joints[0], stribeck_force=1.0, stribeck_speed=0.1)
+    declared = replace(loop.robot, joints=(rising, *loop.robot.joints[1:]))
+    (said,) = identify_robot(declared, records).cautions
+    assert said.startswith("The model declares a friction that rises towards standstill of joint1: IDIM finds viscous")
 
 
 def test_what_is_left_is_no_noise_unless_it_is_white() -> None:

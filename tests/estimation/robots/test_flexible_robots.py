@@ -15,7 +15,7 @@ from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.robots import RobotLoop, simulate_robot
 from tests.estimation.robots.test_rigid_robots import deviations, recorded
 from tests.robots_plants import Twin, six, two
-from tests.simulation.test_robots import COUPLED, changed
+from tests.simulation.test_robots import COUPLED, RISING, changed
 
 
 def identified(
@@ -30,7 +30,14 @@ def identified(
     loop = twin.loop()
     records, noise = recorded(loop, twin.records(duration, multisine=multisine), level)
     joints = tuple(
-        replace(joint, rotor_inertia=1.0, viscous=0.0, coulomb=0.0, spring=JointSpring(1.0) if joint.spring else None)
+        replace(
+            joint,
+            rotor_inertia=1.0,
+            viscous=0.0,
+            coulomb=0.0,
+            stribeck_force=0.0,
+            spring=JointSpring(1.0) if joint.spring else None,
+        )
         for joint in twin.robot.joints
     )
     blank = replace(twin.robot.with_inertials(np.zeros((len(joints), 10))), joints=joints)
@@ -68,6 +75,19 @@ def test_a_robot_of_one_flexible_and_one_rigid_joint() -> None:
     assert spring.shown
     assert spring.stiffness == pytest.approx(RobotNumbers.of(twin.robot).springs[0, 0], rel=0.01)
     assert "joint2.stiffness" not in found.fit.names
+
+
+def test_springs_behind_friction_that_rises_towards_standstill() -> None:
+    twin = changed(two((12.0, 18.0)), *RISING)
+    found, _ = identified(twin)
+    truth = RobotNumbers.of(twin.robot)
+    for spring, stiffness in zip(found.springs, truth.springs[:, 0], strict=True):
+        assert spring.stiffness == pytest.approx(stiffness, rel=0.02)
+    for joint, rise in (("joint1", 2.0), ("joint2", 0.8)):
+        value, deviation = found.fit.value(f"{joint}.stribeck_force")
+        assert abs(value - rise) < 3 * deviation < 0.5 * rise
+    assert found.fit.robot(twin.robot).joints[0].stribeck_speed == 0.1
+    assert np.mean(np.abs(deviations(found.fit, twin)) < 2) > 0.85
 
 
 @pytest.mark.slow

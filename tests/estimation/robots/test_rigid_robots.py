@@ -15,7 +15,7 @@ from jointid.records.record import Channel, Record
 from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.robots import RobotLoop, prepare_robot, robot_records, run_robot, simulate_robot
 from tests.robots_plants import Twin, seven, six, two
-from tests.simulation.test_robots import COUPLED, ONE_WAY, changed
+from tests.simulation.test_robots import COUPLED, ONE_WAY, RISING, changed
 
 
 def recorded(
@@ -60,9 +60,11 @@ def test_parameters_come_back_exactly_without_noise(twin: Twin, slower: float) -
     assert fit.values == pytest.approx(truth, abs=2e-5 * np.max(np.abs(truth)))
 
 
-@pytest.mark.parametrize("what", ["motors coupled", "friction another backwards", "clocks that differ", "in motion"])
+@pytest.mark.parametrize(
+    "what", ["motors coupled", "friction another backwards", "rising friction", "clocks that differ", "in motion"]
+)
 def test_they_come_back_of_what_robots_may_have(what: str) -> None:
-    changes = {"motors coupled": COUPLED, "friction another backwards": ONE_WAY}
+    changes = {"motors coupled": COUPLED, "friction another backwards": ONE_WAY, "rising friction": RISING}
     twin = changed(two(), *changes[what]) if what in changes else two()
     loop, records = twin.loop(), twin.records(6.0)
     if what == "clocks that differ":

@@ -38,6 +38,7 @@ def test_links_that_are_refused(change: dict[str, Any], says: str) -> None:
         ({"viscous": -1.0}, "joint b: viscous is -1.*; expected a number, 0 or more"),
         ({"offset": float("inf")}, "joint b: offset is inf"),
         ({"spring": JointSpring(1e4)}, "has a spring, but no rotor_inertia"),
+        ({"stribeck_force": 2.0}, "has a stribeck_force, but no stribeck_speed"),
     ],
 )
 def test_joints_that_are_refused(numbers: dict[str, Any], says: str) -> None:

@@ -44,11 +44,12 @@ def test_what_is_written_has_the_same_torque(robot: Robot, name: str) -> None:
 def test_what_is_lost_is_said() -> None:
     robot = arm()
     coupled = replace(robot.joints[5], coupling={"joint5": 0.2})
-    uneven = replace(robot.joints[0], coulomb_backwards=9.0)
+    uneven = replace(robot.joints[0], coulomb_backwards=9.0, stribeck_force=2.0, stribeck_speed=0.1)
     joints = (uneven, *robot.joints[1:5], coupled)
     text, lost = write_robot(replace(robot, joints=joints, gravity=-DOWN), Path("a.urdf"))
     assert [one.split(";")[0].split(",")[0] for one in lost] == [
-        "the constant parts of the motors' torques", "the friction backwards of joint1", "the coupling of the motors",
+        "the constant parts of the motors' torques", "the friction backwards of joint1",
+        "what the friction of joint1 rises by towards standstill", "the coupling of the motors",
         "the rotors' inertias", "how the base stands",
     ]  # fmt: skip
     assert "left out: the rotors' inertias" in text

@@ -104,7 +104,7 @@ class RobotFit:
             spring = None
             if numbers.flexible[i]:
                 spring = JointSpring(*map(float, (*numbers.springs[i], link[1], link[2])))
-            inertia, viscous, coulomb, offset, forwards, backwards = map(float, own)
+            inertia, viscous, coulomb, offset, forwards, backwards, rise, below = map(float, own)
             joints.append(
                 replace(
                     joint,
@@ -114,6 +114,8 @@ class RobotFit:
                     offset=offset,
                     viscous_backwards=viscous + backwards if joint.asymmetric else None,
                     coulomb_backwards=None,
+                    stribeck_force=rise,
+                    stribeck_speed=below or None,
                     spring=spring,
                 )
             )

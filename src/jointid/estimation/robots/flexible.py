@@ -465,10 +465,11 @@ def _split(
         elif place.of is NumberOf.MASS:
             joint = joint_of.get(place.row, place.row)
             both = 0.5 if numbers.flexible[joint] else 1.0
-            found_of = [known.get(NumberPlace(NumberOf.MASS, joint, column), 0.0) for column in range(6)]
+            found_of = [known.get(NumberPlace(NumberOf.MASS, joint, column), 0.0) for column in range(7)]
             # The link's own friction is the same in both directions.
             same = found_of[1] + 0.5 * (found_of[4] + found_of[5])
-            values[c] = both * (same if place.column == 1 else found_of[place.column])
+            share = 1.0 if place.column == 6 else both  # what rises towards standstill is the motor's
+            values[c] = share * (same if place.column == 1 else found_of[place.column])
     # What each of these is of the rigid robot's: itself if that has it, or else as it groups it.
     kept, dropped = list(rigid.parameters.places), list(rigid.parameters.dropped)
     weights = np.zeros((len(kept), len(shared)))

@@ -199,13 +199,20 @@ class RobotEstimate(Documented):
     @property
     def cautions(self) -> tuple[str, ...]:
         """Sentences on what the model declares and IDIM does not find."""
-        joints = [joint.name for joint in self.robot.joints if joint.asymmetric]
-        if not joints:
-            return ()
-        return (
-            f"The model declares another friction backwards of {listed(joints)}: IDIM finds one viscous friction for "
-            "both directions, and the difference of the Coulomb frictions in the offset; DIDIM finds each.",
-        )
+        uneven = [joint.name for joint in self.robot.joints if joint.asymmetric]
+        rising = [joint.name for joint in self.robot.joints if joint.stribeck_speed is not None]
+        found = []
+        if uneven:
+            found.append(
+                f"The model declares another friction backwards of {listed(uneven)}: IDIM finds one viscous friction "
+                "for both directions, and the difference of the Coulomb frictions in the offset; DIDIM finds each."
+            )
+        if rising:
+            found.append(
+                f"The model declares a friction that rises towards standstill of {listed(rising)}: IDIM finds viscous "
+                "and Coulomb friction alone; DIDIM finds the rise."
+            )
+        return tuple(found)
 
     def friction(self, symbol: str) -> FloatArray:
         """Return one number of each joint's friction, (n,): "Fv", "Fc" or "offset"."""

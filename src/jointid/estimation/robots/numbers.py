@@ -26,7 +26,7 @@ from jointid.simulation.robots import MassMotion
 
 _MOTIONS = 300  # random ones, at each of which every joint has an equation
 _FELT = 1e-10  # of the largest column: what is smaller is rounding, and would be independent of all others
-_OF_MASS = ("rotor_inertia", "viscous", "coulomb", "offset", "viscous_forwards", "viscous_backwards")
+_OF_MASS = ("rotor_inertia", "viscous", "coulomb", "offset", "viscous_forwards", "viscous_backwards", "stribeck_force")
 _OF_SPRING = ("stiffness", "damping")
 _QUANTITIES = {
     "rotor_inertia": Quantity.INERTIA,
@@ -35,6 +35,7 @@ _QUANTITIES = {
     "viscous_backwards": Quantity.VISCOUS,
     "coulomb": Quantity.FORCE,
     "offset": Quantity.FORCE,
+    "stribeck_force": Quantity.FORCE,
     "stiffness": Quantity.STIFFNESS,
     "damping": Quantity.VISCOUS,
 }
@@ -123,6 +124,7 @@ def _ordered(robot: Robot, numbers: RobotNumbers, offsets: bool) -> tuple[Number
     two = {int(row) for row, joint in zip(numbers.rotors, robot.joints, strict=True) if joint.asymmetric}
     friction = [NumberPlace(NumberOf.MASS, row, c) for row in masses for c in ((4, 5) if row in two else (1,))]
     friction += [NumberPlace(NumberOf.MASS, row, 2) for row in masses]
+    friction += [NumberPlace(NumberOf.MASS, row, 6) for row in masses if numbers.masses[row, 7] > 0.0]
     # A Coulomb friction of two sizes is one of both directions and an offset.
     constant = [NumberPlace(NumberOf.MASS, int(row), 3) for row in numbers.rotors if offsets or int(row) in two]
     springs = [
@@ -137,6 +139,8 @@ def _random_columns(robot: Robot, numbers: RobotNumbers, places: tuple[NumberPla
     """Return the columns at random motions, (rows, parameters), 0 where they are rounding."""
     random, shape = np.random.default_rng(0), (_MOTIONS, len(numbers.masses))
     velocity = 2.0 * random.normal(size=shape)
+    below = numbers.masses[:, 7]  # a third of the motions are slow enough to be there
+    velocity[::3] *= np.where(below > 0.0, 0.5 * below, 1.0)
     motion = MassMotion(
         random.uniform(-math.pi, math.pi, shape), velocity, 5.0 * random.normal(size=shape), np.sign(velocity)
     )
@@ -167,7 +171,7 @@ def _named(place: NumberPlace, robot: Robot, numbers: RobotNumbers, logarithmic:
         joint = int(np.flatnonzero(numbers.rotors == place.row)[0]) if place.row in numbers.rotors else place.row
         symbol = _OF_MASS[place.column]
         name = symbol if place.row == numbers.rotors[joint] else f"link_{symbol}"
-    lower = 0.0 if symbol == "coulomb" or _QUANTITIES[symbol] is Quantity.VISCOUS else -math.inf
+    lower = 0.0 if symbol in ("coulomb", "stribeck_force") or _QUANTITIES[symbol] is Quantity.VISCOUS else -math.inf
     if _positive(place, numbers) and not logarithmic:
         lower = 1e-12
     return Parameter(f"{robot.joints[joint].name}.{name}", symbol, _QUANTITIES[symbol], lower=lower)

@@ -84,6 +84,10 @@ class RobotJoint:
     coulomb_backwards: float | None = setting(
         None, "Coulomb friction of the motor's side backwards, if another", unit="N m or N", at_least=0
     )
+    stribeck_force: float = setting(
+        0.0, "what the motor's Coulomb friction rises by towards standstill", unit="N m or N", at_least=0
+    )
+    stribeck_speed: float | None = setting(None, "speed below which it does", unit="rad/s or m/s", above=0)
     spring: JointSpring | None = setting(None, "between motor and link; without it the joint is rigid")
     coupling: Mapping[str, float] = field(
         default_factory=dict,
@@ -96,6 +100,12 @@ class RobotJoint:
             raise MethodError(
                 f"The joint {self.name} has a spring, but no rotor_inertia; expected a positive one: add it, or leave "
                 "the spring out for a rigid joint."
+            )
+
+        if self.stribeck_force > 0 and self.stribeck_speed is None:
+            raise MethodError(
+                f"The joint {self.name} has a stribeck_force, but no stribeck_speed; expected the speed below which "
+                "friction rises: add it."
             )
 
     @property

@@ -104,6 +104,9 @@ def _lost(robot: Robot) -> list[str]:
     uneven = [joint.name for joint in robot.joints if joint.asymmetric]
     if uneven:
         lost.append(f"the friction backwards of {', '.join(uneven)}; what is written is that forwards")
+    rising = [joint.name for joint in robot.joints if joint.stribeck_force]
+    if rising:
+        lost.append(f"what the friction of {', '.join(rising)} rises by towards standstill")
     if not np.array_equal(robot.coupling, np.eye(len(robot))):
         lost.append("the coupling of the motors; rotors and friction are those of the motors, at the joints")
     if any(robot.flexible):

@@ -23,9 +23,9 @@ within one step is not.
 Masses are the links, in their order, then the rotors of flexible joints. Where motors are coupled a link's position is
 that of the shaft that its motor turns, ``C q``, so that friction and springs are each one shaft's
 (`models.robots.equations`). Coefficients of masses are rows of inertia (of a rotor; 0 for the link of a flexible
-joint),
-viscous, Coulomb and constant friction, and of viscous friction what is added forwards, and backwards: friction is one
-line on each side of 0. A Coulomb friction of two sizes is one of their mean and a constant friction.
+joint), viscous, Coulomb and constant friction, of viscous friction what is added forwards, and backwards, and of
+Coulomb friction what is added towards standstill, FS of ``FS exp(-(v / vS)^2)``, and vS. A Coulomb friction of two
+sizes is one of their mean and a constant friction. What holds a mass at rest, or slows it as it slides, is its grip.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _HOLD = 1.0 + 1e-9  # of the Coulomb friction: what holds a mass, so that one at
 _ROOT = 1e-11  # of a step: where an event is located to
 _CLOSER = 80  # evaluations of an event's guard at most
 _PIVOTS = 50  # per mass; a handful is usual, least-index pivoting ends anyway
-_INERTIA, _VISCOUS, _COULOMB, _OFFSET, _FORWARDS, _BACKWARDS = range(6)
+_INERTIA, _VISCOUS, _COULOMB, _OFFSET, _FORWARDS, _BACKWARDS, _RISE, _SPEED = range(8)
 
 
 @inlined
@@ -57,9 +57,9 @@ def load_forces(
     gravity: FloatArray, joints: FloatArray, inertials: FloatArray, rotors: IntArray, masses: FloatArray,
     springs: FloatArray,
     q: FloatArray, v: FloatArray, still: FloatArray, room: FloatArray, M: FloatArray, bias: FloatArray,
-    push: FloatArray,
+    push: FloatArray, grip: FloatArray,
 ) -> None:  # fmt: skip
-    """Fill the mass matrix of the links, and what pushes every mass beside motor torque and Coulomb friction."""
+    """Fill the mass matrix of the links, what pushes every mass beside motor torque and grip, and its grip."""
     n = parents.size
     equations_of_motion(
         parents, kinds, axes, rotations, origins, gravity, joints, inertials, q[:n], v[:n], still, room, M, bias
@@ -67,6 +67,10 @@ def load_forces(
     for i in range(push.size):
         viscous = masses[i, _VISCOUS] + masses[i, _BACKWARDS if v[i] < 0.0 else _FORWARDS]
         push[i] = -viscous * v[i] - masses[i, _OFFSET]
+        grip[i] = masses[i, _COULOMB]
+        if masses[i, _RISE] > 0.0:
+            part = v[i] / masses[i, _SPEED]
+            grip[i] += masses[i, _RISE] * math.exp(-part * part)
     for i in range(n):
         push[i] -= bias[i]
         r = rotors[i]
@@ -80,18 +84,19 @@ def load_forces(
 
 @inlined
 def accelerate(
-    M: FloatArray, L: FloatArray, push: FloatArray, torque: FloatArray, rotors: IntArray, masses: FloatArray,
-    modes: FloatArray, links: IntArray, a: FloatArray, held: FloatArray,
+    M: FloatArray, L: FloatArray, push: FloatArray, grip: FloatArray, torque: FloatArray, rotors: IntArray,
+    masses: FloatArray, modes: FloatArray, links: IntArray, a: FloatArray, held: FloatArray,
 ) -> bool:  # fmt: skip
     """Fill the accelerations in given modes, and what friction holds in masses that rest; False if M is not positive.
 
-    M is (n, n), L of its shape (its root, with one over the diagonal) and links, (n,), are scratch; push, (masses,), is
-    of `load_forces`, torque, (n,), of the motors, rotors, (n,), the mass each acts on; masses is (masses, 6), and
-    modes, (masses,), the direction in which each slides, 0 of one that rests. Out are a and held, (masses,).
+    M is (n, n), L of its shape (its root, with one over the diagonal) and links, (n,), are scratch; push and grip,
+    (masses,), are of `load_forces`, torque, (n,), of the motors, rotors, (n,), the mass each acts on; masses is
+    (masses, 8), and modes, (masses,), the direction in which each slides, 0 of one that rests. Out are a and held,
+    (masses,).
     """
     n, free = torque.size, 0
     for i in range(push.size):
-        a[i], held[i] = 0.0, push[i] - modes[i] * masses[i, _COULOMB]
+        a[i], held[i] = 0.0, push[i] - modes[i] * grip[i]
     for i in range(n):
         held[rotors[i]] += torque[i]
         if modes[i] != 0.0:
@@ -131,18 +136,18 @@ def accelerate(
 
 @compiled
 def settle(
-    M: FloatArray, L: FloatArray, push: FloatArray, torque: FloatArray, rotors: IntArray, masses: FloatArray,
-    v: FloatArray, modes: FloatArray, links: IntArray, a: FloatArray, held: FloatArray,
+    M: FloatArray, L: FloatArray, push: FloatArray, grip: FloatArray, torque: FloatArray, rotors: IntArray,
+    masses: FloatArray, v: FloatArray, modes: FloatArray, links: IntArray, a: FloatArray, held: FloatArray,
 ) -> bool:  # fmt: skip
     """Decide which masses that stand still rest and which way the others begin to slide; arguments of `accelerate`."""
     for _ in range(_PIVOTS * push.size):
-        if not accelerate(M, L, push, torque, rotors, masses, modes, links, a, held):
+        if not accelerate(M, L, push, grip, torque, rotors, masses, modes, links, a, held):
             return False
         changed = False
         for i in range(push.size):
-            if v[i] != 0.0 or not masses[i, _COULOMB] > 0.0:
+            if v[i] != 0.0 or not grip[i] > 0.0:
                 continue
-            if modes[i] == 0.0 and abs(held[i]) >= _HOLD * masses[i, _COULOMB]:
+            if modes[i] == 0.0 and abs(held[i]) >= _HOLD * grip[i]:
                 modes[i], changed = math.copysign(1.0, held[i]), True
             elif modes[i] != 0.0 and modes[i] * a[i] <= 0.0:
                 modes[i], changed = 0.0, True
@@ -159,8 +164,8 @@ def _step(
     gravity: FloatArray, joints: FloatArray, inertials: FloatArray, rotors: IntArray, masses: FloatArray,
     springs: FloatArray,
     torque: FloatArray, h: float, q: FloatArray, v: FloatArray, a: FloatArray, modes: FloatArray, still: FloatArray,
-    room: FloatArray, M: FloatArray, L: FloatArray, bias: FloatArray, push: FloatArray, links: IntArray,
-    slopes: FloatArray,
+    room: FloatArray, M: FloatArray, L: FloatArray, bias: FloatArray, push: FloatArray, grip: FloatArray,
+    links: IntArray, slopes: FloatArray,
     q1: FloatArray, v1: FloatArray, a1: FloatArray, held1: FloatArray,
 ) -> bool:  # fmt: skip
     """Fill where one step of the method leads, and the forces and accelerations there, in the modes of its start."""
@@ -180,9 +185,9 @@ def _step(
                 v1[i] = v[i] + h / 6.0 * (a[i] + 2.0 * between + a1[i])
         load_forces(
             parents, kinds, axes, rotations, origins, gravity, joints, inertials, rotors, masses, springs,
-            q1, v1, still, room, M, bias, push,
+            q1, v1, still, room, M, bias, push, grip,
         )  # fmt: skip
-        if not accelerate(M, L, push, torque, rotors, masses, modes, links, a1, held1):
+        if not accelerate(M, L, push, grip, torque, rotors, masses, modes, links, a1, held1):
             return False
     return True
 
@@ -190,9 +195,10 @@ def _step(
 @compiled
 def _guard(i: int, masses: FloatArray, modes: FloatArray, v: FloatArray, held: FloatArray) -> float:
     """Return what is positive until a mass stops, or comes loose."""
-    if not masses[i, _COULOMB] > 0.0:
+    holds = masses[i, _COULOMB] + masses[i, _RISE]
+    if not holds > 0.0:
         return 1.0
-    return modes[i] * v[i] if modes[i] != 0.0 else _HOLD * masses[i, _COULOMB] - abs(held[i])
+    return modes[i] * v[i] if modes[i] != 0.0 else _HOLD * holds - abs(held[i])
 
 
 @compiled
@@ -212,7 +218,7 @@ def _earliest(
             place = start / (start - end)
             if place < first:
                 first, mass, at = place, i, 1.0
-        elif modes[i] != 0.0 and masses[i, _COULOMB] > 0.0:
+        elif modes[i] != 0.0 and masses[i, _COULOMB] + masses[i, _RISE] > 0.0:
             down, up = modes[i] * a[i] * h, modes[i] * a1[i] * h
             if down < 0.0 < up and min(start, end) < 0.15 * (up - down):
                 # The cubic through both ends: where it is lowest, and how low.
@@ -232,7 +238,7 @@ def _advance(
     springs: FloatArray,
     torque: FloatArray, length: float, steps: int, q: FloatArray, v: FloatArray, a: FloatArray, held: FloatArray,
     modes: FloatArray, still: FloatArray, room: FloatArray, M: FloatArray, L: FloatArray, bias: FloatArray,
-    push: FloatArray,
+    push: FloatArray, grip: FloatArray,
     links: IntArray, slopes: FloatArray, q1: FloatArray, v1: FloatArray, a1: FloatArray, held1: FloatArray,
     lasting: FloatArray, places: FloatArray, speeds: FloatArray, begun: FloatArray, ended: FloatArray,
     directions: FloatArray, stopped: IntArray, counts: IntArray,
@@ -250,7 +256,7 @@ def _advance(
             if not _step(
                 parents, kinds, axes, rotations, origins, gravity, joints, inertials, rotors, masses, springs, torque,
                 h,
-                q, v, a, modes, still, room, M, L, bias, push, links, slopes, q1, v1, a1, held1,
+                q, v, a, modes, still, room, M, L, bias, push, grip, links, slopes, q1, v1, a1, held1,
             ):  # fmt: skip
                 return NOT_POSITIVE
             mass, at = _earliest(masses, modes, h, v, a, held, v1, a1, held1)
@@ -258,7 +264,7 @@ def _advance(
                 if not _step(
                     parents, kinds, axes, rotations, origins, gravity, joints, inertials, rotors, masses, springs,
                     torque,
-                    at * h, q, v, a, modes, still, room, M, L, bias, push, links, slopes, q1, v1, a1, held1,
+                    at * h, q, v, a, modes, still, room, M, L, bias, push, grip, links, slopes, q1, v1, a1, held1,
                 ):  # fmt: skip
                     return NOT_POSITIVE
                 if _guard(mass, masses, modes, v1, held1) > 0.0:
@@ -291,7 +297,8 @@ def _advance(
                     if not _step(
                         parents, kinds, axes, rotations, origins, gravity, joints, inertials, rotors, masses, springs,
                         torque,
-                        place * h, q, v, a, modes, still, room, M, L, bias, push, links, slopes, q1, v1, a1, held1,
+                        place * h, q, v, a, modes, still, room, M, L, bias, push, grip, links, slopes,
+                        q1, v1, a1, held1,
                     ):  # fmt: skip
                         return NOT_POSITIVE
                     value, last = _guard(mass, masses, modes, v1, held1), place
@@ -307,7 +314,7 @@ def _advance(
                 if last != high and not _step(
                     parents, kinds, axes, rotations, origins, gravity, joints, inertials, rotors, masses, springs,
                     torque,
-                    high * h, q, v, a, modes, still, room, M, L, bias, push, links, slopes, q1, v1, a1, held1,
+                    high * h, q, v, a, modes, still, room, M, L, bias, push, grip, links, slopes, q1, v1, a1, held1,
                 ):  # fmt: skip
                     return NOT_POSITIVE
                 other = -1
@@ -340,9 +347,9 @@ def _advance(
                     v[mass], modes[mass] = 0.0, 0.0
                     load_forces(
                         parents, kinds, axes, rotations, origins, gravity, joints, inertials, rotors, masses, springs,
-                        q, v, still, room, M, bias, push,
+                        q, v, still, room, M, bias, push, grip,
                     )  # fmt: skip
-                if not settle(M, L, push, torque, rotors, masses, v, modes, links, a, held):
+                if not settle(M, L, push, grip, torque, rotors, masses, v, modes, links, a, held):
                     return NOT_POSITIVE
     return FINISHED
 
@@ -366,8 +373,8 @@ def run(
 
         parents, kinds, axes, rotations, origins, gravity, joints, inertials: of the links (`models.robots.equations`).
         rotors: (n,) the mass that each motor drives: its link, or the rotor of a flexible joint.
-        masses: (masses, 6) inertia of the rotor, viscous, Coulomb and constant friction, and what viscous friction has
-            more forwards, and backwards.
+        masses: (masses, 8) inertia of the rotor, viscous, Coulomb and constant friction, what viscous friction has more
+            forwards, and backwards, and what Coulomb friction rises by below a speed, and that speed.
         springs: (n, 2) stiffness and damping; not read for rigid joints.
         lengths: (parts,) of a step of the clock. lags: (n, parts) how many of its steps ago the output that acts was
             put out. every: (n,) the period of each controller, in steps of the clock.
@@ -391,18 +398,19 @@ def run(
     room = np.empty((n, ROOM))
     still, bias, torque = np.zeros(n), np.empty(n), np.empty(n)
     M, L, push, links = np.empty((n, n)), np.empty((n, n)), np.empty(nd), np.empty(n, dtype=np.int64)
+    grip = np.empty(nd)
     a, held, modes, slopes = np.empty(nd), np.empty(nd), np.empty(nd), np.empty((2, nd))
     q1, v1, a1, held1 = np.empty(nd), np.empty(nd), np.empty(nd), np.empty(nd)
     nz, elements = z.shape[1], w.shape[1]
     new, out, cut = np.empty(nz), np.zeros(elements), np.zeros(elements)
     for i in range(nd):
-        if masses[i, _COULOMB] > 0.0:
+        if masses[i, _COULOMB] + masses[i, _RISE] > 0.0:
             modes[i] = 0.0 if v[i] == 0.0 else math.copysign(1.0, v[i])
         else:
             modes[i] = 1.0
     load_forces(
         parents, kinds, axes, rotations, origins, gravity, joints, inertials, rotors, masses, springs,
-        q, v, still, room, M, bias, push,
+        q, v, still, room, M, bias, push, grip,
     )  # fmt: skip
     for k in range(command.shape[1]):
         for j in range(n):
@@ -425,12 +433,12 @@ def run(
             for j in range(n):
                 source = k - lags[j, part]
                 torque[j] = command[j, source] + post[j, source] if source >= 0 else before[j]
-            if not settle(M, L, push, torque, rotors, masses, v, modes, links, a, held):
+            if not settle(M, L, push, grip, torque, rotors, masses, v, modes, links, a, held):
                 return NOT_POSITIVE
             first[k * parts + part] = counts[1]
             status = _advance(
                 parents, kinds, axes, rotations, origins, gravity, joints, inertials, rotors, masses, springs, torque,
-                lengths[part], steps, q, v, a, held, modes, still, room, M, L, bias, push, links, slopes,
+                lengths[part], steps, q, v, a, held, modes, still, room, M, L, bias, push, grip, links, slopes,
                 q1, v1, a1, held1, lasting, places, speeds, begun, ended, directions, stopped, counts,
             )  # fmt: skip
             if status != FINISHED:

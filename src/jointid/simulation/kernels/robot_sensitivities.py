@@ -18,11 +18,13 @@ The controllers are linear between limits, and where one acts its element does n
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.compiled import compiled
+from jointid.common.compiled import compiled, inlined
 from jointid.models.robots.dynamics import regressor
 from jointid.models.robots.equations import ROOM, linearised_equations, of_joints
 from jointid.simulation.kernels.drive import IntArray
@@ -102,6 +104,26 @@ def _control(
     for c in range(count):
         command[c] = 0.0 if cut[output] else raw[output, c]
         tapped[c] = 0.0 if cut[tap] else raw[tap, c]
+
+
+@inlined
+def _rests(masses: FloatArray, i: int) -> bool:
+    """Return True of a mass that may rest."""
+    return bool(masses[i, 2] + masses[i, 6] > 0.0)
+
+
+@inlined
+def _share(masses: FloatArray, i: int, v: float) -> float:
+    """Return the share of its rise that a friction has at a speed."""
+    return math.exp(-((v / masses[i, 7]) ** 2)) if masses[i, 7] > 0.0 else 0.0
+
+
+@inlined
+def _steepness(masses: FloatArray, i: int, v: float) -> float:
+    """Return how a friction that rises towards standstill changes with the velocity; negative, of no other."""
+    if not masses[i, 6] > 0.0:
+        return 0.0
+    return float(-2.0 * abs(v) / masses[i, 7] ** 2 * masses[i, 6] * _share(masses, i, v))
 
 
 @compiled
@@ -238,9 +260,9 @@ def differentiate_run(
                                 other[row, c] -= a[row]
                             elif which == 1 or which == (4 if v[row] >= 0.0 else 5):
                                 other[row, c] -= v[row]
-                            elif which == 2:
-                                sliding = directions[piece, row] if masses[row, 2] > 0.0 else np.sign(v[row])
-                                other[row, c] -= sliding
+                            elif which == 2 or which == 6:
+                                sliding = directions[piece, row] if _rests(masses, row) else np.sign(v[row])
+                                other[row, c] -= sliding * (_share(masses, row, v[row]) if which == 6 else 1.0)
                             elif which == 3:
                                 other[row, c] -= 1.0
                         else:
@@ -252,7 +274,7 @@ def differentiate_run(
                     half = 0.5 * h
                     for i in range(n):
                         M[i, i] += masses[i, 0] if rotors[i] == i else 0.0
-                        Cv[i, i] += masses[i, 1] + masses[i, 4 if v[i] >= 0.0 else 5]
+                        Cv[i, i] += masses[i, 1] + masses[i, 4 if v[i] >= 0.0 else 5] + _steepness(masses, i, v[i])
                         pull[i], alone[i], tie[i] = 0.0, 1.0, 0.0
                         if rotors[i] != i:
                             K[i, i] += springs[i, 0]
@@ -271,8 +293,9 @@ def differentiate_run(
                         stiffness, damping = springs[i, 0], springs[i, 1]
                         tie[i] = damping + half * stiffness
                         alone[i] = 2.0 / h * masses[r, 0] + masses[r, 1] + masses[r, 4 if v[r] >= 0.0 else 5] + tie[i]
+                        alone[i] += _steepness(masses, r, v[r])
                         inert = 2.0 / h * masses[r, 0]
-                        resting = masses[r, 2] > 0.0 and directions[piece, r] == 0.0
+                        resting = _rests(masses, r) and directions[piece, r] == 0.0
                         pull[i] = 0.0 if resting else tie[i] / alone[i]
                         for c in range(count):
                             rows[i, c] += stiffness * dq[r, c]
@@ -280,7 +303,7 @@ def differentiate_run(
                             rows[i, c] += pull[i] * other[r, c]
                         left[i, i] -= pull[i] * tie[i]
                     for i in range(n):
-                        if masses[i, 2] > 0.0 and directions[piece, i] == 0.0:
+                        if _rests(masses, i) and directions[piece, i] == 0.0:
                             for j in range(n):
                                 left[i, j] = 1.0 if i == j else 0.0
                             for c in range(count):
@@ -299,7 +322,7 @@ def differentiate_run(
                             dq[i, c] += h * rows[i, c]
                             dv[i, c] = 2.0 * rows[i, c] - dv[i, c]
                     for i in range(nd):
-                        if masses[i, 2] > 0.0 and directions[piece, i] == 0.0:
+                        if _rests(masses, i) and directions[piece, i] == 0.0:
                             for c in range(count):
                                 dv[i, c] = 0.0
                     for i in range(n if prescribed else 0):
