@@ -14,6 +14,7 @@ from jointid.estimation.robots.drive_side import identify_flexible_drive_side
 from jointid.estimation.robots.flexible import FlexibleRobotFit
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
 from jointid.records.record import Channel, Record
+from jointid.records.signals.filtering import Filtering
 from jointid.simulation.robot_numbers import NumberOf, RobotNumbers
 from jointid.simulation.robots import simulate_robot
 from tests.estimation.robots.test_rigid_robots import recorded
@@ -176,6 +177,13 @@ def test_faults_are_said() -> None:
         identify_flexible_drive_side(twin.robot, records, frequencies={**hertz(twin), "joint3": 12.0})
     with pytest.raises(ji.RecordError, match="motor_position"):
         identify_flexible_drive_side(twin.robot, [replace(record, motor_position=None) for record in records])
+    with pytest.raises(
+        MethodError, match="swing behind their motors from 4 Hz on, and the torques are filtered at 3 Hz"
+    ):
+        identify_flexible_drive_side(twin.robot, records, Filtering(cutoff=3.0))
+    dead = [replace(r, torque=replace(r.torque, values=0 * r.torque.values)) for r in records[1:] if r.torque]
+    with pytest.raises(MethodError, match="The torque of joint2 is 0 throughout"):
+        identify_flexible_drive_side(twin.robot, [records[0], *dead])
     still = [replace(r, motor_position=replace(r.motor_position, values=0 * r.motor_position.values)) for r in records]  # type: ignore[type-var,union-attr]
     with pytest.raises(MethodError):
         identify_flexible_drive_side(twin.robot, still)

@@ -23,6 +23,7 @@ from functools import cached_property
 import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
+from jointid.common.errors import MethodError
 from jointid.common.messages import Progress
 from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.problems.base import log_delay as delay_of_log
@@ -30,7 +31,7 @@ from jointid.estimation.problems.rest import moving_weights
 from jointid.estimation.robots.didim import fixed_point
 from jointid.estimation.robots.flexible import SLOW, FlexibleRobotFit, StartOfSprings, require_springs, search_springs
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
-from jointid.estimation.robots.problem import RobotProblem
+from jointid.estimation.robots.problem import RobotProblem, require_torques
 from jointid.estimation.robots.regression import RobotMotion, motion_of_robot
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
@@ -51,6 +52,7 @@ from jointid.simulation.robots import LoopTree, RobotOutcome
 _LOWEST, _HIGHEST, _APART = 4.0, 60.0, 1.25  # Hz: the row in which a link's frequency is looked for, and its ratio
 _DAMPING = 0.1  # of critical, of springs that are looked for: wide enough to be seen from the next of the row
 _GAIN, _CLEAR = 0.97, 0.75  # of a joint's torque error, that a spring leaves: it has one, and it needs no second look
+_LEAST = 1e-20  # of a torque, squared: what is left without noise
 _SWEEPS = 3  # over the joints, at most, each tried again at all frequencies
 _SMEAR = 1.0  # periods of the position filter, which rings about a reversal, and no more at the same instant in both
 _ITERATIONS = 5  # of the robot of rigid joints, which is linear: the second finds nothing left to move
@@ -151,6 +153,7 @@ def drive_side_problem(
     """
     model = "flexible" if any(robot.flexible) else "rigid"
     motion = motion_of_robot(robot, records, filtering or Filtering(), "The drive side of a robot", model, _SMEAR)
+    require_torques(robot, motion.torque)
     resting = np.array([moving_weights(each)[0] == 0.0 for each in (motion.v @ robot.coupling.T).T])
     prescribed = prescribe_motion(robot, motion.q @ robot.coupling.T, motion.sample_time, resting)
     # What the filter takes from the motion it is to take from the torques, too, and from friction's own.
@@ -249,7 +252,14 @@ class SearchOfSprings:
 
     def frequencies(self, start: StartOfSprings) -> dict[str, float]:
         """Return a frequency for each flexible joint, of rotor against link, Hz."""
-        highest = min(_HIGHEST, self._cutoff)
+        cutoff = self.problem.filtering.cutoff
+        assert cutoff is not None
+        if cutoff < _LOWEST:
+            raise MethodError(
+                f"Links are looked for that swing behind their motors from {_LOWEST:g} Hz on, and the torques are "
+                f"filtered at {cutoff:g} Hz; log faster, raise filtering.cutoff, or give frequencies."
+            )
+        highest = min(_HIGHEST, cutoff)
         row = [_LOWEST * _APART**i for i in range(math.floor(math.log(highest / _LOWEST) / math.log(_APART)) + 1)]
         ways = [self._one_by_one(start, row), self._together(start, row)]
         costs = in_threads(lambda way: self._whole(start, way), ways)
@@ -308,12 +318,6 @@ class SearchOfSprings:
         best = same[int(np.argmin(np.sum(np.log(costs), axis=1)))]
         return min(own, best, key=lambda way: self._whole(start, way))
 
-    @property
-    def _cutoff(self) -> float:
-        cutoff = self.problem.filtering.cutoff
-        assert cutoff is not None
-        return cutoff
-
     def _whole(self, start: StartOfSprings, placed: Mapping[int, float]) -> float:
         """Return the error of all joints, each as good as another: the product of what is left of them."""
         return float(np.exp(0.5 * np.sum(np.log(self._costs(start, placed)))))
@@ -346,4 +350,4 @@ class SearchOfSprings:
         W = self.problem.thinned_joint(joint, self.problem.seen(run, columns))
         norms = column_norms(W)
         left = measured - W / norms @ np.linalg.lstsq(W / norms, measured, rcond=None)[0]
-        return float(left @ left / (measured @ measured))
+        return float(max(left @ left / (measured @ measured), _LEAST))
