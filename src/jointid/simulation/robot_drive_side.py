@@ -25,6 +25,7 @@ from jointid.common.arrays import FloatArray
 from jointid.models.robots.robot import Robot
 from jointid.simulation.prescribed import spline_of
 from jointid.simulation.robot_columns import columns_of
+from jointid.simulation.robot_laws import PackedLaws
 from jointid.simulation.robot_numbers import Bools, NumberOf, NumberPlace, RobotNumbers
 from jointid.simulation.robot_sensitivities import slopes_at_start
 from jointid.simulation.robot_start import places_at_start, speeds_at_start
@@ -167,13 +168,11 @@ def run_drive_side(prescribed: MotorMotion, numbers: RobotNumbers, steps: int | 
         # One more part follows the last one, so that its end is on the tape, too.
         asked = _HEAVY * np.vstack([prescribed.held, prescribed.held[-1:]]).T[:, np.newaxis]
         command, counts = np.zeros((n, parts + 1)), np.zeros(3, dtype=np.int64)
-        none, of_state = np.zeros((n, 1, 0)), np.zeros((n, 1, 1, 0))
+        laws = _passing(n)
         status = robot_loop.run(
             *prescribed.tree, moved.inertials, moved.rotors, moved.masses, moved.springs,
             np.array([prescribed.step]), np.zeros((n, 1), dtype=np.int64), np.ones(n, dtype=np.int64), taken,
-            np.zeros((n, 0)), np.zeros((n, 1, 0, 0)), none, np.zeros((n, 1, 0, 1)), of_state, np.zeros((n, 1, 1)),
-            np.zeros((n, 1, 1, 1)), np.full((n, 1), np.inf), np.full((n, 1), -1), np.zeros((n, 0, 0)),
-            np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64),
+            np.zeros((n, 0)), *laws.matrices, laws.limits, laws.gates, laws.driven, laws.outputs, laws.taps,
             np.ascontiguousarray(asked), np.zeros((n, parts + 1)), np.zeros(n), places, speeds,
             np.full(n, np.inf), command, np.zeros_like(command), np.zeros((n, 0, 0), dtype=np.bool_),
             tape.first, tape.lasting, tape.places, tape.speeds, tape.begun, tape.ended, tape.directions, tape.stopped,
@@ -212,18 +211,34 @@ def differentiate_drive_side(run: RobotDriveSideRun, places: Sequence[NumberPlac
     for c, place in enumerate(places):
         if place.of is NumberOf.BESIDE:
             (dv if place.column else dq)[place.row, c] = 1.0
-    found = np.zeros((n, parts + 1, count))
-    none, of_state = np.zeros((n, 1, 0)), np.zeros((n, 1, 1, 0))
+    found, laws = np.zeros((n, parts + 1, count)), _passing(n)
     kernels.differentiate_run(
         *prescribed.tree, numbers.inertials, numbers.rotors, numbers.masses, numbers.springs,
         np.zeros((n, 1), dtype=np.int64), np.ones(n, dtype=np.int64),
-        np.zeros((n, 1, 0, 0)), none, np.zeros((n, 1, 0, 1)), of_state, np.zeros((n, 1, 1)), np.zeros((n, 1, 1, 1)),
-        np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64), np.zeros((n, 0, 0), dtype=np.bool_),
+        *laws.matrices, laws.outputs, laws.taps, np.zeros((n, 0, 0), dtype=np.bool_),
         tape.first, tape.lasting, tape.places, tape.speeds, tape.begun, tape.ended, tape.directions, tape.stopped,
         rows, dq, dv, np.zeros((n, 0, count)), np.zeros((n, count)), np.zeros((n, parts + 1, 0)), np.zeros((n, 0, 0)),
         found,
     )  # fmt: skip
     return found[:, :parts].transpose(1, 0, 2)
+
+
+def _passing(n: int) -> PackedLaws:
+    """Return controllers that put out what they are given, and see nothing."""
+    first = np.zeros(n, dtype=np.int64)
+    return PackedLaws(
+        A=np.zeros((n, 1, 0, 0)),
+        Bq=np.zeros((n, 1, 0)),
+        F=np.zeros((n, 1, 0, 1)),
+        C=np.zeros((n, 1, 1, 0)),
+        D=np.zeros((n, 1, 1)),
+        E=np.zeros((n, 1, 1, 1)),
+        limits=np.full((n, 1), np.inf),
+        gates=np.full((n, 1), -1),
+        driven=np.zeros((n, 0, 0)),
+        outputs=first,
+        taps=first,
+    )
 
 
 def _moved(numbers: RobotNumbers) -> RobotNumbers:
