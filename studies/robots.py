@@ -40,7 +40,7 @@ from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering, window_torque
 from jointid.simulation.robot_drive_side import RobotDriveSide
-from jointid.simulation.robot_numbers import NumberOf, RobotNumbers
+from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.robots import RobotLoop, RobotOutcome, RobotRun, RobotSimulation, robot_records, simulate_robot
 from studies.seeds import judge_seeds
 
@@ -276,7 +276,7 @@ def judge(seed: int, flexible: bool, estimator: str = "", drive_side: bool = Fal
     truth = fit.parameters.group(RobotNumbers.of(robot))
     free = np.array([one.lower < value for one, value in zip(fit.parameters.parameters, fit.values, strict=True)])
     free &= ~np.array([name.startswith(refused) for name in fit.names])
-    free &= np.array([place.of in (NumberOf.LINK, NumberOf.MASS, NumberOf.SPRING) for place in fit.parameters.places])
+    free &= ~np.array([place.is_of_record for place in fit.parameters.places])
     std = np.maximum(fit.covariance.std, 1e-300)
     about = replace(
         about, settled=fit.converged, iterations=fit.iterations, seconds=spent, left=_left(made, fit),

@@ -136,7 +136,10 @@ def _truth(estimate: RobotEstimate | RobotTorqueEstimate) -> Iterator[tuple[str,
     robot = estimate.robot
     if isinstance(estimate, RobotTorqueEstimate):
         parameters = estimate.fit.parameters
-        yield from zip(parameters.names, map(float, parameters.group(RobotNumbers.of(robot))), strict=True)
+        values = map(float, parameters.group(RobotNumbers.of(robot)))
+        for name, place, value in zip(parameters.names, parameters.places, values, strict=True):
+            if not place.is_of_record:
+                yield name, value
     elif not any(robot.flexible):
         uneven = {f"{symbol}{k}" for k, one in enumerate(robot.joints, 1) if one.asymmetric for symbol in FRICTION}
         for name, value in zip(estimate.names, map(float, estimate.base.with_friction(robot)), strict=True):

@@ -107,6 +107,11 @@ class NumberPlace:
         """Whether it is a friction, a constant torque, or a spring's damping: no inertia and no stiffness."""
         return self.of in (NumberOf.MASS, NumberOf.SPRING) and self.column != 0
 
+    @property
+    def is_of_record(self) -> bool:
+        """Whether it is of the record and how it begins, not of the robot."""
+        return self.of in (NumberOf.BESIDE, NumberOf.LOG)
+
     def read(self, numbers: RobotNumbers) -> float:
         """Return the number."""
         return float(numbers.arrays[self.of][self.row, self.column])

@@ -263,6 +263,7 @@ def test_the_drive_side_of_flexible_joints(tmp_path: Path, capsys: pytest.Captur
     page = tmp_path / "page.html"
     run("report", joint, "--record", one, "--html", page)
     assert "drive side of a robot" in page.read_text(encoding="utf-8")
+    capsys.readouterr()
     near = "method.frequencies={joint1=13.0,joint2=20.0}"
     run("identify", joint, "--record", one, "--set", near, "--set", "method.log_delay=0.0")
     assert "log_delay" not in capsys.readouterr().out

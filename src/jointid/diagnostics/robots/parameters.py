@@ -56,14 +56,20 @@ class ParameterOfJoint:
 
 
 def parameters_by_joint(estimate: RobotEstimate | RobotTorqueEstimate) -> tuple[ParameterOfJoint, ...]:
-    """Return the parameters of an estimate, from the first joint to the last."""
+    """Return the robot's parameters of an estimate, from the first joint to the last."""
     if isinstance(estimate, RobotEstimate):
         joints, nominal, formulas = _of_inverse_model(estimate)
     else:
         joints, nominal, formulas = _of_simulation(estimate)
     fixed = estimate.settings.fixed if isinstance(estimate, RobotEstimate) else {}
-    found = []
+    found, of_record = [], set[str]()
+    if isinstance(estimate, RobotTorqueEstimate):
+        parameters = estimate.fit.parameters
+        pairs = zip(parameters.names, parameters.places, strict=True)
+        of_record = {name for name, place in pairs if place.is_of_record}
     for (name, row), joint, before, formula in zip(estimate.rows.items(), joints, nominal, formulas, strict=True):
+        if name in of_record:
+            continue
         value, std, least = row["value"], row["std"], row.get("at_least")
         number = value if isinstance(value, float) else None
         spread = std if isinstance(std, float) else None

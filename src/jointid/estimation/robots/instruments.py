@@ -68,5 +68,7 @@ def _numbers(robot: Robot, base: BaseParameters, values: FloatArray) -> RobotNum
     friction = values[len(base) :].reshape(n, 3).copy()
     friction[:, :2] = np.maximum(friction[:, :2], 0.0)  # instruments need not be perfect
     links, rotors = standard[:-n].reshape(n, -1), standard[-n:]
-    masses = np.column_stack([rotors, friction, np.zeros((n, 2))])  # the same in both directions
-    return replace(RobotNumbers.of(robot), inertials=links, masses=masses)
+    numbers = RobotNumbers.of(robot)
+    masses = np.zeros_like(numbers.masses)  # friction is a line, the same in both directions
+    masses[:, :4] = np.column_stack([rotors, friction])
+    return replace(numbers, inertials=links, masses=masses)
