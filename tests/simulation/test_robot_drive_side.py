@@ -9,7 +9,7 @@ import pytest
 
 from jointid.common.arrays import FloatArray
 from jointid.estimation.problems.rest import moving_weights, turning_weights
-from jointid.models.robots.robot import Robot
+from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.records.signals.filtering import window_parts
 from jointid.simulation.robot_columns import columns_of
 from jointid.simulation.robot_drive_side import (
@@ -21,7 +21,7 @@ from jointid.simulation.robot_drive_side import (
 )
 from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, all_places, with_values
 from jointid.simulation.robots import RobotOutcome, RobotSimulation, simulate_robot
-from tests.robots_plants import Twin, six, two
+from tests.robots_plants import Twin, inertial, six, two
 from tests.simulation.test_robots import COUPLED, changed
 
 
@@ -121,6 +121,17 @@ def test_derivatives_are_those_of_differences(hertz: tuple[float | None, float |
         assert np.linalg.norm(slopes[:, :, c] - difference) < 0.01 * size, place
 
 
+def test_a_heavy_load_does_not_move_a_motor_that_is_held() -> None:
+    """A minute of a robot as stiff as a real one: the weight stays what it is."""
+    link = Link(
+        "arm", -1, axis=np.array([0.0, 1.0, 0.0]), inertial=inertial(100.0, (1.0, 0.0, 0.0), (1.0, 110.0, 110.0))
+    )
+    robot = Robot((link,), (RobotJoint("arm", 10.0, spring=JointSpring(4.6e6, 1e4, 1.0, 1.0)),))
+    motion = prescribe_motion(robot, np.zeros((15001, 1)), 4e-3, np.array([True]))
+    found = run_drive_side(motion, RobotNumbers.of(robot))
+    assert found.torque[[0, -1], 0] == pytest.approx(-981.0, rel=1e-5)
+
+
 def test_what_cannot_be_simulated_is_said() -> None:
     twin = two((12.0, 18.0))
     motion, numbers = prescribed(twin.robot, played(twin, 1.0)), RobotNumbers.of(twin.robot)
@@ -128,6 +139,7 @@ def test_what_cannot_be_simulated_is_said() -> None:
         (replace(numbers, springs=-numbers.springs), RobotOutcome.INVALID),
         (replace(numbers, springs=1e8 * numbers.springs), RobotOutcome.TOO_STIFF),
         (replace(numbers, inertials=-numbers.inertials), RobotOutcome.NOT_POSITIVE),
+        (replace(numbers, masses=numbers.masses + np.eye(8)[6]), RobotOutcome.INVALID),
     ):
         found = run_drive_side(motion, other)
         assert found.outcome is outcome

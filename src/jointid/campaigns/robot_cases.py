@@ -131,7 +131,7 @@ def _truth(estimate: RobotEstimate | RobotTorqueEstimate) -> Iterator[tuple[str,
     """Yield what is true of each parameter of a simulated robot, that of the file, in the sums that are identified.
 
     By IDIM, which takes joints as rigid and friction as the same in both directions, there is no truth where a joint
-    has a spring, nor of the friction of a joint whose directions differ.
+    has a spring, nor of a friction whose directions differ or that rises towards standstill.
     """
     robot = estimate.robot
     if isinstance(estimate, RobotTorqueEstimate):
@@ -141,7 +141,8 @@ def _truth(estimate: RobotEstimate | RobotTorqueEstimate) -> Iterator[tuple[str,
             if not place.is_of_record:
                 yield name, value
     elif not any(robot.flexible):
-        uneven = {f"{symbol}{k}" for k, one in enumerate(robot.joints, 1) if one.asymmetric for symbol in FRICTION}
+        bent = [k for k, one in enumerate(robot.joints, 1) if one.asymmetric or one.stribeck_force]
+        uneven = {f"{symbol}{k}" for k in bent for symbol in FRICTION}
         for name, value in zip(estimate.names, map(float, estimate.base.with_friction(robot)), strict=True):
             if name not in uneven:
                 yield name, value

@@ -34,7 +34,8 @@ from jointid.simulation.robots import LoopTree, MassMotion, RobotOutcome, RobotT
 PARTS = 1
 """Of a sample: with one the torque of a twin of six joints whose modes are at 8 to 30 Hz errs by 1e-5 at 1 kHz."""
 
-_HEAVY = 1e12  # kg m2 of a motor that is moved: what a link does to it is 1e-12 of that
+_HEAVY = 1e18  # kg m2 of a motor that is moved: a robot of 1e3 N m moves it by 1e-12 rad in a minute
+_HELD = 1e6  # kg m2 of one in a step's choice, which asks for numbers of one size
 _STEPS = 64  # of a part, at most
 _MORE = 2  # pieces per step, at most, beside a thousand
 
@@ -77,12 +78,6 @@ class MotorMotion:
     def held(self) -> FloatArray:
         """Accelerations that are held in the parts, (parts, n)."""
         return np.diff(self.joined, axis=0) / self.step
-
-    @cached_property
-    def means(self) -> MassMotion:
-        """Means over the parts, (parts, n)."""
-        gained = np.diff(self.velocity, axis=0) / self.step
-        return MassMotion(*_means(self.position, self.velocity, self.step), gained, self.direction)
 
 
 def prescribe_motion(
@@ -156,7 +151,7 @@ def run_drive_side(prescribed: MotorMotion, numbers: RobotNumbers, steps: int | 
     outcome, tape = RobotOutcome.INVALID, RobotTape.empty(0, 0, masses)
     if numbers.possible:
         links = prescribed.position[:: max(len(prescribed.position) // 5, 1)]
-        taken = steps or choose_steps(prescribed.tree, links, prescribed.step, moved)
+        taken = steps or choose_steps(prescribed.tree, links, prescribed.step, _moved(numbers, _HELD))
         outcome = RobotOutcome.FINISHED if taken <= _STEPS else RobotOutcome.TOO_STIFF
     if outcome is RobotOutcome.FINISHED:
         start, speeds = _steady(prescribed, numbers)
@@ -241,11 +236,11 @@ def _passing(n: int) -> PackedLaws:
     )
 
 
-def _moved(numbers: RobotNumbers) -> RobotNumbers:
+def _moved(numbers: RobotNumbers, heavy: float = _HEAVY) -> RobotNumbers:
     """Return the robot whose motors are so heavy that they move as they are told."""
     masses = numbers.masses.copy()
     masses[numbers.rotors] = 0.0
-    masses[numbers.rotors, 0] = _HEAVY
+    masses[numbers.rotors, 0] = heavy
     return replace(numbers, masses=masses)
 
 
@@ -258,14 +253,18 @@ def _steady(prescribed: MotorMotion, numbers: RobotNumbers) -> tuple[FloatArray,
 
 
 def _motion(prescribed: MotorMotion, numbers: RobotNumbers, tape: RobotTape) -> MassMotion:
-    """Return the motion of all masses, means over the parts."""
+    """Return the motion of all masses, means over the parts.
+
+    The load moves even a heavy motor a little, and the link goes with it: positions of motors are those of the
+    simulation, so that springs are stretched by what they are, and only accelerations are as prescribed.
+    """
     places, speeds = tape.places[tape.first], tape.speeds[tape.first]
     position, velocity = _means(places, speeds, prescribed.step)
     acceleration = np.diff(speeds, axis=0) / prescribed.step
     direction = np.sign(velocity)
-    of_motors, rotors = prescribed.means, numbers.rotors
-    direction[:, rotors], velocity[:, rotors] = of_motors.direction, of_motors.velocity
-    position[:, rotors], acceleration[:, rotors] = of_motors.position, of_motors.acceleration
+    rotors = numbers.rotors
+    direction[:, rotors] = prescribed.direction
+    acceleration[:, rotors] = np.diff(prescribed.velocity, axis=0) / prescribed.step
     return MassMotion(position, velocity, acceleration, direction)
 
 

@@ -73,11 +73,12 @@ class RobotNumbers:
 
     @property
     def possible(self) -> bool:
-        """True if rotors have an inertia, friction and springs are not negative, and all are numbers."""
+        """True if rotors have an inertia, rising friction has a speed, none is negative, and all are numbers."""
         finite = all(bool(np.all(np.isfinite(values))) for values in self.arrays)
         turning, held = self.masses[self.rotors.size :, 0], self.springs[self.flexible, 0]
         least = min(float(np.min(self.masses[:, [1, 2, 4, 5, 6, 7]])), float(np.min(self.springs)))
-        return finite and least >= 0.0 and bool(np.all(turning > 0.0) and np.all(held > 0.0))
+        risen = self.masses[:, 7][self.masses[:, 6] > 0.0]
+        return finite and least >= 0.0 and bool(np.all(turning > 0.0) and np.all(held > 0.0) and np.all(risen > 0.0))
 
 
 class NumberOf(IntEnum):

@@ -46,7 +46,7 @@ class RobotOutcome(StrEnum):
 
     FINISHED = "the simulation finished"
     DIVERGED = "a joint ran away: this robot is unstable under its controllers"
-    TOO_STIFF = "the robot's own motion is too fast for the controllers' period to be worth simulating"
+    TOO_STIFF = "the robot's own motion is too fast for the period of controllers or log to be worth simulating"
     CHATTERING = "joints started and stopped more often within one period than real ones can"
     NOT_POSITIVE = "its mass matrix is not positive definite in a pose that it reached: no robot has such inertias"
     INVALID = "an inertia of a rotor is not positive, a friction or a spring is negative, or a value is not a number"

@@ -19,7 +19,10 @@ from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.robots import simulate_robot
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.robots_plants import Twin, six, two
-from tests.simulation.test_robots import COUPLED, changed
+from tests.simulation.test_robots import COUPLED, RISING, changed
+
+
+SPEEDS = tuple({"stribeck_speed": one["stribeck_speed"]} for one in RISING)
 
 
 def logged(
@@ -115,6 +118,15 @@ def test_a_robot_of_one_flexible_and_one_rigid_joint() -> None:
         assert inside(found, twin) > 0.8
 
 
+def test_friction_that_rises_towards_standstill() -> None:
+    twin = changed(two((12.0, 18.0)), *RISING)
+    found = identify_flexible_drive_side(changed(replace(twin, robot=blank(twin.robot)), *SPEEDS).robot, logged(twin))
+    assert_springs(found, twin, 0.02)
+    for joint, rise in (("joint1", 2.0), ("joint2", 0.8)):
+        value, deviation = found.fit.value(f"{joint}.stribeck_force")
+        assert abs(value - rise) < 3 * deviation < 0.5 * rise
+
+
 def test_springs_of_motors_that_are_coupled() -> None:
     twin = changed(two((12.0, 18.0)), *COUPLED)
     found = identified(twin, logged(twin))
@@ -146,9 +158,9 @@ def test_a_spring_that_the_record_does_not_show_is_refused() -> None:
 
 
 def test_the_answer_is_held_against_another_record() -> None:
-    twin = two((12.0, 18.0))
+    twin = replace(two((12.0, 18.0)), home=np.array([1.6, -2.3]))  # far from 0
     heavier = twin.robot.with_inertials(1.3 * np.array([link.inertial for link in twin.robot.links]))
-    estimate = ji.identify_robot_drive_side(heavier, logged(twin), ji.RobotDriveSideFit(frequencies=hertz(twin)))
+    estimate = ji.identify_robot_drive_side(heavier, logged(twin))
     assert np.all(estimate.joint_errors < 0.02)
     assert np.all(estimate.nominal_errors > 0.05)
     text = estimate.document().text()
@@ -160,6 +172,30 @@ def test_the_answer_is_held_against_another_record() -> None:
     told = ji.diagnose_robot(estimate, logged(twin))
     assert told.explained
     assert "log_delay" not in {one.name for joint in told.joints for one in joint.parameters}
+    assert told.method == "drive_side"
+    assert "not seen apart" not in told.answer
+    travel = [float(np.ptp(r.motor_position.values)) for r in logged(twin) if r.motor_position]
+    assert [one.travel for one in told.joints] == pytest.approx(travel, rel=0.05)
+
+
+def test_where_links_are_at_first_is_no_merit_of_an_estimate() -> None:
+    """In a record that begins in motion: a robot that is right leaves as little, there and elsewhere."""
+    twin = two((12.0, 18.0))
+    begun = logged(twin, duration=8.0, first=1500)
+    estimate = ji.identify_robot_drive_side(twin.robot, begun, ji.RobotDriveSideFit(frequencies=hertz(twin)))
+    assert "joint1.initial_link_velocity" in estimate.fit.names
+    assert np.all(estimate.joint_errors < 0.015)
+    assert np.all(estimate.nominal_errors < 1.1 * estimate.joint_errors)
+    held = ji.validate_robot_torques(estimate, logged(twin, duration=7.0, seed=4, first=1500))
+    assert np.all(held.joint_errors < 0.02)
+
+
+def test_a_robot_that_does_not_hold_is_not_praised() -> None:
+    """Frequencies far off lead to a wrong place: what is left of the torques says so, first."""
+    twin = two((12.0, 18.0))
+    wrong = ji.RobotDriveSideFit(frequencies={"joint1": 40.0, "joint2": 6.0}, evaluations=1)
+    text = ji.identify_robot_drive_side(twin.robot, logged(twin), wrong).document().text()
+    assert "More than a tenth of the torque of joint1" in " ".join(text.split())
 
 
 def hertz(twin: Twin) -> Mapping[str, float]:
@@ -182,9 +218,25 @@ def test_faults_are_said() -> None:
         MethodError, match="swing behind their motors from 4 Hz on, and the torques are filtered at 3 Hz"
     ):
         identify_flexible_drive_side(twin.robot, records, Filtering(cutoff=3.0))
+    for wrong in (0.0, -5.0, float("nan"), 900.0):
+        with pytest.raises(
+            MethodError, match=r"The frequency of joint1 is .* Hz; expected one above 0 and up to 150 Hz"
+        ):
+            identify_flexible_drive_side(twin.robot, records, frequencies={"joint1": wrong, "joint2": 20.0})
+    with pytest.raises(MethodError, match=r"log_delay is 5 s; expected at most 0\.02 s either way"):
+        identify_flexible_drive_side(twin.robot, records, delay=5.0)
+    with pytest.raises(MethodError, match=r'timing is "as_sampled"; on the drive side'):
+        identify_flexible_drive_side(twin.robot, records, Filtering(timing="as_sampled"))
+    first, second = records
+    assert first.motor_position is not None and second.motor_position is not None
+    gap = np.where(np.arange(len(first.motor_position)) == 700, np.nan, first.motor_position.values)
+    with pytest.raises(ji.RecordError, match="joint1: motor_position is nan at sample 700"):
+        broken = replace(first, motor_position=replace(first.motor_position, values=gap))
+        identify_flexible_drive_side(twin.robot, (broken, second))
+    noise = 1e-6 * np.random.default_rng(0).standard_normal(len(gap))  # of an encoder, about a place that is held
+    held = replace(second, motor_position=replace(second.motor_position, values=0.3 + noise))
+    with pytest.raises(MethodError, match="The motor of joint2 rests, or turns round, nearly all the time"):
+        identify_flexible_drive_side(twin.robot, (first, held))
     dead = [replace(r, torque=replace(r.torque, values=0 * r.torque.values)) for r in records[1:] if r.torque]
     with pytest.raises(MethodError, match="The torque of joint2 is 0 throughout"):
         identify_flexible_drive_side(twin.robot, [records[0], *dead])
-    still = [replace(r, motor_position=replace(r.motor_position, values=0 * r.motor_position.values)) for r in records]  # type: ignore[type-var,union-attr]
-    with pytest.raises(MethodError):
-        identify_flexible_drive_side(twin.robot, still)

@@ -227,8 +227,8 @@ def export_robot_file(path: Path, changes: Sequence[str], out: Path) -> None:
     _, _, estimate = _identified(path, changes, Outputs({"--out": out}), silent)
     if not isinstance(estimate, RobotEstimate):
         raise MethodError(
-            "Bodies are fitted to an estimate by IDIM, of motor positions, and this robot file asks for another; add "
-            "--set method.name=idim, with a record that has them."
+            "Bodies are fitted to an estimate by IDIM, of motor positions, and this robot file asks for DIDIM or the "
+            "drive side; add --set method.name=idim, with a record that has them."
         )
     found = consistent_robot(estimate)
     text, lost = write_robot(found.robot, out)

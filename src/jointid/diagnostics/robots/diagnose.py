@@ -153,7 +153,7 @@ class RobotDiagnosis(Documented):
 
     Attributes:
         robot: whose joints they are.
-        method: "idim" or "didim".
+        method: "idim", "didim" or "drive_side".
         joints: of each joint.
         feed_forward: "gravity" or "inverse-model" where the controllers leave much less with it; None otherwise.
         torques: of the record, beside the estimate's.
@@ -329,7 +329,9 @@ def diagnose_robot(
             )
         )
     better = _better_feed_forward(robot, records, controllers, laws) if feed_forward == "none" else None
-    method = "idim" if isinstance(estimate, RobotEstimate) else "didim"
+    method = "idim"
+    if isinstance(estimate, RobotTorqueEstimate):
+        method = "didim" if isinstance(estimate.closing, RobotLoop) else "drive_side"
     return RobotDiagnosis(robot, method, tuple(joints), better, torques)
 
 

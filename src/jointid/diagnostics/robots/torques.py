@@ -10,11 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
+from jointid.estimation.robots.drive_side import RobotDriveSideProblem
 from jointid.estimation.robots.idim import RobotEstimate
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.problem import RobotLoopProblem
@@ -111,22 +113,26 @@ def _by_simulation(estimate: RobotTorqueEstimate, records: Sequence[Record]) -> 
     assert error is not None  # it was identified from these records
     predicted = measured - problem.by_joint(error)
 
-    def thin(columns: FloatArray) -> FloatArray:
-        whole = problem.thinned(list(np.moveaxis(columns, 1, 0)))
-        return whole.reshape(len(robot), -1, columns.shape[2])
+    def thin(columns: FloatArray, of: RobotLoopProblem | RobotDriveSideProblem = problem) -> FloatArray:
+        rows = of.thinned(list(np.moveaxis(columns, 1, 0)))
+        return rows.reshape(len(robot), -1, columns.shape[2])
 
     if isinstance(problem, RobotLoopProblem):
         moved = simulation_of(problem.simulate(numbers)).motion
         motion = moved.position, moved.velocity, moved.acceleration
         q, v, a = (one[:, numbers.rotors] for one in motion)
-        seen = np.ones(measured.shape, dtype=np.bool_)
+        seen, whole = np.ones(measured.shape, dtype=np.bool_), thin
     else:
         coupling = robot.coupling.T
         q, v, a = (one @ coupling for one in (problem.motion.q, problem.motion.v, problem.motion.a))
-        seen = problem.motion.whole_rows
+        seen, everywhere = (
+            problem.motion.whole_rows,
+            replace(problem.motion, moving=np.ones_like(problem.motion.moving)),
+        )
+        whole = partial(thin, of=replace(problem, motion=everywhere))
     return _torques(
         robot, problem.filtering, problem.sample_time, (measured, predicted, None), seen,
-        thin(np.stack([q, v], axis=2)), (q, v, a), problem.measured, thin,
+        whole(np.stack([q, v], axis=2)), (q, v, a), problem.measured, thin,
     )  # fmt: skip
 
 

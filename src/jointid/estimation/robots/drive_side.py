@@ -29,7 +29,14 @@ from jointid.common.parameters import Parameter, Quantity
 from jointid.estimation.problems.base import log_delay as delay_of_log
 from jointid.estimation.problems.rest import moving_weights
 from jointid.estimation.robots.didim import fixed_point
-from jointid.estimation.robots.flexible import SLOW, FlexibleRobotFit, StartOfSprings, require_springs, search_springs
+from jointid.estimation.robots.flexible import (
+    SLOW,
+    FlexibleRobotFit,
+    StartOfSprings,
+    require_frequencies,
+    require_springs,
+    search_springs,
+)
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
 from jointid.estimation.robots.problem import RobotProblem, require_torques
 from jointid.estimation.robots.regression import RobotMotion, motion_of_robot
@@ -46,13 +53,16 @@ from jointid.simulation.robot_drive_side import (
     prescribe_motion,
     run_drive_side,
 )
-from jointid.simulation.robot_numbers import Bools, NumberOf, NumberPlace, RobotNumbers
+from jointid.simulation.robot_numbers import Bools, NumberOf, NumberPlace, RobotNumbers, with_values
 from jointid.simulation.robots import LoopTree, RobotOutcome
 
 _LOWEST, _HIGHEST, _APART = 4.0, 60.0, 1.25  # Hz: the row in which a link's frequency is looked for, and its ratio
 _DAMPING = 0.1  # of critical, of springs that are looked for: wide enough to be seen from the next of the row
 _GAIN, _CLEAR = 0.97, 0.75  # of a joint's torque error, that a spring leaves: it has one, and it needs no second look
 _LEAST = 1e-20  # of a torque, squared: what is left without noise
+_BEGINNINGS = 3  # steps to where the links are at the first sample, which the torques depend on nearly in a line
+_MOVES = 0.05  # of the samples: of a motor that does less nothing is told
+_STILL = 20  # samples in a row, from the first on: a motor that rests there
 _SWEEPS = 3  # over the joints, at most, each tried again at all frequencies
 _SMEAR = 1.0  # periods of the position filter, which rings about a reversal, and no more at the same instant in both
 _ITERATIONS = 5  # of the robot of rigid joints, which is linear: the second finds nothing left to move
@@ -93,6 +103,34 @@ class RobotDriveSideProblem(RobotProblem[RobotDriveSideRun]):
     def error(self, run: RobotDriveSideRun) -> FloatArray:
         """Return the filtered error of a run, measured less predicted, (rows,), not weighted."""
         return self.decimated(self.measured - self.seen(run, run.torque))
+
+    def error_of(self, numbers: RobotNumbers) -> FloatArray | None:
+        """Return the filtered error of a robot with these numbers, (rows,); None if it cannot be simulated.
+
+        Where its links are at the first sample is of the record: it is fitted, of any robot alike.
+        """
+        places = tuple(place for place in self.parameters.places if place.of is NumberOf.BESIDE)
+        numbers = replace(numbers, beside=self.parameters.base.beside)
+        run = self.simulate(numbers)
+        if run.outcome is not RobotOutcome.FINISHED:
+            return None
+        error = self.error(run)
+        weights = self.weights(error.size)
+        for _ in range(_BEGINNINGS if places else 0):
+            moved = differentiate_drive_side(run, places)
+            J = self.thinned([self.seen(run, moved[:, j]) for j in range(moved.shape[1])]) * weights[:, np.newaxis]
+            norms = column_norms(J)
+            step = np.linalg.lstsq(J / norms, error * weights, rcond=None)[0] / norms
+            for share in (1.0, 0.3, 0.1):
+                there = np.array([place.read(run.numbers) for place in places]) + share * step
+                tried = self.simulate(with_values(run.numbers, places, there))
+                left = self.error(tried) if tried.outcome is RobotOutcome.FINISHED else None
+                if left is not None and np.linalg.norm(left * weights) < np.linalg.norm(error * weights):
+                    break
+            else:
+                break
+            run, error = tried, left
+        return error
 
     def slopes(self, run: RobotDriveSideRun, x: FloatArray) -> FloatArray:
         """Return the derivatives of a run's filtered torques by what is searched, (rows, free), not weighted."""
@@ -150,11 +188,28 @@ def drive_side_problem(
 
     Raises:
         RecordError: a channel is missing, or the joints' records have not one clock.
+        MethodError: a motor hardly moves, a torque is 0 throughout, the delay is none, or the log's timing is not used.
     """
+    if filtering is not None and filtering.timing == "as_sampled":
+        raise MethodError(
+            'filtering.timing is "as_sampled"; on the drive side of a robot when a torque acts matters: leave it out.'
+        )
     model = "flexible" if any(robot.flexible) else "rigid"
     motion = motion_of_robot(robot, records, filtering or Filtering(), "The drive side of a robot", model, _SMEAR)
     require_torques(robot, motion.torque)
-    resting = np.array([moving_weights(each)[0] == 0.0 for each in (motion.v @ robot.coupling.T).T])
+    still = [name for name, share in zip(robot.names, np.mean(motion.moving, axis=0), strict=True) if share < _MOVES]
+    if still:
+        raise MethodError(
+            f"The motor of {', '.join(still)} rests, or turns round, nearly all the time; expected a motion of every "
+            "motor: move it, or leave its joint out of the model."
+        )
+    most = delay_of_log(None, motion.sample_time).upper
+    if delay is not None and not abs(delay) <= most:
+        raise MethodError(
+            f"log_delay is {delay:g} s; expected at most {most:g} s either way, twenty samples: give it in s, or leave "
+            "it out to have it identified."
+        )
+    resting = np.array([moving_weights(each, _STILL, 0)[0] == 0.0 for each in (motion.v @ robot.coupling.T).T])
     prescribed = prescribe_motion(robot, motion.q @ robot.coupling.T, motion.sample_time, resting)
     # What the filter takes from the motion it is to take from the torques, too, and from friction's own.
     cutoff, parts = motion.filtering.position_cutoff, prescribed.direction
@@ -217,6 +272,7 @@ def identify_flexible_drive_side(
     stiff = replace(robot, joints=tuple(replace(joint, spring=None) for joint in robot.joints))
     parameters = robot_parameters(robot, offsets=offsets, logarithmic=True)
     problem = drive_side_problem(robot, records, parameters, filtering, delay)
+    require_frequencies(frequencies, problem.sample_time)
     slow = drive_side_problem(stiff, records, robot_parameters(stiff, offsets=offsets), SLOW)
     # To leave rows out is to multiply by what switches, and that brings the modes, which this robot has not, down to
     # what is slow: of a twin of six joints it left 23 % of a joint's torque, and 4 % with the rows.

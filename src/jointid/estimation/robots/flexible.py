@@ -144,6 +144,7 @@ def identify_flexible_robot(
     problem = robot_problem(loop, records, parameters, filtering)
     if frequencies is None:
         _row(problem.sample_time)
+    require_frequencies(frequencies, problem.sample_time)
     rigid = identify_rigid_robot(loop, records, SLOW, offsets=offsets, progress=progress)
     return search_springs(
         problem, robot, rigid, lambda start: frequencies or start.search(progress), evaluations, progress
@@ -154,7 +155,10 @@ def require_springs(robot: Robot, frequencies: Mapping[str, float] | None) -> No
     """Raise MethodError if no joint has a spring, or a frequency is missing, or is of no flexible joint."""
     flexible = _springs(robot)
     if not flexible:
-        raise MethodError("No joint of this robot has a spring; give one a JointSpring, or identify it as rigid.")
+        raise MethodError(
+            "No joint of this robot has a spring; give one a JointSpring, [joints.spring] of a robot file, or identify "
+            "it as rigid."
+        )
     if frequencies is not None and (missing := sorted(set(flexible) - set(frequencies))):
         raise MethodError(
             f"A frequency is needed for each flexible joint; {', '.join(missing)} has none: give one in Hz, or none "
@@ -163,6 +167,17 @@ def require_springs(robot: Robot, frequencies: Mapping[str, float] | None) -> No
     for name in frequencies or ():
         if name not in flexible:
             raise MethodError(f"A name in frequencies{no_choice(name, flexible)}")
+
+
+def require_frequencies(frequencies: Mapping[str, float] | None, sample_time: float) -> None:
+    """Raise MethodError if a frequency is none that is looked for in such a log."""
+    highest = _STIFFEST / sample_time
+    for name, hertz in (frequencies or {}).items():
+        if not 0.0 < hertz <= highest:
+            raise MethodError(
+                f"The frequency of {name} is {hertz:g} Hz; expected one above 0 and up to {highest:g} Hz, of which a "
+                "record of this sample time shows something: correct it, or give none at all to have them looked for."
+            )
 
 
 def _springs(robot: Robot) -> list[str]:
@@ -202,7 +217,10 @@ def search_springs(
     units = {name: "N/m" if kinds[name] == "prismatic" else "N m/rad" for name in flexible}
     end = _search(problem, x, _ROUGH, min(_FIRST, evaluations), reach, progress)
     if end.solution.status is Status.NOT_EVALUABLE:
-        raise MethodError("The robot cannot be simulated where its search begins; give other frequencies.")
+        raise MethodError(
+            f"The robot cannot be simulated where its search begins: {problem.run(x).outcome.value}. Give other "
+            "frequencies, or a record in which all joints move more."
+        )
     errors = problem.error(rigid.run)
     without = float(np.linalg.norm(errors * problem.weights(errors.size)))
     stiff = not end.solution.converged and end.norm > without

@@ -120,6 +120,13 @@ def motion_of_robot(
             torque, (position,) = torque_and_positions(record, RigidJoint(link.kind), ("motor_position",), said)
         except RecordError as error:
             raise RecordError([f"{joint.name}: {fault}" for fault in error.faults]) from error
+        for what, values in (("torque", torque.values), ("motor_position", position)):
+            if not np.all(np.isfinite(values)):
+                at = int(np.flatnonzero(~np.isfinite(values))[0])
+                raise RecordError(
+                    f"{joint.name}: {what} is {values[at]} at sample {at}; expected numbers: cut the record there, or "
+                    "mend the channel."
+                )
         channels.append(torque)
         positions.append(position)
     clocks = {round(channel.sample_time, 12) for channel in channels}

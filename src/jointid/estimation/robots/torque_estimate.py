@@ -19,7 +19,7 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, silent
 from jointid.common.parameters import TORQUE_UNIT, unit_of
 from jointid.common.settings import check_settings, declare, documented, setting
-from jointid.common.text import interval, number
+from jointid.common.text import interval, listed, number
 from jointid.common.units import Kind
 from jointid.estimation.robots.didim import RobotFit, identify_rigid_robot
 from jointid.estimation.robots.drive_side import RobotDriveSideProblem, drive_side_problem, identify_flexible_drive_side
@@ -41,6 +41,7 @@ _WITHOUT = (
     "excite the modes. How friction and inertia are split between motors and links below is not to be used."
 )
 _TWO = 2.0  # standard deviations of an interval
+_LEFT = 0.1  # of a joint's filtered torque: beyond, the model does not hold
 _TOLD = 0.5  # relative deviation: the interval of a parameter that is known worse holds 0
 _UNSETTLED = "The search did not settle: do not rely on what is below. Allow more evaluations, or look at the record."
 
@@ -155,10 +156,24 @@ class RobotTorqueEstimate(Documented):
         return bool(self.springs) and not any(one.shown for one in self.springs)
 
     @property
-    def _known(self) -> int:
-        """How many parameters are known to a tenth."""
-        each = zip(self.fit.names, self.fit.values, self.fit.covariance.std, strict=True)
-        return sum(std < KNOWN * abs(value) for name, value, std in each if name not in self._refused)
+    def _poor(self) -> str:
+        """Sentence on joints of whose torque too much is left; "" where there is none."""
+        bad = [name for name, left in zip(self.robot.names, self.joint_errors, strict=True) if left > _LEFT]
+        if not bad:
+            return ""
+        return (
+            f"More than a tenth of the torque of {listed(bad)} is left: the model does not hold there, or the search "
+            "ended in a wrong place. Do not rely on the intervals below; jointid diagnose says what is left."
+        )
+
+    @property
+    def _known(self) -> str:
+        """How many of the robot's parameters are known to a tenth, of how many."""
+        names, places = self.fit.names, self.fit.parameters.places
+        each = zip(names, places, self.fit.values, self.fit.covariance.std, strict=True)
+        mine = [(n, value, std) for n, place, value, std in each if not place.is_of_record]
+        known = sum(bool(std < KNOWN * abs(value)) for n, value, std in mine if n not in self._refused)
+        return f"{known} of {len(mine)} parameters are known to a tenth, 1 sigma"
 
     def numbers(self) -> RobotNumbers:
         """Return the robot that was identified, as it is simulated."""
@@ -189,8 +204,9 @@ class RobotTorqueEstimate(Documented):
                 shown = interval(float(value), _TWO * float(std))
                 rows.append((name, shown, units[name], f"{100 * share:.2g}"))
         hidden = len(self.fit.names) - len(rows)
-        caption = f"{self._known} of {len(self.fit.names)} parameters are known to a tenth, 1 sigma"
+        caption = self._known
         caption += f"; {hidden} more are not told from 0 by this record" if hidden else ""
+        good = self.fit.converged and not self._poor
         sums = [
             (name, sum_of)
             for name, sum_of in zip(self.fit.names, self.fit.parameters.formulas(self.robot), strict=True)
@@ -208,8 +224,9 @@ class RobotTorqueEstimate(Documented):
                     if not (self.fit.converged or self._no_spring)
                     else ()
                 ),
+                *((Paragraph(self._poor, lead=True, tone="bad"),) if self._poor else ()),
                 *(
-                    Paragraph(f"{one}.", lead=True, tone="good" if one.shown and self.fit.converged else "open")
+                    Paragraph(f"{one}.", lead=True, tone="good" if one.shown and good else "open")
                     for one in self.springs
                 ),
                 Facts(facts),
@@ -323,8 +340,7 @@ def validate_robot_torques(estimate: RobotTorqueEstimate, records: Sequence[Reco
     Raises:
         MethodError: the estimate cannot be simulated along that record, or it is the estimate's own.
     """
-    # Where the links were at the first sample is of the estimate's own record.
-    closing, found = estimate.closing, replace(estimate.numbers(), beside=np.zeros((0, 2)))
+    closing, found = estimate.closing, estimate.numbers()
     mine, _ = _errors(closing, records, estimate.filtering, found)
     require_unseen(mine, estimate.joint_errors)
     nominal, _ = _errors(closing, records, estimate.filtering, _nominal(estimate.robot, found))
