@@ -21,7 +21,6 @@ from tests.estimation.robots.test_rigid_robots import recorded
 from tests.robots_plants import Twin, six, two
 from tests.simulation.test_robots import COUPLED, RISING, changed
 
-
 SPEEDS = tuple({"stribeck_speed": one["stribeck_speed"]} for one in RISING)
 
 
