@@ -229,8 +229,8 @@ def test_controllers_are_judged_beside_the_feed_forward_that_the_file_computes(t
     assert told["diagnosis"]["as_declared"] is True
 
 
-def test_the_drive_side_of_flexible_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """With motor positions in the file, and springs, and no controllers at all once the records are there."""
+def measured_alone(tmp_path: Path) -> Twin:
+    """Write records with motor positions of a twin, and its file with springs and without controllers."""
     twin = two((12.0, 18.0))
     write_files(tmp_path, twin, 5.0, multisine=0.004)
     joint = tmp_path / "robot.toml"
@@ -240,7 +240,6 @@ def test_the_drive_side_of_flexible_joints(tmp_path: Path, capsys: pytest.Captur
     for name, of in (("one.csv", "references.csv"), ("two.csv", "others.csv")):
         run("simulate", joint, "--record", tmp_path / of, "--out", tmp_path / name)
         logged(tmp_path, name, 0.01, 7)
-    capsys.readouterr()
     alone = measured.replace('reference = { column = "r{axis}" }\n', "")
     alone = "\n".join(
         line
@@ -248,6 +247,13 @@ def test_the_drive_side_of_flexible_joints(tmp_path: Path, capsys: pytest.Captur
         if not line.startswith(("[joints.controller]", "law", "position_gain", "deriv"))
     )
     joint.write_text(alone, encoding="utf-8")
+    return twin
+
+
+def test_the_drive_side_of_flexible_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """With motor positions in the file, and springs, and no controllers at all once the records are there."""
+    twin, joint = measured_alone(tmp_path), tmp_path / "robot.toml"
+    capsys.readouterr()
     one, two_, found = tmp_path / "one.csv", tmp_path / "two.csv", tmp_path / "found.json"
     run("identify", joint, "--record", one, "--json", found)
     printed = " ".join(capsys.readouterr().out.split())
@@ -259,10 +265,6 @@ def test_the_drive_side_of_flexible_joints(tmp_path: Path, capsys: pytest.Captur
         assert row["value"] == pytest.approx(one_joint.spring.stiffness, rel=0.02)
     run("validate", joint, "--set", 'record.file="one.csv"', "--record", two_)
     assert "nominal model" in capsys.readouterr().out
-    run("diagnose", joint, "--record", one)
-    page = tmp_path / "page.html"
-    run("report", joint, "--record", one, "--html", page)
-    assert "drive side of a robot" in page.read_text(encoding="utf-8")
     capsys.readouterr()
     near = "method.frequencies={joint1=13.0,joint2=20.0}"
     run("identify", joint, "--record", one, "--set", near, "--set", "method.log_delay=0.0")
@@ -273,3 +275,15 @@ def test_the_drive_side_of_flexible_joints(tmp_path: Path, capsys: pytest.Captur
         run("identify", joint, "--record", one, "--set", "method.iterations=3")
     with pytest.raises(MethodError, match="under its controllers, and joint1, joint2 has none"):
         run("design", joint, "--record", one)
+
+
+@pytest.mark.slow
+def test_the_drive_side_is_diagnosed_and_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    measured_alone(tmp_path)
+    joint, one = tmp_path / "robot.toml", tmp_path / "one.csv"
+    capsys.readouterr()
+    run("diagnose", joint, "--record", one)
+    assert "is not asked: the robot file declares none" in " ".join(capsys.readouterr().out.split())
+    page = tmp_path / "page.html"
+    run("report", joint, "--record", one, "--html", page)
+    assert "drive side of a robot" in page.read_text(encoding="utf-8")

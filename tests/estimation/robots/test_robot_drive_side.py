@@ -86,7 +86,7 @@ def test_springs_come_back_with_their_intervals() -> None:
     assert found.fit.value("log_delay")[0] == pytest.approx(0.0, abs=2e-5)
 
 
-@pytest.mark.parametrize("late", [3, -2])
+@pytest.mark.parametrize("late", [3, pytest.param(-2, marks=pytest.mark.slow)])
 def test_a_log_that_is_late_is_told_from_damping(late: int) -> None:
     twin = two((12.0, 18.0))
     records = logged(twin, late=late)
@@ -109,6 +109,7 @@ def test_a_record_that_begins_in_motion() -> None:
     assert inside(found, twin) > 0.8
 
 
+@pytest.mark.slow
 def test_a_robot_of_one_flexible_and_one_rigid_joint() -> None:
     for hertz in ((12.0, None), (None, 12.0)):
         twin = two(hertz)
@@ -126,6 +127,7 @@ def test_friction_that_rises_towards_standstill() -> None:
         assert abs(value - rise) < 3 * deviation < 0.5 * rise
 
 
+@pytest.mark.slow
 def test_springs_of_motors_that_are_coupled() -> None:
     twin = changed(two((12.0, 18.0)), *COUPLED)
     found = identified(twin, logged(twin))
@@ -146,6 +148,7 @@ def test_six_joints_are_placed_one_after_the_other() -> None:
     assert inside(found, twin) > 0.88
 
 
+@pytest.mark.slow
 def test_a_spring_that_the_record_does_not_show_is_refused() -> None:
     twin = two((12.0, 18.0))
     stiff = replace(twin.robot.joints[1], spring=JointSpring(3e6, 10.0, 0.3, 0.4))
@@ -177,6 +180,7 @@ def test_the_answer_is_held_against_another_record() -> None:
     assert [one.travel for one in told.joints] == pytest.approx(travel, rel=0.05)
 
 
+@pytest.mark.slow
 def test_where_links_are_at_first_is_no_merit_of_an_estimate() -> None:
     """In a record that begins in motion: a robot that is right leaves as little, there and elsewhere."""
     twin = two((12.0, 18.0))
