@@ -31,7 +31,9 @@ from jointid.simulation.robot_laws import PackedLaws, pack_laws
 from jointid.simulation.robot_numbers import Bools, RobotNumbers
 from jointid.simulation.robot_start import begin, reference_motion
 
-_FASTEST = 0.5  # rad of the fastest motion of the robot in one step: an error of some 1e-5 of the torque
+FINE, COARSE = 0.5, 1.0
+"""Rad of the fastest motion of the robot in one step: an error of some 1e-5 of the torque, and of some 1e-3."""
+
 _STEPS = 64  # per part of a period, at most
 _POSES = 5  # along the reference, at which the fastest motion is looked for
 _MORE = 2  # pieces per step and part, at most, beside a thousand
@@ -283,9 +285,17 @@ def simulate_robot(
 
 
 def run_robot(
-    experiment: RobotInput, numbers: RobotNumbers, *, keep: bool = False, steps: int | None = None
+    experiment: RobotInput,
+    numbers: RobotNumbers,
+    *,
+    keep: bool = False,
+    steps: int | None = None,
+    stride: float = FINE,
 ) -> RobotRun:
-    """Run one candidate, and `keep` its tape and where limits act; arguments of `simulate_robot`."""
+    """Run one candidate, and `keep` its tape and where limits act; other arguments are those of `simulate_robot`.
+
+    Without steps they are as many as keep the fastest motion within a stride, rad, each.
+    """
     from jointid.simulation.kernels import robot_loop
 
     clock, n, masses = experiment.clock, len(experiment.experiments), len(numbers.masses)
@@ -298,7 +308,8 @@ def run_robot(
     taken = 1 if steps is None else steps
     if numbers.possible:
         longest = float(np.max(clock.lengths))
-        taken = choose_steps(experiment.tree, experiment.references, longest, numbers) if steps is None else steps
+        if steps is None:
+            taken = choose_steps(experiment.tree, experiment.references, longest, numbers, stride)
         outcome = RobotOutcome.FINISHED if taken <= _STEPS else RobotOutcome.TOO_STIFF
     rows = (_MORE * clock.steps * parts * min(taken, _STEPS) + 1000) if keep and outcome is RobotOutcome.FINISHED else 0
     tape = RobotTape.empty(clock.steps * parts, rows, masses)
@@ -357,14 +368,17 @@ def motion_at(run: RobotRun, parts: IntArray) -> MassMotion:
     return found
 
 
-def choose_steps(tree: LoopTree, references: FloatArray, length: float, numbers: RobotNumbers) -> int:
-    """Return the steps of a time of this length that keep the robot's fastest motion within 0.5 rad each.
+def choose_steps(
+    tree: LoopTree, references: FloatArray, length: float, numbers: RobotNumbers, stride: float = FINE
+) -> int:
+    """Return the steps of a time of this length that keep the robot's fastest motion within a stride each.
 
     Args:
         tree: of the links.
         references: (samples, n) where the shafts are about.
         length: s.
         numbers: of the robot.
+        stride: rad.
     """
     from jointid.models.robots.equations import ROOM, equations_of_motion
 
@@ -391,7 +405,7 @@ def choose_steps(tree: LoopTree, references: FloatArray, length: float, numbers:
             continue
         each = [np.abs(np.linalg.eigvals(np.linalg.solve(M, matrix))) for matrix in (springs, dampers)]
         fastest = max(fastest, math.sqrt(float(np.max(each[0]))), float(np.max(each[1])))
-    return max(math.ceil(length * fastest / _FASTEST), 1)
+    return max(math.ceil(length * fastest / stride), 1)
 
 
 def add_feed_forward(

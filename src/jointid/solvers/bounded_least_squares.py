@@ -27,6 +27,7 @@ _SHORTER, _FARTHER = 0.25, 2.0  # factors on the reach of a step, likewise
 _PATIENCE = 8  # steps that change less than the tolerance
 _NEAREST = 1e-3  # of its reach: that of a step after many that failed
 _CUT = 0.999  # of its reach: a step that the reach has cut
+_PROMISED = 0.1  # of the tolerance: a step that is not worth an evaluation
 _IDLE = 1e-2  # of the residual
 _THERE = 1e-2  # of a tolerance
 _STATUS = {-2: Status.COST, 2: Status.COST, 3: Status.STEP, 4: Status.STEP_AND_COST}
@@ -46,11 +47,14 @@ class LevenbergMarquardt:
         evaluations: at most, each with the derivatives.
         reach: (parameters,) how far one step may move each; as far as its bounds when None. A step far beyond where
             the linear model holds may lower the error, and yet end where the torque depends on a parameter no more.
+        foresees: whether a step is not made, and nothing evaluated, where the linear model promises a tenth of the
+            tolerance at most: for problems whose evaluations are dear.
     """
 
     tolerance: float = 1e-8
     evaluations: int = 60
     reach: FloatArray | None = None
+    foresees: bool = False
 
     def solve(self, problem: Problem, start: FloatArray, watch: Watch) -> Solution:
         """Return where one descent ends; the trace begins with the start."""
@@ -63,6 +67,11 @@ class LevenbergMarquardt:
             norm = trace[-1].norm
             step = damped_step(error, J, bounds.around(x).within(reach), damping, bounds.upper - bounds.lower)
             cut = reach is not None and bool(np.any(np.abs(step) >= _CUT * reach))
+            if self.foresees and damping <= _DAMPING and not cut:
+                promised = 1.0 - (float(np.linalg.norm(error + J @ step)) / norm) ** 2 if norm else 0.0
+                if promised <= _PROMISED * self.tolerance:
+                    status = Status.COST
+                    break
             after, slopes = counted.linearised(x + step)
             used += 1
             gained = 1.0 - (float(np.linalg.norm(after)) / norm) ** 2 if norm else 0.0
@@ -108,9 +117,9 @@ def damped_step(error: FloatArray, J: FloatArray, room: Bounds, damping: float, 
     # What moves nothing, from bound to bound, is not moved.
     idle = norms * np.where(norms > 0, widths, 0.0) <= _IDLE * np.linalg.norm(error)
     J, norms = np.where(idle, 0.0, J), np.where(idle, 1.0, norms)
-    Q, R = np.linalg.qr(J / norms)
-    matrix = np.vstack([R, np.sqrt(damping) * np.eye(norms.size)])
-    target = np.concatenate([-Q.T @ error, np.zeros(norms.size)])
+    triangle = np.linalg.qr(np.column_stack([J / norms, error]), mode="r")[: norms.size]
+    matrix = np.vstack([triangle[:, :-1], np.sqrt(damping) * np.eye(norms.size)])
+    target = np.concatenate([-triangle[:, -1], np.zeros(norms.size)])
     found = lsq_linear(matrix, target, (room.lower * norms, room.upper * norms), method="bvls")
     return room.clip(found.x / norms)
 

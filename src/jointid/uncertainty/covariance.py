@@ -287,17 +287,29 @@ def residual_left_out(
     def summed(rows: FloatArray) -> FloatArray:
         return np.add.reduceat(rows, first)
 
-    shares = np.empty((len(first), *spread.shape))  # Z_b' J_b
-    for i, column in enumerate(slopes.T):
-        shares[:, :, i] = summed(Z * column[:, np.newaxis])
+    shares = _products(Z, slopes, first)
     told = summed(Z * before[:, np.newaxis])
     moved = _inverses(np.eye(len(spread)) - spread @ shares) @ (spread @ told[..., np.newaxis])
     rows = np.diff(first, append=len(order))
-    after = before + np.sum(slopes * np.repeat(moved[..., 0], rows, axis=0), axis=1)
+    after = before + np.einsum("ij,ij->i", slopes, np.repeat(moved[..., 0], rows, axis=0))
     # A block that a parameter rests on alone, as the first does for the initial state, cannot be left out.
     kept = np.repeat(summed(after**2) <= _MOST**2 * summed(before**2), rows)
     found = error.copy()
     found[order[kept]] = after[kept]
+    return found
+
+
+def _products(Z: FloatArray, J: FloatArray, first: NDArray[np.intp]) -> FloatArray:
+    """Return ``Z_b' J_b`` of each block of rows, (blocks, parameters, parameters), by where the blocks begin.
+
+    Blocks of the same length, which are all but a few, are multiplied at once.
+    """
+    lengths = np.diff(first, append=len(Z))
+    found = np.empty((len(first), Z.shape[1], J.shape[1]))
+    for length in np.unique(lengths):
+        same = np.flatnonzero(lengths == length)
+        rows = first[same][:, np.newaxis] + np.arange(length)
+        found[same] = Z[rows].transpose(0, 2, 1) @ J[rows]
     return found
 
 

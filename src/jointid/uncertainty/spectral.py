@@ -72,8 +72,8 @@ def spectral_covariance(
         parts: rows of each record, whose spectra are their own.
         asked: (rows, parameters), the influences on what is asked for, if that is not the estimate.
     """
-    asked = influences if asked is None else asked
-    bands = [_bands(influences[part], J[part], error[part], asked[part]) for part in parts]
+    others = [None if asked is None else asked[part] for part in parts]
+    bands = [_bands(influences[part], J[part], error[part], other) for part, other in zip(parts, others, strict=True)]
     H = np.concatenate([b.influences for b in bands])
     sought = np.concatenate([b.asked for b in bands])
     K = np.concatenate([b.sensitivities for b in bands])
@@ -90,14 +90,17 @@ def spectral_covariance(
     return covariance, np.where(known, _students_factor(degrees), 1.0)
 
 
-def _bands(influences: FloatArray, J: FloatArray, error: FloatArray, asked: FloatArray) -> _Bands:
+def _bands(influences: FloatArray, J: FloatArray, error: FloatArray, asked: FloatArray | None) -> _Bands:
     rows = error.size
     both = np.full(rows // 2 + 1, 2.0)  # in half a spectrum a frequency stands for two, but the first and an even last
     both[0] = 1.0
     both[-1] = 2.0 if rows % 2 else 1.0
     weight = np.sqrt(both / rows)[:, np.newaxis]
-    signals = (influences, J, error, asked)
-    A, slopes, left, wanted = (weight * np.fft.rfft(x.reshape(rows, -1), axis=0) for x in signals)
+
+    def transformed(signals: FloatArray) -> NDArray[np.complex128]:
+        return np.asarray(weight * np.fft.rfft(signals.reshape(rows, -1), axis=0))
+
+    A, slopes, left = (transformed(signals) for signals in (influences, J, error))
     taken = np.real(np.sum(A.conj() * slopes, axis=1))
     first = _borders(both - taken, rows)
 
@@ -107,7 +110,8 @@ def _bands(influences: FloatArray, J: FloatArray, error: FloatArray, asked: Floa
 
     freedom = np.add.reduceat(both - 2.0 * taken, first)
     power = np.add.reduceat(np.abs(left[:, 0]) ** 2, first)
-    return _Bands(each(A), each(wanted), each(slopes), freedom, power)
+    own = each(A)
+    return _Bands(own, own if asked is None else each(transformed(asked)), each(slopes), freedom, power)
 
 
 def _borders(left: FloatArray, rows: int) -> NDArray[np.intp]:

@@ -51,7 +51,9 @@ from jointid.simulation.robot_drive_side import RobotDriveSideRun
 from jointid.simulation.robots import MassMotion, RobotLoop, RobotOutcome, RobotRun
 from jointid.uncertainty.covariance import Covariance, robust
 
-_SETTLED = 0.02  # standard deviations: the largest change of a parameter that ends the search
+SETTLED = 0.02
+"""Standard deviations: the largest change of a parameter that ends the search."""
+
 _EXACT = 1e-6  # of the torques: an error that the simulation itself may have
 _HALVINGS = 6  # of a step to a candidate that cannot be simulated
 _REWEIGHTINGS = 3  # of a start
@@ -134,6 +136,7 @@ def identify_rigid_robot(
     *,
     offsets: bool = True,
     iterations: int = 30,
+    settled: float = SETTLED,
     progress: Progress = lambda _: None,
 ) -> RobotFit:
     """Identify a robot of rigid joints from torques and references; positions in the records are not read.
@@ -145,6 +148,7 @@ def identify_rigid_robot(
         filtering: that torques and columns go through alike.
         offsets: whether each motor has a constant torque that is identified, too.
         iterations: at most.
+        settled: the largest change of a parameter that ends them, standard deviations.
         progress: is told each iteration.
 
     Raises:
@@ -156,11 +160,16 @@ def identify_rigid_robot(
     parameters = robot_parameters(robot, offsets=offsets)
     problem = robot_problem(loop, records, parameters, filtering)
     x, run = start_of(problem, loop, records, progress)
-    return fixed_point(problem, x, run, iterations, progress)
+    return fixed_point(problem, x, run, iterations, progress, settled)
 
 
 def fixed_point(
-    problem: RobotProblem[Run], x: FloatArray, run: Run, iterations: int, progress: Progress = lambda _: None
+    problem: RobotProblem[Run],
+    x: FloatArray,
+    run: Run,
+    iterations: int,
+    progress: Progress = lambda _: None,
+    settled: float = SETTLED,
 ) -> RobotFit:
     """Return where steps by the regressor of the simulated motion lead to, from a start that could be simulated."""
     bounds, size = (
@@ -168,7 +177,7 @@ def fixed_point(
         np.linalg.norm(problem.by_joint(problem.decimated(problem.measured)), axis=1),
     )
     floor = _EXACT * np.max(size)
-    settled, made = False, 0
+    arrived, made = False, 0
     for number in range(iterations):
         error, W = problem.error(run), problem.regressor(run)
         step, std, left = _step(problem, W, error)
@@ -177,12 +186,12 @@ def fixed_point(
         share = np.linalg.norm(problem.by_joint(error), axis=1) / size
         progress(f"iteration {number}: torque error {100 * float(np.max(share)):.4f} % on the worst joint")
         after = bounds.clip(x + step)
-        settled = bool(np.all(np.abs(after - x) <= _SETTLED * std))
+        arrived = bool(np.all(np.abs(after - x) <= settled * std))
         made = number + 1
         x, run = _moved(problem, x, after, run)
-        if settled:
+        if arrived:
             break
-    return conclude(problem, x, run, problem.slopes(run, x), problem.regressor(run), made, settled, floor)
+    return conclude(problem, x, run, problem.slopes(run, x), problem.regressor(run), made, arrived, floor)
 
 
 def conclude(

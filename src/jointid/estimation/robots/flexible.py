@@ -44,6 +44,7 @@ from jointid.uncertainty.covariance import white
 SLOW = Filtering(cutoff=4.0)
 """Below the modes, where a robot is as good as rigid."""
 
+_NEAR = 0.2  # standard deviations: a change of the rigid robot's parameters that is none where springs are to follow
 _POSES = 40  # along the references, over which inertias are averaged
 _SHARE = 0.5  # of the inertia about a joint, at most, that its rotor begins with
 _ROOM = 0.6  # of what the rotors can take before the links' mass matrix is not positive
@@ -55,7 +56,11 @@ _STIFF = 0.07  # of the sampling frequency: where a joint is as good as rigid, a
 _SOFTEST = 1e-3  # of the sampling frequency: the lowest mode that is looked for
 _STIFFEST = 0.15  # of the sampling frequency: the highest mode that is looked for
 _REACH = math.log(3.0)  # of a step: a stiffness or a rotor's inertia to at most so many times what it was
-_ROUGH, _FINE = 1e-2, 1e-5  # tolerances of searches: with first sizes of the joints' errors, and with better ones
+_ROUGH, _CLOSE, _FINE = (
+    3e-2,
+    1e-3,
+    3e-5,
+)  # tolerances: with first sizes of the joints' errors, with better ones, at last
 _DAMPED = 5.0  # of a step: a spring's damping by at most so many times what it begins with
 _TURNS, _SETTLED = 4, 0.4  # searches with new sizes of the joints' errors, and their change that asks for no other
 _FIRST = 12  # evaluations, after which springs are looked for in what was found: with springs most searches are over
@@ -145,7 +150,7 @@ def identify_flexible_robot(
     if frequencies is None:
         _row(problem.sample_time)
     require_frequencies(frequencies, problem.sample_time)
-    rigid = identify_rigid_robot(loop, records, SLOW, offsets=offsets, progress=progress)
+    rigid = identify_rigid_robot(loop, records, SLOW, offsets=offsets, settled=_NEAR, progress=progress)
     return search_springs(
         problem, robot, rigid, lambda start: frequencies or start.search(progress), evaluations, progress
     )
@@ -208,14 +213,15 @@ def search_springs(
     """
     parameters, flexible = problem.parameters, _springs(robot)
     problem = problem.weighted(joint_sizes(problem, problem.error(rigid.run), rigid.values.size, _least(problem)))
-    start = StartOfSprings.of(problem, rigid, robot.names)
+    start = StartOfSprings.of(problem.roughly(), rigid, robot.names)
     hertz = look(start)
     problem = _bounded(problem, start)
+    rough = problem.roughly()
     values = start.values(hertz)
     x, reach = parameters.searched(values), _reach(parameters, values)
     kinds = dict(zip(robot.names, (link.kind for link in robot.links), strict=True))
     units = {name: "N/m" if kinds[name] == "prismatic" else "N m/rad" for name in flexible}
-    end = _search(problem, x, _ROUGH, min(_FIRST, evaluations), reach, progress)
+    end = _search(rough, x, _ROUGH, min(_FIRST, evaluations), reach, progress)
     if end.solution.status is Status.NOT_EVALUABLE:
         raise MethodError(
             f"The robot cannot be simulated where its search begins: {problem.run(x).outcome.value}. Give other "
@@ -228,21 +234,24 @@ def search_springs(
         # No better than without springs: a robot that has none, or whose modes are high, is found from stiff ones.
         values, before = start.all_at(start.stiff), end.made
         x, reach = parameters.searched(values), _reach(parameters, values)
-        end = _search(problem, x, _ROUGH, min(_FIRST, evaluations), reach, progress)
+        end = _search(rough, x, _ROUGH, min(_FIRST, evaluations), reach, progress)
         end = replace(end, made=before + end.made)
     # A search without springs to find goes on for minutes along what the record does not tell.
-    if (not end.may_show or (stiff and end.norm > without)) and (seen := end.fit()) is not None:
+    if (not end.may_show or (stiff and end.norm > without)) and (seen := end.of(problem).fit()) is not None:
         found = (_judge(seen, problem, name, units[name]) for name in flexible)
         springs = tuple(replace(one, shown=False, stiffness=None, deviation=None) for one in found)
         return FlexibleRobotFit(seen, springs, rigid, seen.iterations, "no joint shows a spring")
     if not end.solution.converged:
-        end = _search(problem, end, _ROUGH, evaluations, reach, progress)
+        end = _search(rough, end, _ROUGH, evaluations, reach, progress)
     for _ in range(_TURNS):
         weighed = end.reweighted()
-        end = _search(weighed, end, _FINE, evaluations, reach, progress)
+        end = _search(weighed, end, _CLOSE, evaluations, reach, progress)
         change = np.log(end.reweighted().sigma / weighed.sigma)
         if not end.solution.converged or np.all(np.abs(change) < _SETTLED):
             break
+    end = end.of(problem)
+    if end.solution.converged:
+        end = _search(end.reweighted(), end, _FINE, evaluations, reach, progress)
     fit = end.fit()
     if fit is None:
         raise MethodError("The search led to where the robot cannot be simulated; give other frequencies.")
@@ -262,11 +271,17 @@ class _End:
 
     Attributes:
         problem: as the last of them weighed it. solution: of that. made: evaluations of all.
+        run: at the end, where the last search has made it.
     """
 
     problem: RobotProblem[Any]
     solution: Solution
     made: int
+    run: Any = None
+
+    def of(self, problem: RobotProblem[Any]) -> _End:
+        """Return the end as one of another problem, which weighs the same rows otherwise or simulates them finer."""
+        return replace(self, problem=problem.weighted(self.problem.sigma), run=None)
 
     def linearised(self) -> tuple[FloatArray, FloatArray]:
         """Return the error, (rows,), and its derivatives, (rows, free), not weighted."""
@@ -295,7 +310,7 @@ class _End:
     def fit(self) -> RobotFit | None:
         """Return the fit; None where the robot cannot be simulated there."""
         x = self.solution.x
-        run = self.problem.run(x)
+        run = self.run or self.problem.run(x)
         if run.outcome is not RobotOutcome.FINISHED:
             return None
         J = -self.linearised()[1]
@@ -327,14 +342,40 @@ def _search(
     def watch(step: Step) -> None:
         progress(f"{step.evaluations} simulations: weighted torque error {step.norm:.6g}")
 
-    counted, made = Counted(problem), 0
+    kept = _LowestRun(problem)
+    counted, made = Counted(kept), 0
     if isinstance(start, _End):
         error, slopes = start.linearised()
         weights, made = problem.weights(error.size), start.made
         start = start.solution.x
         counted.remember(start, error * weights, slopes * weights[:, np.newaxis])
-    found = solve(counted, LevenbergMarquardt(tolerance, evaluations, reach), start, watch)
-    return _End(problem, found, made + found.evaluations)
+    solver = LevenbergMarquardt(tolerance, evaluations, reach, foresees=True)
+    found = solve(counted, solver, start, watch)
+    return _End(problem, found, made + found.evaluations, kept.run_at(found.x))
+
+
+class _LowestRun:
+    """A problem that keeps the run of the least error: where a search ends it was simulated already."""
+
+    def __init__(self, problem: RobotProblem[Any]) -> None:
+        self.problem, self.free = problem, problem.free
+        self._norm, self._x, self._run = math.inf, np.empty(0), None
+
+    def residual(self, x: FloatArray) -> FloatArray:
+        """Return the weighted residual, (rows,)."""
+        return self.problem.residual(x)
+
+    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the weighted residual, (rows,), and its derivatives, (rows, free)."""
+        run, error, J = self.problem.linearised_run(x)
+        norm = float(np.linalg.norm(error))
+        if norm < self._norm:
+            self._norm, self._x, self._run = norm, x.copy(), run
+        return error, J
+
+    def run_at(self, x: FloatArray) -> Any:
+        """Return the run at a point, None if it is not the one that was kept."""
+        return self._run if np.array_equal(x, self._x) else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -345,6 +386,7 @@ class StartOfSprings:
         problem: of the flexible robot. names: of its joints.
         split: (parameters,) all but the springs.
         rotors, links: (n,) inertias of the rotors, and of the links about the joints.
+        costs: (n,) norms of the joints' weighted errors on stiff springs.
     """
 
     problem: RobotProblem[Any]
@@ -352,6 +394,7 @@ class StartOfSprings:
     split: FloatArray
     rotors: FloatArray
     links: FloatArray
+    costs: FloatArray
 
     @classmethod
     def of(cls, problem: RobotProblem[Any], rigid: RobotFit, names: tuple[str, ...]) -> StartOfSprings:
@@ -379,11 +422,17 @@ class StartOfSprings:
         wanted = np.where(numbers.flexible, np.minimum(_SHARE * about, _ROOM * taken * alone), 0.0)
         for spread in _SPREADS:
             split, rotors = _split(problem.parameters, rigid, numbers, wanted, spread * about, _LIGHTEST * about)
-            start = cls(problem, names, split, rotors, np.maximum(about - rotors, _LIGHTEST * about))
-            x = problem.parameters.searched(start.all_at(start.stiff))
-            if problem.run(x, keep=False).outcome is RobotOutcome.FINISHED:
-                break
+            costs = np.full(about.size, np.inf)
+            start = cls(problem, names, split, rotors, np.maximum(about - rotors, _LIGHTEST * about), costs)
+            run = problem.run(problem.parameters.searched(start.all_at(start.stiff)), keep=False)
+            if run.outcome is RobotOutcome.FINISHED:
+                error = problem.error(run)
+                return replace(start, costs=start._norms(error * problem.weights(error.size)))
         return start
+
+    def _norms(self, weighted: FloatArray) -> FloatArray:
+        """Return the norms of the joints' errors, (n,)."""
+        return np.asarray(np.linalg.norm(self.problem.by_joint(weighted), axis=1))
 
     @property
     def stiff(self) -> float:
@@ -414,17 +463,16 @@ class StartOfSprings:
         """
         row = _row(self.problem.sample_time)
 
-        def errors(values: FloatArray) -> FloatArray:
-            residual = self.problem.residual(self.problem.parameters.searched(values))
-            return np.asarray(np.linalg.norm(self.problem.by_joint(residual), axis=1))
+        def costs(values: FloatArray) -> FloatArray:
+            return self._norms(self.problem.residual(self.problem.parameters.searched(values)))
 
-        *costs, stiff = in_threads(errors, [self.all_at(f) for f in (*row, self.stiff)])
         flexible = np.flatnonzero(self.problem.parameters.base.flexible)
-        own = np.array(costs)[:, flexible]
+        own = np.array(in_threads(costs, [self.all_at(f) for f in row]))[:, flexible]
         lowest = np.argmin(own, axis=0)
-        higher = np.where(np.min(own, axis=0) < stiff[flexible], lowest, len(row) - 1)
+        higher = np.where(np.min(own, axis=0) < self.costs[flexible], lowest, len(row) - 1)
         ways = [{self.names[i]: row[k] for i, k in zip(flexible, way, strict=True)} for way in (lowest, higher)]
-        whole = [float(np.linalg.norm(one)) for one in in_threads(errors, [self.values(way) for way in ways])]
+        ways = ways[:1] if ways[0] == ways[1] else ways
+        whole = [float(np.linalg.norm(one)) for one in in_threads(costs, [self.values(way) for way in ways])]
         best = ways[int(np.argmin(whole))]
         for name, f in best.items():
             progress(f"{name}: its mode is looked for from {f:.3g} Hz")

@@ -25,6 +25,8 @@ from jointid.simulation.robot_drive_side import RobotDriveSideRun
 from jointid.simulation.robot_numbers import NumberPlace, RobotNumbers
 from jointid.simulation.robot_sensitivities import differentiate_torques
 from jointid.simulation.robots import (
+    COARSE,
+    FINE,
     LoopTree,
     RobotInput,
     RobotLoop,
@@ -96,6 +98,10 @@ class RobotProblem(ABC, Generic[Run]):
         """The parameters, with bounds of what is searched."""
         return self.parameters.parameters
 
+    def roughly(self) -> Self:
+        """Return the problem simulated in longer steps where there is a choice, to look for where a search begins."""
+        return self
+
     def weighted(self, sigma: FloatArray) -> Self:
         """Return the problem with other sizes of the joints' errors."""
         return replace(self, sigma=sigma)
@@ -153,13 +159,17 @@ class RobotProblem(ABC, Generic[Run]):
 
     def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the weighted residual, (rows,), and its derivatives, (rows, free); 0 of what cannot be simulated."""
+        return self.linearised_run(x)[1:]
+
+    def linearised_run(self, x: FloatArray) -> tuple[Run, FloatArray, FloatArray]:
+        """Return the run that `linearised` makes, and what that returns."""
         run = self.run(x)
         if run.outcome is not RobotOutcome.FINISHED:
             error = self._failed()
-            return error, np.zeros((error.size, x.size))
+            return run, error, np.zeros((error.size, x.size))
         error = self.error(run)
         weights = self.weights(error.size)
-        return error * weights, -self.slopes(run, x) * weights[:, np.newaxis]
+        return run, error * weights, -self.slopes(run, x) * weights[:, np.newaxis]
 
     def _failed(self) -> FloatArray:
         seen = self.decimated(self.measured)
@@ -182,9 +192,11 @@ class RobotLoopProblem(RobotProblem[RobotRun]):
 
     Attributes:
         experiment: what the loops are driven with.
+        stride: rad of the fastest motion in one step of the integrator.
     """
 
     experiment: RobotInput
+    stride: float = FINE
 
     @property
     def tree(self) -> LoopTree:
@@ -203,7 +215,11 @@ class RobotLoopProblem(RobotProblem[RobotRun]):
 
     def simulate(self, numbers: RobotNumbers, *, keep: bool = True) -> RobotRun:
         """Simulate a robot."""
-        return run_robot(self.experiment, numbers, keep=keep)
+        return run_robot(self.experiment, numbers, keep=keep, stride=self.stride)
+
+    def roughly(self) -> Self:
+        """Return the problem simulated in steps twice as long."""
+        return replace(self, stride=COARSE)
 
     def error(self, run: RobotRun) -> FloatArray:
         """Return the filtered error of a run, measured less simulated, (rows,), not weighted."""
