@@ -89,8 +89,7 @@ def test_simulated_runs_of_a_robot_stand_beside_their_truth(place: Path, method:
     joint.write_text(f'{text}\n[method]\nname = "{method}"\n', encoding="utf-8")
     asked = '[monte_carlo]\njoint = "robot.toml"\nrecord = "references.csv"\nruns = 1\nnoise_log = 0.5\nseed = 7\n'
     row = run_case(next(load_campaign(campaign(place, asked)).cases()))
-    left_out = {"Fv2", "Fc2", "offset2"} if method == "idim" else set()
-    assert set(row.truth) == set(row.found) - left_out
+    assert set(row.truth) == set(row.found)
     assert row.truth["Fv1" if method == "idim" else "joint1.coulomb"] == pytest.approx(3.0 if method == "idim" else 4.0)
     for name, value in row.truth.items():
         found = row.found[name]

@@ -26,7 +26,6 @@ from jointid.config.robot_file import RobotFile
 from jointid.estimation.result.answer import Trust
 from jointid.estimation.robots.idim import KNOWN, RobotEstimate, RobotIDIM
 from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
-from jointid.models.robots.base_parameters import FRICTION
 from jointid.records.record import Record
 from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.robots import RobotOutcome, robot_records, simulate_robot
@@ -130,8 +129,7 @@ def identify_robot_case(case: Case, path: Path) -> dict[str, Any]:
 def _truth(estimate: RobotEstimate | RobotTorqueEstimate) -> Iterator[tuple[str, float]]:
     """Yield what is true of each parameter of a simulated robot, that of the file, in the sums that are identified.
 
-    By IDIM, which takes joints as rigid and friction as the same in both directions, there is no truth where a joint
-    has a spring, nor of a friction whose directions differ or that rises towards standstill.
+    By IDIM, which takes joints as rigid, there is no truth where a joint has a spring.
     """
     robot = estimate.robot
     if isinstance(estimate, RobotTorqueEstimate):
@@ -141,11 +139,7 @@ def _truth(estimate: RobotEstimate | RobotTorqueEstimate) -> Iterator[tuple[str,
             if not place.is_of_record:
                 yield name, value
     elif not any(robot.flexible):
-        bent = [k for k, one in enumerate(robot.joints, 1) if one.asymmetric or one.stribeck_force]
-        uneven = {f"{symbol}{k}" for k in bent for symbol in FRICTION}
-        for name, value in zip(estimate.names, map(float, estimate.base.with_friction(robot)), strict=True):
-            if name not in uneven:
-                yield name, value
+        yield from zip(estimate.names, map(float, estimate.base.with_friction(robot)), strict=True)
 
 
 def _simulated(file: RobotFile, driven: Sequence[Record], asked: Simulated) -> tuple[Record, ...]:

@@ -117,7 +117,7 @@ def damped_step(error: FloatArray, J: FloatArray, room: Bounds, damping: float, 
     # What moves nothing, from bound to bound, is not moved.
     idle = norms * np.where(norms > 0, widths, 0.0) <= _IDLE * np.linalg.norm(error)
     J, norms = np.where(idle, 0.0, J), np.where(idle, 1.0, norms)
-    triangle = np.linalg.qr(np.column_stack([J / norms, error]), mode="r")[: norms.size]
+    triangle = np.asarray(np.linalg.qr(np.column_stack([J / norms, error]), mode="r"))[: norms.size]
     matrix = np.vstack([triangle[:, :-1], np.sqrt(damping) * np.eye(norms.size)])
     target = np.concatenate([-triangle[:, -1], np.zeros(norms.size)])
     found = lsq_linear(matrix, target, (room.lower * norms, room.upper * norms), method="bvls")

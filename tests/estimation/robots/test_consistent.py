@@ -19,7 +19,7 @@ from jointid.models.robots.inertial import (
     pseudo_inertia,
 )
 from jointid.models.robots.robot import Robot
-from tests.estimation.robots.twin import COULOMB, ROTORS, arm, records_of, with_payload
+from tests.estimation.robots.twin import COULOMB, ROTORS, VISCOUS, arm, records_of, with_payload
 from tests.models.robots.trees import random_body
 
 ARM = arm()
@@ -57,12 +57,13 @@ def test_bodies_fit_the_estimate_and_can_be() -> None:
     assert found.robot.of_joints("coulomb") == pytest.approx(COULOMB, rel=0.03)
 
 
-def test_a_friction_that_is_declared_another_backwards_is_not_left_beside_the_one_found() -> None:
+def test_a_friction_that_is_declared_another_backwards_is_the_one_found_in_both_directions() -> None:
     first = replace(ARM.joints[0], viscous_backwards=20.0, coulomb_backwards=30.0)
     declared = replace(ARM, joints=(first, *ARM.joints[1:]))
     found = consistent_robot(identify_robot(declared, records_of(ARM, 2, noise=0.5))).robot.joints[0]
-    assert not found.asymmetric
-    assert found.coulomb == pytest.approx(COULOMB[0], rel=0.05)
+    assert found.viscous == pytest.approx(VISCOUS[0], rel=0.05)
+    assert found.viscous_backwards == pytest.approx(VISCOUS[0], rel=0.05)
+    assert found.coulomb == pytest.approx(COULOMB[0], rel=0.05) and found.coulomb_backwards is None
 
 
 def test_noise_that_gives_no_bodies_still_gives_a_robot_that_can_be_simulated() -> None:

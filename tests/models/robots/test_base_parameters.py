@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.models.robots.base_parameters import base_parameters, friction_columns, inverse_columns, standard_values
+from jointid.models.robots.base_parameters import base_parameters, inverse_columns, standard_values
 from jointid.models.robots.dynamics import inverse_dynamics_of
+from jointid.models.robots.friction_terms import friction_columns
 from jointid.models.robots.robot import Link, Robot, RobotJoint
 from tests.models.robots.trees import chain, random_robot
 

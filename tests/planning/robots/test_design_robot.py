@@ -175,7 +175,9 @@ def test_the_torque_that_is_foretold_is_the_friction_of_each_direction_too() -> 
     robot = replace(robot, joints=joints)
     found = design_robot_test(robot, LIMITS, duration=4.0, sample_time=T, motion=q)
     np.testing.assert_allclose(found.torque, needed(robot, q, v, a), atol=1e-6)
-    assert found.parameters["Fv1"]["about"] == pytest.approx(14.0), "of both directions, as IDIM tells it"
+    about = {name: one["about"] for name, one in found.parameters.items()}
+    assert about["Fv1+"] == pytest.approx(first.viscous) and about["Fv1-"] == pytest.approx(25.0)
+    assert about["Fc2"] == pytest.approx(0.5 * (second.coulomb + 12.0)), "of both directions, beside an offset"
 
 
 def test_the_torque_that_is_foretold_has_the_weight_that_is_grouped_with_an_offset() -> None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from jointid.estimation.robots.idim import KNOWN, RobotEstimate
 from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
+from jointid.models.robots.friction_terms import friction_terms
 from jointid.simulation.robot_numbers import NumberOf, RobotNumbers
 
 _ROUGHLY = 1.0  # relative deviation
@@ -87,8 +88,7 @@ def parameters_by_joint(estimate: RobotEstimate | RobotTorqueEstimate) -> tuple[
 def _of_inverse_model(estimate: RobotEstimate) -> tuple[list[int], list[float], list[str]]:
     n = len(estimate.robot)
     joints = [int(i) // 10 if i < 10 * n else int(i) - 10 * n for i in estimate.base.chosen]
-    friction = len(estimate.names) - len(joints)
-    joints += [k for k in range(n) for _ in range(friction // n)]
+    joints += [term.joint for term in friction_terms(estimate.robot)]
     formulas = [str(row["formula"]) for row in estimate.rows.values()]
     return joints, [float(one) for one in estimate.nominal], formulas
 

@@ -19,6 +19,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.estimation.robots.idim import RobotEstimate
+from jointid.models.robots.friction_terms import Friction, friction_terms, joint_with_friction, offset_places
 from jointid.models.robots.inertial import from_log_cholesky, log_cholesky, pseudo_inertia
 from jointid.models.robots.robot import Robot
 
@@ -72,7 +73,7 @@ def consistent_robot(estimate: RobotEstimate, prior: Robot | None = None, spread
             [np.zeros((friction.size, 11 * n)), np.eye(friction.size)],
         ]
     )
-    sums[len(base) + 2 :: 3, : 11 * n] = base.offsets
+    sums[len(base) + np.array(offset_places(prior)), : 11 * n] = base.offsets
 
     def unpack(x: FloatArray) -> tuple[FloatArray, FloatArray]:
         bodies = [from_log_cholesky(theta) for theta in x[: 10 * n].reshape(n, 10)]
@@ -97,7 +98,8 @@ def consistent_robot(estimate: RobotEstimate, prior: Robot | None = None, spread
         found[len(whiten) :, : 11 * n] = np.diag(1 / np.concatenate([scales, sizes])) / spread
         return found
 
-    signed = np.tile([False, False, True], n)  # an offset may be negative
+    terms = friction_terms(prior)
+    signed = np.array([term.number is Friction.OFFSET for term in terms])  # it may be negative
     lower = np.concatenate([np.full(10 * n, -np.inf), np.zeros(n), np.where(signed, -np.inf, 0.0)])
     start = np.concatenate([theta0, rotors0, np.where(signed, friction, np.abs(friction))])
     start = np.maximum(start, np.where(np.isfinite(lower), 1e-9, -np.inf))
@@ -105,22 +107,12 @@ def consistent_robot(estimate: RobotEstimate, prior: Robot | None = None, spread
         residual, start, jacobian, bounds=(lower, np.inf), x_scale="jac", ftol=_SETTLED, xtol=_SETTLED, max_nfev=100
     )
     standard, _ = unpack(found.x)
-    joints = tuple(
-        # What the prior has backwards is in the means and the offset that were found.
-        replace(
-            joint,
-            rotor_inertia=float(rotor),
-            viscous=float(fv),
-            coulomb=float(fc),
-            offset=float(offset),
-            viscous_backwards=None,
-            coulomb_backwards=None,
-        )
-        for joint, rotor, (fv, fc, offset) in zip(
-            prior.joints, standard[10 * n :], found.x[11 * n :].reshape(n, 3), strict=True
-        )
-    )
-    robot = replace(prior.with_inertials(standard[: 10 * n]), joints=joints)
+    joints = []
+    for k, (joint, rotor) in enumerate(zip(prior.joints, standard[10 * n :], strict=True)):
+        pairs = zip(terms, found.x[11 * n :], strict=True)
+        numbers = {term.number: float(value) for term, value in pairs if term.joint == k}
+        joints.append(replace(joint_with_friction(joint, numbers), rotor_inertia=float(rotor)))
+    robot = replace(prior.with_inertials(standard[: 10 * n]), joints=tuple(joints))
     misfit = float(np.sqrt(np.mean(residual(found.x)[: len(whiten)] ** 2)))
     return ConsistentRobot(robot, misfit, least_inertia(robot))
 

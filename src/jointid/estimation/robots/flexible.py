@@ -63,6 +63,7 @@ _ROUGH, _CLOSE, _FINE = (
 )  # tolerances: with first sizes of the joints' errors, with better ones, at last
 _DAMPED = 5.0  # of a step: a spring's damping by at most so many times what it begins with
 _TURNS, _SETTLED = 4, 0.4  # searches with new sizes of the joints' errors, and their change that asks for no other
+_COMMON, _TRIED = (11.25, 16.875), 6  # Hz of all springs, and evaluations, where the first search is not over soon
 _FIRST = 12  # evaluations, after which springs are looked for in what was found: with springs most searches are over
 _SHOWN = 4.0  # standard deviations by which a compliance is told from 0
 _TWO = 2.0  # of them: the bound of one that is not
@@ -211,47 +212,42 @@ def search_springs(
     Raises:
         MethodError: nothing can be simulated at the start, or a robot of rigid joints explains the torques better.
     """
-    parameters, flexible = problem.parameters, _springs(robot)
+    flexible = _springs(robot)
     problem = problem.weighted(joint_sizes(problem, problem.error(rigid.run), rigid.values.size, _least(problem)))
     start = StartOfSprings.of(problem.roughly(), rigid, robot.names)
     hertz = look(start)
     problem = _bounded(problem, start)
     rough = problem.roughly()
-    values = start.values(hertz)
-    x, reach = parameters.searched(values), _reach(parameters, values)
-    kinds = dict(zip(robot.names, (link.kind for link in robot.links), strict=True))
-    units = {name: "N/m" if kinds[name] == "prismatic" else "N m/rad" for name in flexible}
-    end = _search(rough, x, _ROUGH, min(_FIRST, evaluations), reach, progress)
+    end = _begin(rough, start, hertz, evaluations, progress)
     if end.solution.status is Status.NOT_EVALUABLE:
         raise MethodError(
-            f"The robot cannot be simulated where its search begins: {problem.run(x).outcome.value}. Give other "
-            "frequencies, or a record in which all joints move more."
+            f"The robot cannot be simulated where its search begins: {rough.run(end.solution.x).outcome.value}. Give "
+            "other frequencies, or a record in which all joints move more."
         )
     errors = problem.error(rigid.run)
     without = float(np.linalg.norm(errors * problem.weights(errors.size)))
     stiff = not end.solution.converged and end.norm > without
     if stiff:
         # No better than without springs: a robot that has none, or whose modes are high, is found from stiff ones.
-        values, before = start.all_at(start.stiff), end.made
-        x, reach = parameters.searched(values), _reach(parameters, values)
-        end = _search(rough, x, _ROUGH, min(_FIRST, evaluations), reach, progress)
+        before = end.made
+        end = _search(rough, start.begin(start.all_at(start.stiff)), _ROUGH, min(_FIRST, evaluations), progress)
         end = replace(end, made=before + end.made)
+    kinds = dict(zip(robot.names, (link.kind for link in robot.links), strict=True))
+    units = {name: "N/m" if kinds[name] == "prismatic" else "N m/rad" for name in flexible}
     # A search without springs to find goes on for minutes along what the record does not tell.
     if (not end.may_show or (stiff and end.norm > without)) and (seen := end.of(problem).fit()) is not None:
         found = (_judge(seen, problem, name, units[name]) for name in flexible)
         springs = tuple(replace(one, shown=False, stiffness=None, deviation=None) for one in found)
         return FlexibleRobotFit(seen, springs, rigid, seen.iterations, "no joint shows a spring")
-    if not end.solution.converged:
-        end = _search(rough, end, _ROUGH, evaluations, reach, progress)
     for _ in range(_TURNS):
         weighed = end.reweighted()
-        end = _search(weighed, end, _CLOSE, evaluations, reach, progress)
+        end = _search(weighed, end, _CLOSE, evaluations, progress)
         change = np.log(end.reweighted().sigma / weighed.sigma)
         if not end.solution.converged or np.all(np.abs(change) < _SETTLED):
             break
     end = end.of(problem)
     if end.solution.converged:
-        end = _search(end.reweighted(), end, _FINE, evaluations, reach, progress)
+        end = _search(end.reweighted(), end, _FINE, evaluations, progress)
     fit = end.fit()
     if fit is None:
         raise MethodError("The search led to where the robot cannot be simulated; give other frequencies.")
@@ -271,17 +267,21 @@ class _End:
 
     Attributes:
         problem: as the last of them weighed it. solution: of that. made: evaluations of all.
-        run: at the end, where the last search has made it.
+        reach: see `_Start`.
+        run: at the end, where the last search has made it. finer: whether the problem simulates finer than the search
+            did, so that what is known of the end is only nearly so.
     """
 
     problem: RobotProblem[Any]
     solution: Solution
     made: int
+    reach: FloatArray
     run: Any = None
+    finer: bool = False
 
     def of(self, problem: RobotProblem[Any]) -> _End:
-        """Return the end as one of another problem, which weighs the same rows otherwise or simulates them finer."""
-        return replace(self, problem=problem.weighted(self.problem.sigma), run=None)
+        """Return the end as one of a problem that is simulated finer."""
+        return replace(self, problem=problem.weighted(self.problem.sigma), run=None, finer=True)
 
     def linearised(self) -> tuple[FloatArray, FloatArray]:
         """Return the error, (rows,), and its derivatives, (rows, free), not weighted."""
@@ -323,19 +323,55 @@ def _least(problem: RobotProblem[Any]) -> float:
     return _EXACT * float(np.max(np.linalg.norm(seen, axis=1)))
 
 
-def _reach(parameters: RobotParameters, values: FloatArray) -> FloatArray:
-    """Return how far one step may move each parameter, (parameters,): rotors, springs and their damping not too far."""
-    damping = np.array([place.of is NumberOf.SPRING and place.column == 1 for place in parameters.places])
-    return np.where(parameters.logarithmic, _REACH, np.where(damping, _DAMPED * values, np.inf))
+@dataclass(frozen=True, slots=True, eq=False)
+class _Start:
+    """Where a search begins.
+
+    Attributes:
+        x: (parameters,) what is searched.
+        reach: (parameters,) how far one step may move each: rotors, springs and their damping not too far.
+    """
+
+    x: FloatArray
+    reach: FloatArray
+
+    @classmethod
+    def of(cls, parameters: RobotParameters, values: FloatArray) -> _Start:
+        """Return a start at values of all parameters."""
+        damping = np.array([place.of is NumberOf.SPRING and place.column == 1 for place in parameters.places])
+        reach = np.where(parameters.logarithmic, _REACH, np.where(damping, _DAMPED * values, np.inf))
+        return cls(parameters.searched(values), reach)
+
+
+def _begin(
+    problem: RobotProblem[Any],
+    start: StartOfSprings,
+    hertz: Mapping[str, float],
+    evaluations: int,
+    progress: Progress,
+) -> _End:
+    """Return where the first search leads, from these frequencies, Hz; from others, too, where it is not over soon.
+
+    A robot split into wrong rotors may look best on wrong frequencies, and the search then creeps. Of 100 random robots
+    two did, and both came down from one frequency of all springs.
+    """
+    first = min(_FIRST, evaluations)
+    best = _search(problem, start.begin(start.values(hertz)), _ROUGH, first, progress)
+    if best.solution.converged:
+        return best
+    made, tried = best.made, best
+    for frequency in _COMMON:
+        other = _search(problem, start.begin(start.all_at(frequency)), _ROUGH, min(_TRIED, evaluations), progress)
+        made += other.made
+        best = other if other.norm < best.norm else best
+    best = replace(best, made=made)
+    if best.solution.x is tried.solution.x or best.solution.converged:
+        return best
+    return _search(problem, best, _ROUGH, first, progress)
 
 
 def _search(
-    problem: RobotProblem[Any],
-    start: FloatArray | _End,
-    tolerance: float,
-    evaluations: int,
-    reach: FloatArray,
-    progress: Progress,
+    problem: RobotProblem[Any], start: _Start | _End, tolerance: float, evaluations: int, progress: Progress
 ) -> _End:
     """Return where a search of the least torque error ends, from a start or from where another ended."""
 
@@ -343,15 +379,16 @@ def _search(
         progress(f"{step.evaluations} simulations: weighted torque error {step.norm:.6g}")
 
     kept = _LowestRun(problem)
-    counted, made = Counted(kept), 0
+    counted, made, x = Counted(kept), 0, start.solution.x if isinstance(start, _End) else start.x
     if isinstance(start, _End):
-        error, slopes = start.linearised()
-        weights, made = problem.weights(error.size), start.made
-        start = start.solution.x
-        counted.remember(start, error * weights, slopes * weights[:, np.newaxis])
-    solver = LevenbergMarquardt(tolerance, evaluations, reach, foresees=True)
-    found = solve(counted, solver, start, watch)
-    return _End(problem, found, made + found.evaluations, kept.run_at(found.x))
+        made = start.made
+        if not start.finer:
+            error, slopes = start.linearised()
+            weights = problem.weights(error.size)
+            counted.remember(x, error * weights, slopes * weights[:, np.newaxis])
+    solver = LevenbergMarquardt(tolerance, evaluations, start.reach, foresees=True)
+    found = solve(counted, solver, x, watch)
+    return _End(problem, found, made + found.evaluations, start.reach, kept.run_at(found.x))
 
 
 class _LowestRun:
@@ -442,6 +479,10 @@ class StartOfSprings:
     def all_at(self, frequency: float) -> FloatArray:
         """Return all parameters with one frequency of all springs."""
         return self.values(dict.fromkeys(self.names, frequency))
+
+    def begin(self, values: FloatArray) -> _Start:
+        """Return the start of a search at values of all parameters."""
+        return _Start.of(self.problem.parameters, values)
 
     def values(self, hertz: Mapping[str, float]) -> FloatArray:
         """Return all parameters with springs of these frequencies, (parameters,)."""

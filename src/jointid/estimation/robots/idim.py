@@ -24,7 +24,7 @@ from jointid.common.document import Document, Documented, Facts, Heading, Listin
 from jointid.common.errors import MethodError
 from jointid.common.messages import no_choice
 from jointid.common.settings import check_settings, declare, documented, setting
-from jointid.common.text import interval, listed, number
+from jointid.common.text import interval, number
 from jointid.estimation.methods.linear import (
     Instruments,
     Rows,
@@ -41,6 +41,7 @@ from jointid.estimation.robots.regression import (
     relative_errors,
 )
 from jointid.models.robots.base_parameters import BaseParameters, base_parameters
+from jointid.models.robots.friction_terms import Friction, friction_terms, offset_places
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -131,7 +132,7 @@ class RobotEstimate(Documented):
     Attributes:
         robot: the model that was begun with.
         base: its base parameters.
-        names: (parameters,) symbols of the base parameters, then Fv, Fc and offset of each joint.
+        names: (parameters,) symbols of the base parameters, then of the numbers of the motors' friction.
         values: (parameters,) in SI units.
         covariance: of the values, robust to autocorrelation.
         joint_errors: (n,) what is left of each joint's filtered torque, as a share.
@@ -182,12 +183,13 @@ class RobotEstimate(Documented):
     def objections(self) -> tuple[str, ...]:
         """Sentences on what no robot can be, friction that drives by more than two deviations, and on no settling."""
         unsettled = () if self.converged else ("The values by instruments did not settle: do not rely on them.",)
-        value, two = self.params, dict(zip(self.names, 2 * self.covariance.std, strict=True))
-        joints = [
-            name
-            for k, name in enumerate(self.robot.names, 1)
-            if any(value[f"{word}{k}"] < -two[f"{word}{k}"] for word in ("Fv", "Fc"))
-        ]
+        friction = zip(
+            friction_terms(self.robot), self.values[len(self.base) :], self._friction_deviations, strict=True
+        )
+        driving = {
+            term.joint for term, value, std in friction if term.number is not Friction.OFFSET and value < -2 * std
+        }
+        joints = [self.robot.names[k] for k in sorted(driving)]
         if not joints:
             return unsettled
         return (
@@ -195,28 +197,6 @@ class RobotEstimate(Documented):
             f"The friction of {', '.join(joints)} comes out negative, as no robot's is: check the signs of torque, "
             "motor position and gear.",
         )
-
-    @property
-    def cautions(self) -> tuple[str, ...]:
-        """Sentences on what the model declares and IDIM does not find."""
-        uneven = [joint.name for joint in self.robot.joints if joint.asymmetric]
-        rising = [joint.name for joint in self.robot.joints if joint.stribeck_speed is not None]
-        found = []
-        if uneven:
-            found.append(
-                f"The model declares another friction backwards of {listed(uneven)}: IDIM finds one viscous friction "
-                "for both directions, and the difference of the Coulomb frictions in the offset; DIDIM finds each."
-            )
-        if rising:
-            found.append(
-                f"The model declares a friction that rises towards standstill of {listed(rising)}: IDIM finds viscous "
-                "and Coulomb friction alone; DIDIM finds the rise."
-            )
-        return tuple(found)
-
-    def friction(self, symbol: str) -> FloatArray:
-        """Return one number of each joint's friction, (n,): "Fv", "Fc" or "offset"."""
-        return np.array([self.params[f"{symbol}{k}"] for k in range(1, len(self.robot) + 1)])
 
     def document(self, *, details: bool = False) -> Document:
         """Return what is left of each joint's torque, and the parameters.
@@ -249,7 +229,6 @@ class RobotEstimate(Documented):
             f"{self.robot.name}: {len(self.base)} base parameters of {len(self.robot)} joints",
             (
                 *(Paragraph(one, lead=True, tone="bad") for one in self.objections),
-                *(Paragraph(one) for one in self.cautions),
                 Facts((("method", f"IDIM of a robot, {_WORDS[self.settings.estimator]}"),)),
                 errors_table(self.robot, errors, "of the record it was identified from"),
                 Table(("parameter", "value, 2 sigma", "unit", "sigma, %", "nominal"), rows, caption, (0, 1, 2)),
@@ -260,16 +239,17 @@ class RobotEstimate(Documented):
     @property
     def _formulas(self) -> tuple[str, ...]:
         friction = list(self.names[len(self.base) :])
-        friction[2::3] = self.base.offset_formulas
+        for place, formula in zip(offset_places(self.robot), self.base.offset_formulas, strict=True):
+            friction[place] = formula
         return (*self.base.formulas, *friction)
 
     @property
     def _units(self) -> tuple[str, ...]:
-        return (*self.base.units, *(unit for k in range(len(self.robot)) for unit in self._friction_units(k)))
+        return (*self.base.units, *(term.unit(self.robot) for term in friction_terms(self.robot)))
 
-    def _friction_units(self, joint: int) -> tuple[str, ...]:
-        torque, position = self.robot.torque_unit(joint), self.robot.position_unit(joint)
-        return f"{torque} s/{position}", torque, torque
+    @property
+    def _friction_deviations(self) -> FloatArray:
+        return self.covariance.std[len(self.base) :]
 
 
 def identify_robot(
@@ -316,8 +296,9 @@ def _nominal(robot: Robot, base: BaseParameters, rows: Rows) -> FloatArray:
     own, found = base.of(robot), []
     left, W = rows.by_equation(rows.Y - rows.W[:, : len(base)] @ own), rows.W[:, len(base) :]
     columns = W.reshape(rows.equations, -1, W.shape[1])
+    whose = np.array([term.joint for term in friction_terms(robot)])
     for k, (error, seen) in enumerate(zip(left, columns, strict=True)):
-        found.append(np.linalg.lstsq(seen[:, 3 * k : 3 * k + 3], error, rcond=None)[0])
+        found.append(np.linalg.lstsq(seen[:, whose == k], error, rcond=None)[0])
     return np.concatenate([own, *found])
 
 

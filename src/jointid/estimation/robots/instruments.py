@@ -16,11 +16,22 @@ from jointid.common.errors import MethodError
 from jointid.estimation.methods.linear import Instruments
 from jointid.estimation.robots.regression import RobotMotion, base_rows, motion_of_robot
 from jointid.models.robots.base_parameters import BaseParameters
+from jointid.models.robots.friction_terms import Friction, friction_terms
 from jointid.models.robots.inertial import SYMBOLS
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Channel, Record
 from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.robots import RobotLoop, RobotOutcome, prepare_robot, run_robot, simulation_of
+
+_COLUMNS = {
+    Friction.VISCOUS: 1,
+    Friction.COULOMB: 2,
+    Friction.OFFSET: 3,
+    Friction.FORWARDS: 4,
+    Friction.BACKWARDS: 5,
+    Friction.RISE: 6,
+}
+"""Of `RobotNumbers.masses`."""
 
 
 def robot_instruments(
@@ -65,10 +76,11 @@ def _numbers(robot: Robot, base: BaseParameters, values: FloatArray) -> RobotNum
     n = len(robot)
     standard = np.zeros((len(SYMBOLS) + 1) * n)
     standard[base.chosen] = values[: len(base)]
-    friction = values[len(base) :].reshape(n, 3).copy()
-    friction[:, :2] = np.maximum(friction[:, :2], 0.0)  # instruments need not be perfect
     links, rotors = standard[:-n].reshape(n, -1), standard[-n:]
     numbers = RobotNumbers.of(robot)
-    masses = np.zeros_like(numbers.masses)  # friction is a line, the same in both directions
-    masses[:, :4] = np.column_stack([rotors, friction])
+    masses = np.zeros_like(numbers.masses)
+    masses[:, 0], masses[:, 7] = rotors, numbers.masses[:, 7]
+    for term, value in zip(friction_terms(robot), values[len(base) :], strict=True):
+        # Instruments need not be perfect.
+        masses[term.joint, _COLUMNS[term.number]] = value if term.number is Friction.OFFSET else max(value, 0.0)
     return replace(numbers, inertials=links, masses=masses)

@@ -21,7 +21,8 @@ from jointid.estimation.methods.linear import Rows
 from jointid.estimation.problems.inverse_model import through_window, torque_and_positions
 from jointid.estimation.problems.rest import moving_weights, turning_weights
 from jointid.models.joints import RigidJoint
-from jointid.models.robots.base_parameters import FRICTION, BaseParameters, friction_columns, inverse_columns
+from jointid.models.robots.base_parameters import BaseParameters, inverse_columns
+from jointid.models.robots.friction_terms import friction_columns, friction_terms
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import (
@@ -163,16 +164,11 @@ def motion_of_robot(
 
 
 def base_rows(robot: Robot, base: BaseParameters, motion: RobotMotion) -> Rows:
-    """Return the regression of the base parameters, then of Fv, Fc and offset of each joint."""
+    """Return the regression of the base parameters, then of the numbers of the motors' friction."""
     links = inverse_columns(robot, motion.q, motion.v, motion.a)[:, :, base.chosen]
     W = motion.thinned(np.concatenate([links, friction_columns(robot, motion.v)], axis=2))
-    names = (*base.symbols, *friction_symbols(robot))
+    names = (*base.symbols, *(term.symbol for term in friction_terms(robot)))
     return Rows(motion.thinned_torque(), W, names, len(robot), len(robot))
-
-
-def friction_symbols(robot: Robot) -> tuple[str, ...]:
-    """Return the symbols of the motors' friction, (3 n,), joint by joint, with numbers from 1."""
-    return tuple(f"{symbol}{k}" for k in range(1, len(robot) + 1) for symbol in FRICTION)
 
 
 def relative_errors(rows: Rows, values: FloatArray) -> FloatArray:

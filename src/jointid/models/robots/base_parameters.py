@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.text import number
+from jointid.models.robots.friction_terms import Friction, FrictionTerm, friction_values, offset_places
 from jointid.models.robots.inertial import SYMBOLS, UNITS
 from jointid.models.robots.robot import Robot
 
-FRICTION = ("Fv", "Fc", "offset")
 _POSES = 60  # random ones, times the joints in rows
 _ZERO = 1e-8  # of a column: what is left of one that is a sum of others
 _NOTHING = 1e-11  # of the largest column in its unit: the rounding of one that is 0
@@ -40,15 +40,6 @@ def inverse_columns(robot: Robot, q: FloatArray, v: FloatArray, a: FloatArray) -
     coupling = robot.coupling
     rotors = (a @ coupling.T)[:, :, np.newaxis] * np.eye(len(robot))
     return np.concatenate([np.linalg.inv(coupling).T @ links, rotors], axis=2)
-
-
-def friction_columns(robot: Robot, v: FloatArray) -> FloatArray:
-    """Return the columns of the motors' friction, (samples, n, 3 n): Fv, Fc and offset, joint by joint."""
-    turning = v @ robot.coupling.T
-    found = np.zeros((*v.shape, len(robot), len(FRICTION)))
-    for i in range(len(robot)):
-        found[:, i, i] = np.stack([turning[:, i], np.sign(turning[:, i]), np.ones(len(v))], axis=1)
-    return found.reshape(*v.shape, -1)
 
 
 def standard_symbols(robot: Robot) -> tuple[str, ...]:
@@ -91,10 +82,13 @@ class BaseParameters:
         return np.asarray(self.grouping @ standard_values(robot))
 
     def with_friction(self, robot: Robot) -> FloatArray:
-        """Return the base parameters of a robot of this tree, then Fv, Fc and offset of each joint, (base + 3 n,)."""
-        friction = np.column_stack([robot.of_joints(name) for name in ("viscous", "coulomb", "offset")])
-        friction[:, 2] += self.offsets @ standard_values(robot)
-        return np.concatenate([self.of(robot), friction.ravel()])
+        """Return the base parameters of a robot of this tree, then the numbers of the motors' friction.
+
+        See `friction_terms.friction_terms`; of the links' side there are none.
+        """
+        friction = friction_values(robot)
+        friction[offset_places(robot)] += self.offsets @ standard_values(robot)
+        return np.concatenate([self.of(robot), friction])
 
 
 def base_parameters(robot: Robot, seed: int = 0) -> BaseParameters:
@@ -116,7 +110,7 @@ def base_parameters(robot: Robot, seed: int = 0) -> BaseParameters:
     grouping, offsets = np.zeros((first.size, 11 * n)), np.zeros((n, 11 * n))
     grouping[:, order], offsets[:, order] = sums[n:, n:], sums[:n, n:]
     symbols, units = standard_symbols(robot), (*n * UNITS, *n * ("kg m2",))
-    names = tuple(f"{FRICTION[2]}{k + 1}" for k in range(n))
+    names = tuple(FrictionTerm(k, Friction.OFFSET).symbol for k in range(n))
     return BaseParameters(
         tuple(symbols[i] for i in first),
         tuple(formula_of(row, int(i), symbols) for row, i in zip(grouping, first, strict=True)),

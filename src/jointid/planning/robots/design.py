@@ -36,9 +36,9 @@ from jointid.common.text import listed, number
 from jointid.estimation.robots.consistent import mass_matrix_at
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.problem import robot_problem
-from jointid.estimation.robots.regression import friction_symbols
 from jointid.estimation.robots.torque_estimate import parameter_units
-from jointid.models.robots.base_parameters import FRICTION, base_parameters, friction_columns, inverse_columns
+from jointid.models.robots.base_parameters import base_parameters, inverse_columns
+from jointid.models.robots.friction_terms import Friction, friction_columns, friction_terms
 from jointid.models.robots.robot import Robot
 from jointid.planning.robots.motions import JointLimits, Motions, complete
 from jointid.records.record import Channel, Record
@@ -315,9 +315,8 @@ class _Regressor:
 
     Attributes:
         robot: as it is roughly known.
-        names, units, values: of its base parameters, then of its friction: of both directions, as IDIM tells it.
+        names, units, values: of its base parameters, then of its friction, as IDIM tells it.
         chosen: see `BaseParameters`.
-        uneven: (n,) how far each motor's viscous friction is above that forwards, and below it backwards.
     """
 
     robot: Robot
@@ -325,29 +324,18 @@ class _Regressor:
     units: tuple[str, ...]
     values: FloatArray
     chosen: NDArray[np.intp]
-    uneven: FloatArray
 
     @classmethod
     def of(cls, robot: Robot) -> _Regressor:
         base = base_parameters(robot)
         values = base.with_friction(robot)
-        uneven = np.array([0.5 * (joint.viscous - joint.viscous_back) for joint in robot.joints])
-        friction = values[len(base) :].reshape(-1, len(FRICTION))  # a view: what is added to it is added to the values
-        for k, joint in enumerate(robot.joints):
-            # Coulomb friction by direction is one of both directions and an offset: the same torques.
-            both, offset = joint.coulomb_both
-            friction[k] += -uneven[k], both - joint.coulomb, offset - joint.offset
-            if joint.spring is not None:
-                friction[k, :2] += joint.spring.viscous, joint.spring.coulomb
-        units = tuple(
-            unit
-            for k in range(len(robot))
-            for unit in (f"{robot.torque_unit(k)} s/{robot.position_unit(k)}", *2 * (robot.torque_unit(k),))
-        )
-        return cls(
-            robot, (*base.symbols, *friction_symbols(robot)), (*base.units, *units),
-            values, base.chosen, uneven,
-        )  # fmt: skip
+        terms = friction_terms(robot)
+        for i, term in enumerate(terms):
+            spring = robot.joints[term.joint].spring
+            if spring is not None and term.number is not Friction.OFFSET and term.number is not Friction.RISE:
+                values[len(base) + i] += spring.coulomb if term.number is Friction.COULOMB else spring.viscous
+        units = (*base.units, *(term.unit(robot) for term in terms))
+        return cls(robot, (*base.symbols, *(term.symbol for term in terms)), units, values, base.chosen)
 
     def columns(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
         """Return the columns at instants, (instants, n, parameters)."""
@@ -356,11 +344,7 @@ class _Regressor:
 
     def torque(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
         """Return the nominal robot's torques, (instants, n)."""
-        return self.torque_of(self.columns(q, v, a), v)
-
-    def torque_of(self, columns: FloatArray, v: FloatArray) -> FloatArray:
-        """Return the nominal robot's torques of columns that are there already."""
-        return np.asarray(columns @ self.values + self.uneven * np.abs(v @ self.robot.coupling.T))
+        return np.asarray(self.columns(q, v, a) @ self.values)
 
     def deviations(self, q: FloatArray, v: FloatArray, a: FloatArray, noise: FloatArray) -> FloatArray:
         """Return what white noise of these sizes, (n,), makes of all parameters, (parameters,)."""
@@ -398,7 +382,7 @@ def _score(
     def score(numbers: FloatArray) -> tuple[float, float]:
         q, v, a = motions.play(numbers, seen, whole)
         columns = model.columns(q, v, a)
-        torque = model.torque_of(columns, v)
+        torque = columns @ model.values
         over = float(np.max(np.abs(torque) / most))
         J = (columns / noise[:, np.newaxis]).reshape(-1, columns.shape[2])
         norms = np.linalg.norm(J, axis=0) + 1e-300

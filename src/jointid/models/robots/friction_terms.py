@@ -1,0 +1,122 @@
+"""The friction of a robot's motors as sums: the numbers of each motor's law, and what each is multiplied with.
+
+A Coulomb friction that is another backwards is one of both directions and an offset, the same torques also at rest. One
+that rises towards standstill has its rise as a number; the speed below which it does is taken as given.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.models.robots.robot import Robot, RobotJoint
+
+
+class Friction(StrEnum):
+    """The numbers that a motor's friction may have; their values are symbols."""
+
+    VISCOUS = "Fv"
+    FORWARDS = "Fv+"
+    BACKWARDS = "Fv-"
+    COULOMB = "Fc"
+    RISE = "FS"
+    OFFSET = "offset"
+
+
+@dataclass(frozen=True, slots=True)
+class FrictionTerm:
+    """One number of one motor's friction.
+
+    Attributes:
+        joint: its place. number: which.
+    """
+
+    joint: int
+    number: Friction
+
+    @property
+    def symbol(self) -> str:
+        """The symbol with the joint's number from 1: "Fc2", "Fv2+"."""
+        word = self.number.rstrip("+-")
+        return f"{word}{self.joint + 1}{self.number[len(word) :]}"
+
+    def unit(self, robot: Robot) -> str:
+        """Return its unit, SI."""
+        torque = robot.torque_unit(self.joint)
+        return f"{torque} s/{robot.position_unit(self.joint)}" if self.number.startswith("Fv") else torque
+
+    def value(self, joint: RobotJoint) -> float:
+        """Return the number of a joint's motor, the link's side apart."""
+        coulomb, offset = joint.coulomb_both
+        return {
+            Friction.VISCOUS: joint.viscous,
+            Friction.FORWARDS: joint.viscous,
+            Friction.BACKWARDS: joint.viscous_back,
+            Friction.COULOMB: coulomb,
+            Friction.RISE: joint.stribeck_force,
+            Friction.OFFSET: offset,
+        }[self.number]
+
+    def column(self, v: FloatArray, joint: RobotJoint) -> FloatArray:
+        """Return what it is multiplied with at speeds of the motor, (samples,)."""
+        if self.number is Friction.RISE:
+            assert joint.stribeck_speed is not None
+            return np.asarray(np.sign(v) * np.exp(-((v / joint.stribeck_speed) ** 2)))
+        return {
+            Friction.VISCOUS: v,
+            Friction.FORWARDS: np.maximum(v, 0.0),
+            Friction.BACKWARDS: np.minimum(v, 0.0),
+            Friction.COULOMB: np.sign(v),
+            Friction.OFFSET: np.ones_like(v),
+        }[self.number]
+
+
+def friction_terms(robot: Robot) -> tuple[FrictionTerm, ...]:
+    """Return the numbers of all motors' friction, joint by joint: of each viscous and Coulomb friction, and an offset.
+
+    Viscous friction has two numbers where the model says that it is another backwards, and a Coulomb friction that
+    rises towards standstill has its rise.
+    """
+    found = []
+    for k, joint in enumerate(robot.joints):
+        viscous = (Friction.FORWARDS, Friction.BACKWARDS) if joint.asymmetric else (Friction.VISCOUS,)
+        rise = () if joint.stribeck_speed is None else (Friction.RISE,)
+        found += [FrictionTerm(k, one) for one in (*viscous, Friction.COULOMB, *rise, Friction.OFFSET)]
+    return tuple(found)
+
+
+def offset_places(robot: Robot) -> list[int]:
+    """Return where the offsets are among `friction_terms`, one for each joint."""
+    return [i for i, term in enumerate(friction_terms(robot)) if term.number is Friction.OFFSET]
+
+
+def friction_columns(robot: Robot, v: FloatArray) -> FloatArray:
+    """Return the columns of the motors' friction, (samples, n, terms), at velocities of the joints, (samples, n)."""
+    turning, terms = v @ robot.coupling.T, friction_terms(robot)
+    found = np.zeros((*v.shape, len(terms)))
+    for i, term in enumerate(terms):
+        found[:, term.joint, i] = term.column(turning[:, term.joint], robot.joints[term.joint])
+    return found
+
+
+def friction_values(robot: Robot) -> FloatArray:
+    """Return the numbers of the motors' friction, (terms,)."""
+    return np.array([term.value(robot.joints[term.joint]) for term in friction_terms(robot)])
+
+
+def joint_with_friction(joint: RobotJoint, numbers: dict[Friction, float]) -> RobotJoint:
+    """Return a joint whose motor has the numbers of `friction_terms`; the spring and the inertia stay."""
+    forwards = numbers.get(Friction.FORWARDS)
+    backwards = numbers.get(Friction.BACKWARDS)
+    return replace(
+        joint,
+        viscous=numbers[Friction.VISCOUS] if forwards is None else forwards,
+        viscous_backwards=backwards,
+        coulomb=numbers[Friction.COULOMB],
+        coulomb_backwards=None,
+        stribeck_force=numbers.get(Friction.RISE, 0.0),
+        offset=numbers[Friction.OFFSET],
+    )
