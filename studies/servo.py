@@ -26,9 +26,10 @@ from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.paper.twin import DURATION, RESIDUAL, TABLE_2, Twin
 from jointid.records.record import Channel, Injection, Record, Timing
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.closed_loop import require_finished, simulate_torque
+from jointid.simulation.closed_loop import simulate_torque
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.loop_input import prepare
+from jointid.simulation.simulated import require_finished
 from studies.seeds import judge_seeds
 
 LOG = 2e-3

@@ -19,8 +19,9 @@ from jointid.models.joints import ClosedLoop
 from jointid.paper.twin import twin
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.closed_loop import Simulation, require_finished, simulate
+from jointid.simulation.closed_loop import Simulation, simulate
 from jointid.simulation.loop_input import LoopInput, prepare
+from jointid.simulation.simulated import require_finished
 
 Loop = Literal["L19", "L30"]
 Noise = Literal["white", "disturbance"]

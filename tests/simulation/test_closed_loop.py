@@ -15,9 +15,10 @@ from jointid.models.controllers import PD, Cascade, DigitalFilter, StateSpaceCon
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.record import Channel, Injection, Record, Tap, Timing
-from jointid.simulation.closed_loop import Initial, Outcome, require_finished, simulate, simulate_many, simulate_torque
+from jointid.simulation.closed_loop import Initial, Outcome, simulate, simulate_many, simulate_torque
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.loop_input import prepare
+from jointid.simulation.simulated import require_finished
 from jointid.simulation.synthesis import simulated_record
 
 T = 1e-3

@@ -29,6 +29,7 @@ from jointid.simulation.robots import (
     run_robot,
     simulate_robot,
 )
+from jointid.simulation.simulated import Simulated, require_finished
 from tests.robots_plants import Twin, inertial, serial, seven, six, two
 from tests.simulation.robot_oracle import simulate_pd
 
@@ -318,3 +319,15 @@ def test_faults_are_said() -> None:
         simulate_robot(odd, records)
     with pytest.raises(MethodError, match="one log; the records of joint2 differ from that of joint1"):
         simulate_robot(loop, (records[0], twin.records(0.5)[1]))
+
+
+def test_runs_of_a_joint_and_of_a_robot_answer_alike() -> None:
+    """What did not finish is refused in one sentence, whichever simulation it was."""
+    twin = two()
+    good, bad = twin.loop(), twin.loop()
+    wild = replace(bad, controllers=tuple(replace(c, position_gain=-c.position_gain) for c in bad.controllers))
+    driven = twin.records(1.0)
+    finished: Simulated = simulate_robot(good, driven)
+    assert require_finished(finished) is finished
+    with pytest.raises(MethodError, match=r"stopped after [\d.]+ % of the record because a joint ran away"):
+        require_finished(simulate_robot(wild, driven))

@@ -93,6 +93,18 @@ class Rosenbrock:
 START = np.array([-1.2, 1e-12])
 
 
+def test_a_step_that_promises_nothing_is_not_made() -> None:
+    """Near its end a search that foresees makes an evaluation less, and ends at the same place."""
+    regression, made = REGRESSIONS[0], {}
+    for foresees in (False, True):
+        counted = Counted(regression)
+        end = solve(counted, LevenbergMarquardt(1e-4, foresees=foresees), np.array(regression.starts[1]))
+        assert end.converged
+        made[foresees] = counted.evaluations
+        np.testing.assert_allclose(end.x, regression.values, rtol=1e-2)
+    assert made[True] < made[False]
+
+
 @pytest.mark.parametrize("name", LEAST_SQUARES)
 def test_a_curved_valley_is_followed_to_its_end(name: str) -> None:
     end = solve(Rosenbrock(), LEAST_SQUARES[name], START)

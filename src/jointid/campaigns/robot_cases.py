@@ -28,7 +28,8 @@ from jointid.estimation.robots.idim import KNOWN, RobotEstimate, RobotIDIM
 from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
 from jointid.records.record import Record
 from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.simulation.robots import RobotOutcome, robot_records, simulate_robot
+from jointid.simulation.robots import robot_records, simulate_robot
+from jointid.simulation.simulated import require_finished
 
 
 def is_robot(text: str) -> bool:
@@ -149,9 +150,7 @@ def _simulated(file: RobotFile, driven: Sequence[Record], asked: Simulated) -> t
             "A robot's simulated runs have the numbers of its robot file and noise_log, of the joint with the largest "
             "torque and of the others in proportion; leave values and noise_force out of [monte_carlo]."
         )
-    run = simulate_robot(file.loop, driven)
-    if run.outcome is not RobotOutcome.FINISHED:
-        raise MethodError(f"{file.robot.name} cannot be simulated: {run.outcome.value}.")
+    run = require_finished(simulate_robot(file.loop, driven), f"The simulation of {file.robot.name}")
     sizes = np.std(run.torque, axis=0)
     noise = np.random.default_rng([asked.seed]).standard_normal(run.torque.shape)
     torque = run.torque + asked.noise_log * noise * sizes / np.max(sizes)

@@ -18,7 +18,8 @@ from jointid.diagnostics.mechanics_faults import COGGING, with_joint
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.joints import FlexibleJoint, Joint
 from jointid.models.ripple import PositionHarmonics
-from jointid.simulation.closed_loop import in_threads, require_finished
+from jointid.simulation.closed_loop import in_threads
+from jointid.simulation.simulated import require_finished
 
 _FEWEST, _MOST, _STEP = 3.0, 150.0, 0.5  # times that it comes back over the travel
 _FINER = (-0.75, -0.5, -0.25, 0.25, 0.5, 0.75)  # steps from the best, that are simulated, too

@@ -40,7 +40,8 @@ from jointid.models.friction import (
 )
 from jointid.models.joints import FlexibleJoint, frictions_beside, springs_beside
 from jointid.models.springs import Backlash, CubicSpring, ElasticLoad, ThreePieceSpring
-from jointid.simulation.closed_loop import Simulation, in_threads, require_finished
+from jointid.simulation.closed_loop import Simulation, in_threads
+from jointid.simulation.simulated import require_finished
 
 CUBIC_SPRING, BACKLASH, SECOND_MODE = "cubic_spring", "backlash", "second_mode"
 COGGING = "cogging"

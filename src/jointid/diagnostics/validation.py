@@ -40,8 +40,9 @@ from jointid.models.joints import ClosedLoop
 from jointid.models.motion import Motion
 from jointid.records.checks import check_record
 from jointid.records.record import Record, Resampled
-from jointid.simulation.closed_loop import Initial, Simulation, require_finished
+from jointid.simulation.closed_loop import Initial, Simulation
 from jointid.simulation.loop_input import prepare
+from jointid.simulation.simulated import require_finished
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import solve
 from jointid.uncertainty.verdict import POOR_FIT

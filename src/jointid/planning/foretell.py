@@ -40,8 +40,9 @@ from jointid.models.joints import ClosedLoop
 from jointid.planning.limits import reached
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.closed_loop import Outcome, Simulation, in_threads, require_finished
+from jointid.simulation.closed_loop import Outcome, Simulation, in_threads
 from jointid.simulation.loop_input import as_logged
+from jointid.simulation.simulated import require_finished
 from jointid.uncertainty.covariance import Covariance, covariance_of, stationary
 
 _PEAKS = 4.0  # deviations of the noise on top of what a test asks for: of 24,000 samples one or two are beyond

@@ -20,16 +20,16 @@ from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.motion import Motion
 from jointid.records.record import Channel, Record
 from jointid.simulation.loop_input import LoopInput, as_logged, prepare, seen_torque
+from jointid.simulation.simulated import FINISHED
 
 T = TypeVar("T")
 R = TypeVar("R")
-Finished = TypeVar("Finished", bound="Response")
 
 
 class Outcome(StrEnum):
     """Outcome of a simulation; its value is the sentence to print."""
 
-    FINISHED = "the simulation finished"
+    FINISHED = FINISHED
     DIVERGED = "the loop diverged: this joint is unstable under this controller"
     TOO_STIFF = "the joint's own motion is too fast for the controller's period to be worth simulating"
     CHATTERING = "the joint started and stopped more often within one period than a real one can"
@@ -432,16 +432,6 @@ def in_threads(function: Callable[[T], R], items: Sequence[T], workers: int | No
         return [function(item) for item in items]
     with ThreadPoolExecutor(workers) as pool:
         return list(pool.map(function, items))
-
-
-def require_finished(simulation: Finished) -> Finished:
-    """Return the simulation or response, or raise a `MethodError` that says how it failed."""
-    if simulation.outcome is not Outcome.FINISHED:
-        raise MethodError(
-            f"The simulation stopped after {100 * simulation.finished:.1f} % of the record because "
-            f"{simulation.outcome.value}; check the controller's gains and the parameters' values."
-        )
-    return simulation
 
 
 def warm_up() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.models.robots.robot import Robot
+from jointid.models.robots.robot import JointSpring, Robot
 from jointid.simulation.kernels.drive import IntArray
 
 Bools: TypeAlias = NDArray[np.bool_]
@@ -109,6 +109,11 @@ class NumberPlace:
         return self.of in (NumberOf.MASS, NumberOf.SPRING) and self.column != 0
 
     @property
+    def is_positive(self) -> bool:
+        """Whether it is of no robot below 0: friction, a stiffness, a damping."""
+        return self.of is NumberOf.SPRING or (self.of is NumberOf.MASS and self.column != 3)
+
+    @property
     def is_of_record(self) -> bool:
         """Whether it is of the record and how it begins, not of the robot."""
         return self.of in (NumberOf.BESIDE, NumberOf.LOG)
@@ -125,6 +130,38 @@ def stribeck_share(masses: FloatArray, speeds: FloatArray) -> FloatArray:
     """
     below = masses[..., 7]
     return np.where(below > 0.0, np.exp(-((speeds / np.where(below > 0.0, below, 1.0)) ** 2)), 0.0)
+
+
+def robot_with(robot: Robot, numbers: RobotNumbers) -> Robot:
+    """Return a robot with other numbers; names, places, gravity and coupling stay.
+
+    A Coulomb friction that is another backwards is one of both directions and an offset.
+
+    Raises:
+        MethodError: a rotor's inertia, with what is grouped with it, is negative.
+    """
+    joints = []
+    for i, joint in enumerate(robot.joints):
+        own, link = numbers.masses[numbers.rotors[i]], numbers.masses[i]
+        spring = None
+        if numbers.flexible[i]:
+            spring = JointSpring(*map(float, (*numbers.springs[i], link[1], link[2])))
+        inertia, viscous, coulomb, offset, forwards, backwards, rise, below = map(float, own)
+        joints.append(
+            replace(
+                joint,
+                rotor_inertia=inertia,
+                viscous=viscous + forwards,
+                coulomb=coulomb,
+                offset=offset,
+                viscous_backwards=viscous + backwards if joint.asymmetric else None,
+                coulomb_backwards=None,
+                stribeck_force=rise,
+                stribeck_speed=below or None,
+                spring=spring,
+            )
+        )
+    return replace(robot.with_inertials(numbers.inertials), joints=tuple(joints))
 
 
 def with_values(numbers: RobotNumbers, places: tuple[NumberPlace, ...], values: FloatArray) -> RobotNumbers:

@@ -30,6 +30,7 @@ from jointid.simulation.robot_clock import RobotClock, common_clock
 from jointid.simulation.robot_laws import PackedLaws, pack_laws
 from jointid.simulation.robot_numbers import Bools, RobotNumbers
 from jointid.simulation.robot_start import begin, reference_motion
+from jointid.simulation.simulated import FINISHED
 
 FINE, COARSE = 0.5, 1.0
 """Rad of the fastest motion of the robot in one step: an error of some 1e-5 of the torque, and of some 1e-3."""
@@ -46,7 +47,7 @@ LoopTree: TypeAlias = tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArr
 class RobotOutcome(StrEnum):
     """Outcome of a robot's simulation; its value is the sentence to print."""
 
-    FINISHED = "the simulation finished"
+    FINISHED = FINISHED
     DIVERGED = "a joint ran away: this robot is unstable under its controllers"
     TOO_STIFF = "the robot's own motion is too fast for the period of controllers or log to be worth simulating"
     CHATTERING = "joints started and stopped more often within one period than real ones can"

@@ -12,8 +12,9 @@ from jointid.common.arrays import FloatArray
 from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
-from jointid.simulation.closed_loop import Initial, Simulation, require_finished, simulate
+from jointid.simulation.closed_loop import Initial, Simulation, simulate
 from jointid.simulation.loop_input import as_logged, prepare
+from jointid.simulation.simulated import require_finished
 
 
 def simulated_record(

@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import jointid as ji
 from jointid.apps.cli.app import app
 from jointid.common.errors import JointFileError, MethodError, RecordError
+from jointid.models.robots.dynamics import inverse_dynamics_of
 from jointid.models.robots.inertial import MassProperties
 from jointid.output.export.robot_model import robot_mjcf
 from tests.estimation.robots.twin import with_payload
@@ -73,6 +75,14 @@ def logged(place: Path, name: str, sigma: float, seed: int) -> Path:
     return path
 
 
+def needed(robot: ji.Robot) -> np.ndarray:
+    """Return the torques of random motions, (motions, n), friction apart."""
+    q, v, a = np.random.default_rng(2).normal(size=(3, 50, len(robot)))
+    return (
+        inverse_dynamics_of(*robot.tree, robot.gravity, robot.inertials, q, v, a) + robot.of_joints("rotor_inertia") * a
+    )
+
+
 def test_six_rigid_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_files(tmp_path, six(), 6.0)
     joint, truth = tmp_path / "robot.toml", six().robot.joints
@@ -105,7 +115,13 @@ def test_six_rigid_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     with pytest.raises(MethodError, match="This record is the one that the estimate is from, or a copy of it"):
         run("validate", joint, "--set", 'record.file="one.csv"', "--record", one)
     run("validate", joint, "--set", 'record.file="one.csv"', "--record", two_)
-    assert "The estimate predicts this record better than the nominal model" in capsys.readouterr().out
+    said = " ".join(capsys.readouterr().out.split())
+    assert "The estimate predicts this record better than the nominal model" in said
+    assert "Bodies near the nominal ones that fit the estimate predict better than these" in said
+    run("export", joint, "--set", 'record.file="one.csv"', "--out", tmp_path / "found.xml")
+    assert "the mass matrix is positive in 1000 random poses" in " ".join(capsys.readouterr().out.split())
+    found, true = (needed(ji.load_robot(tmp_path / "found.xml")), needed(six().robot))
+    assert np.all(np.linalg.norm(found - true, axis=0) < 0.02 * np.linalg.norm(true, axis=0))
 
 
 def test_instruments_and_a_parameter_that_is_known(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -269,7 +285,7 @@ def test_the_drive_side_of_flexible_joints(tmp_path: Path, capsys: pytest.Captur
     near = "method.frequencies={joint1=13.0,joint2=20.0}"
     run("identify", joint, "--record", one, "--set", near, "--set", "method.log_delay=0.0")
     assert "log_delay" not in capsys.readouterr().out
-    with pytest.raises(MethodError, match="A payload is weighed by IDIM or by DIDIM"):
+    with pytest.raises(MethodError, match="This robot does not tell all of a payload"):
         run("payload", joint, "--without", one, "--with", two_)
     with pytest.raises(JointFileError, match="iterations is a setting of another method than drive_side"):
         run("identify", joint, "--record", one, "--set", "method.iterations=3")

@@ -9,8 +9,10 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.estimation.robots.consistent import consistent_robot, least_inertia
+from jointid.estimation.robots.flexible import SpringVerdict
 from jointid.estimation.robots.idim import identify_robot
 from jointid.estimation.robots.payload import identify_payload, payload_difference
+from jointid.estimation.robots.torque_estimate import identify_robot_from_torques, validate_robot_torques
 from jointid.models.robots.inertial import (
     MassProperties,
     from_log_cholesky,
@@ -19,8 +21,10 @@ from jointid.models.robots.inertial import (
     pseudo_inertia,
 )
 from jointid.models.robots.robot import Robot
+from tests.estimation.robots.test_rigid_robots import recorded
 from tests.estimation.robots.twin import COULOMB, ROTORS, VISCOUS, arm, records_of, with_payload
 from tests.models.robots.trees import random_body
+from tests.robots_plants import six
 
 ARM = arm()
 
@@ -64,6 +68,30 @@ def test_a_friction_that_is_declared_another_backwards_is_the_one_found_in_both_
     assert found.viscous == pytest.approx(VISCOUS[0], rel=0.05)
     assert found.viscous_backwards == pytest.approx(VISCOUS[0], rel=0.05)
     assert found.coulomb == pytest.approx(COULOMB[0], rel=0.05) and found.coulomb_backwards is None
+
+
+@pytest.mark.parametrize("flexible", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_bodies_fit_an_estimate_from_torques_alone(flexible: bool) -> None:
+    """Of a model a third off they predict another record as the estimate does, springs and all."""
+    twin = six(flexible)
+    multisine = 0.004 if flexible else 0.0
+    records, other = (recorded(twin.loop(), twin.records(8.0, seed, multisine=multisine), 0.02)[0] for seed in (1, 4))
+    factors = np.random.default_rng(5).uniform(0.7, 1.3, 6)
+    links = tuple(replace(link, inertial=k * link.inertial) for link, k in zip(twin.robot.links, factors, strict=True))
+    model = replace(twin.robot, links=links)
+    estimate = identify_robot_from_torques(replace(twin.loop(), robot=model), records)
+    found = consistent_robot(estimate)
+    assert found.misfit < 0.2 and found.least_inertia > 0.0
+    assert all(is_consistent(link.inertial) for link in found.robot.links)
+    held_out = validate_robot_torques(estimate, other)
+    assert held_out.body_errors == pytest.approx(held_out.joint_errors, rel=0.05)
+    assert held_out.bodies_better and held_out.better
+    for mine, truth in zip(found.robot.joints, twin.robot.joints, strict=True):
+        if mine.spring is not None and truth.spring is not None:
+            assert mine.spring.stiffness == pytest.approx(truth.spring.stiffness, rel=0.05)
+    hidden = replace(estimate, springs=(SpringVerdict("joint2", False, None, None, 10.0),))
+    with pytest.raises(MethodError, match="does not show the spring of joint2, so it does not part motor from link"):
+        consistent_robot(hidden)
 
 
 def test_noise_that_gives_no_bodies_still_gives_a_robot_that_can_be_simulated() -> None:

@@ -19,7 +19,9 @@ from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Robot
 from jointid.output import json as answers
 from jointid.records.record import Record
+from jointid.simulation.robot_drive_side import RobotDriveSide
 from tests.estimation.robots.test_rigid_robots import recorded
+from tests.estimation.robots.test_robot_drive_side import logged
 from tests.estimation.robots.twin import arm, records_of, with_payload
 from tests.robots_plants import six, two
 
@@ -132,6 +134,19 @@ def test_a_payload_on_a_flexible_robot_acts_behind_its_springs() -> None:
     assert found.rows["mass"]["value"] == pytest.approx(3.0, rel=0.01)
 
 
+@pytest.mark.slow
+def test_a_payload_is_weighed_on_the_drive_side() -> None:
+    """Also where one of the records begins in motion, and has parameters of its own."""
+    twin = six(True)
+    loaded = replace(twin, robot=with_payload(twin.robot, BODY.inertial))
+    one, other = logged(twin, 10.0, seed=1), logged(loaded, 11.0, seed=2, first=1000)
+    found = weigh_payload_from_torques(RobotDriveSide(twin.robot), one, other)
+    for way in ("value", "by_difference"):
+        assert found.rows["mass"][way] == pytest.approx(3.0, rel=0.01)
+    values, std = found.payload.properties
+    assert np.mean(np.abs(values - TRUTH) < 2 * std) > 0.7
+
+
 def test_what_is_not_told_of_a_payload_is_said() -> None:
     twin = two()
     one, other = (recorded(twin.loop(), twin.records(4.0, seed=k), 0.01)[0] for k in (1, 2))
@@ -144,7 +159,7 @@ def test_what_is_not_told_of_a_payload_is_said() -> None:
     hidden = replace(estimate, springs=(SpringVerdict("elbow", False, None, None, 10.0),))
     with pytest.raises(MethodError, match=r"does not show the spring of elbow, .* leave this spring out"):
         payload_of_torques(estimate, hidden, same_friction=True)
-    with pytest.raises(MethodError, match="DIDIM did not settle on the record with it"):
+    with pytest.raises(MethodError, match="The search did not settle on the record with it"):
         payload_of_torques(estimate, replace(estimate, fit=replace(estimate.fit, converged=False)), same_friction=True)
 
 

@@ -11,7 +11,7 @@ import pytest
 from jointid.common.errors import MethodError
 from jointid.config.robot_model import read_robot
 from jointid.models.robots.dynamics import inverse_dynamics_of
-from jointid.models.robots.robot import Robot
+from jointid.models.robots.robot import JointSpring, Robot
 from jointid.output.export.robot_model import write_robot
 from tests.estimation.robots.twin import arm
 from tests.models.robots.trees import by_mujoco, random_robot
@@ -53,6 +53,16 @@ def test_what_is_lost_is_said() -> None:
         "the rotors' inertias", "how the base stands",
     ]  # fmt: skip
     assert "left out: the rotors' inertias" in text
+
+
+def test_a_joint_without_its_spring_has_the_friction_of_both_sides() -> None:
+    robot = arm()
+    soft = replace(robot.joints[1], spring=JointSpring(5000.0, 1.0, viscous=2.0, coulomb=3.0))
+    for name in ("a.urdf", "a.xml"):
+        text, lost = write_robot(replace(robot, joints=(robot.joints[0], soft, *robot.joints[2:])), Path(name))
+        assert any(one.startswith("the springs of the joints; the friction behind them") for one in lost)
+        found = read_robot(text).joints[1]
+        assert found.viscous == pytest.approx(soft.viscous + 2.0) and found.coulomb == pytest.approx(soft.coulomb + 3.0)
 
 
 def test_what_is_refused() -> None:

@@ -57,13 +57,12 @@ def simulate_robot_file(path: Path, options: Options, out: Path | None, outputs:
     """Simulate a robot under its controllers along the references of a record, and write what its drives would log."""
     from jointid.output.json import documents
     from jointid.output.json import write as write_answer
-    from jointid.simulation.robots import RobotOutcome, robot_records, simulate_robot, strays
+    from jointid.simulation.robots import robot_records, simulate_robot, strays
+    from jointid.simulation.simulated import require_finished
 
     file = _loaded(path, options.changes, outputs, options.record)
     loop, records = file.loop, file.driven(options.record, logged=False)
-    found = simulate_robot(loop, records)
-    if found.outcome is not RobotOutcome.FINISHED:
-        raise MethodError(f"{file.robot.name} cannot be simulated: {found.outcome.value}.")
+    found = require_finished(simulate_robot(loop, records), f"The simulation of {file.robot.name}")
     peaks = ", ".join(
         f"{name} {peak:.4g} {file.robot.torque_unit(k)}"
         for k, (name, peak) in enumerate(zip(file.robot.names, abs(found.torque).max(axis=0), strict=True))
@@ -166,7 +165,8 @@ def payload(
 ) -> None:
     """Weigh what a robot carries: mass, centre and inertia, from a record without it and one with it.
 
-    By IDIM from motor positions and torques, by DIDIM from torques and references, as the robot file asks.
+    By IDIM from motor positions and torques, by DIDIM from torques and references, or on the drive side from torques
+    and motor positions of a flexible robot, as the robot file asks.
 
     Of a payload whose mass is known, --mass asks for the gains of the drives instead: what each joint's torque, or its
     current, as the robot file reads it, is to be multiplied with.
@@ -182,27 +182,23 @@ def payload(
     """
     from jointid.estimation.robots.drive_gains import identify_drive_gains
     from jointid.estimation.robots.idim import RobotIDIM
-    from jointid.estimation.robots.torque_estimate import RobotDriveSideFit
+    from jointid.estimation.robots.torque_estimate import RobotDIDIM
     from jointid.estimation.robots.weighing import weigh_payload, weigh_payload_from_torques
+    from jointid.simulation.robot_drive_side import RobotDriveSide
 
     outputs = Outputs({"--json": json})
     outputs.spare("--without", without)
     outputs.spare("--with", with_)
     file = _loaded(robot, changes, outputs)
-    if isinstance(file.method, RobotDriveSideFit):
-        raise MethodError(
-            "A payload is weighed by IDIM or by DIDIM, and this robot file is identified on the drive side; add "
-            "--set method.name=idim, whose filter is to be well below the modes."
-        )
     if not isinstance(file.method, RobotIDIM):
         if mass is not None:
             raise MethodError(
-                "The drives' gains are found by IDIM, from motor positions and torques, and this robot file is "
-                "identified by DIDIM; add --set method.name=idim, and declare record.channels.motor_position."
+                "The drives' gains are found by IDIM, from motor positions and torques, and this robot file asks for "
+                "DIDIM or the drive side; add --set method.name=idim, and declare record.channels.motor_position."
             )
-        empty, loaded = file.driven(without), file.driven(with_)
-        listener = listen(quiet)
-        found = weigh_payload_from_torques(file.loop, empty, loaded, file.method, file.filtering, listener)
+        closing = file.loop if isinstance(file.method, RobotDIDIM) else RobotDriveSide(file.robot)
+        empty, loaded = file.to_identify(without), file.to_identify(with_)
+        found = weigh_payload_from_torques(closing, empty, loaded, file.method, file.filtering, listen(quiet))
         deliver(found, json)
         return
     if mass is not None and (file.method.fixed or file.method.estimator != RobotIDIM().estimator):
@@ -221,15 +217,9 @@ def export_robot_file(path: Path, changes: Sequence[str], out: Path) -> None:
     """Identify a robot from the record that its file names, and write bodies that fit, as URDF or MJCF."""
     from jointid.common.files import write_whole
     from jointid.estimation.robots.consistent import consistent_robot
-    from jointid.estimation.robots.idim import RobotEstimate
     from jointid.output.export.robot_model import write_robot
 
     _, _, estimate = _identified(path, changes, Outputs({"--out": out}), silent)
-    if not isinstance(estimate, RobotEstimate):
-        raise MethodError(
-            "Bodies are fitted to an estimate by IDIM, of motor positions, and this robot file asks for DIDIM or the "
-            "drive side; add --set method.name=idim, with a record that has them."
-        )
     found = consistent_robot(estimate)
     text, lost = write_robot(found.robot, out)
     write_whole(out, text)

@@ -146,7 +146,7 @@ def _simulate_joint(joint: Path, estimate: Path | None, out: Path | None, option
     from jointid.common.transmission import transmission_lines
     from jointid.models.disturbances import EncoderOffset
     from jointid.output import json as answers
-    from jointid.simulation.closed_loop import require_finished
+    from jointid.simulation.simulated import require_finished
 
     friction = None if estimate is None else answers.read_friction(estimate)
     file = options.load(joint, outputs, friction=friction)

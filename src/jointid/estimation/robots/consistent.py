@@ -12,16 +12,17 @@ decides; where it says nothing, the model stays.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.estimation.robots.idim import RobotEstimate
-from jointid.models.robots.friction_terms import Friction, friction_terms, joint_with_friction, offset_places
 from jointid.models.robots.inertial import from_log_cholesky, log_cholesky, pseudo_inertia
 from jointid.models.robots.robot import Robot
+from jointid.uncertainty.covariance import Covariance
 
 SPREAD = 0.3
 """How far the model's bodies may be off, as a share: the standard deviation of logarithms, and of lengths."""
@@ -33,12 +34,44 @@ _SETTLED = 1e-6  # relative, of the search
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Sums:
+    """The parameters of an estimate as sums of a robot's own numbers.
+
+    Attributes:
+        values: (parameters,) as they were identified. covariance: of these.
+        of_standard: (parameters, 11 n) what inertial parameters, link by link, then rotors add to each.
+        of_others: (parameters, others) what all else adds: friction, offsets, springs.
+        others: (others,) about what these are. least: (others,) below which none of them is.
+        robot: makes a robot of inertial parameters, (n, 10), rotors, (n,), and the others.
+    """
+
+    values: FloatArray
+    covariance: Covariance
+    of_standard: FloatArray
+    of_others: FloatArray
+    others: FloatArray
+    least: FloatArray
+    robot: Callable[[FloatArray, FloatArray, FloatArray], Robot]
+
+
+class OfRobot(Protocol):
+    """An estimate of a robot, by whatever method."""
+
+    @property
+    def robot(self) -> Robot:
+        """The model that was begun with."""
+
+    def sums(self, prior: Robot) -> Sums:
+        """Return its parameters as sums of the numbers of a robot of this tree."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ConsistentRobot:
     """A robot with bodies that fit an estimate.
 
     Attributes:
-        robot: the model with the masses, rotors and friction found.
-        misfit: root mean square of the base parameters and friction away from the estimate, in its deviations.
+        robot: the model with the masses, rotors, friction and springs found.
+        misfit: root mean square of the parameters away from the estimate, in its deviations.
         least_inertia: smallest eigenvalue of the mass matrix, rotors and all, over a thousand random poses.
     """
 
@@ -47,33 +80,27 @@ class ConsistentRobot:
     least_inertia: float
 
 
-def consistent_robot(estimate: RobotEstimate, prior: Robot | None = None, spread: float = SPREAD) -> ConsistentRobot:
-    """Return the robot nearest to a prior whose base parameters are those of an estimate, as far as bodies can.
+def consistent_robot(estimate: OfRobot, prior: Robot | None = None, spread: float = SPREAD) -> ConsistentRobot:
+    """Return the robot nearest to a prior whose parameters are those of an estimate, as far as bodies can.
 
     Args:
-        estimate: of the base parameters and the friction.
+        estimate: by IDIM, by DIDIM or on the drive side.
         prior: the same tree with masses on all links; without it the model that the estimate began with.
         spread: how far the prior's bodies may be off, as a share.
 
     Raises:
-        MethodError: a link of the prior has no mass, so that there is nothing to be near.
+        MethodError: a link of the prior has no mass, so that there is nothing to be near; or the record does not show
+            a spring, so that it does not part its rotor from its link.
     """
     from scipy.optimize import least_squares
 
     prior = estimate.robot if prior is None else prior
-    n, base = len(prior), estimate.base
+    n, told = len(prior), estimate.sums(prior)
     theta0, scales = _prior_bodies(prior)
     rotors0 = prior.of_joints("rotor_inertia")
     sizes = np.maximum(rotors0, 0.1 * np.diag(mass_matrix_at(prior, np.zeros(n))))
-    whiten = _whitening(estimate)
-    friction = estimate.values[len(base) :]
-    sums = np.block(
-        [
-            [base.grouping, np.zeros((len(base), friction.size))],
-            [np.zeros((friction.size, 11 * n)), np.eye(friction.size)],
-        ]
-    )
-    sums[len(base) + np.array(offset_places(prior)), : 11 * n] = base.offsets
+    whiten = _whitening(told.covariance)
+    sums = np.hstack([told.of_standard, told.of_others])
 
     def unpack(x: FloatArray) -> tuple[FloatArray, FloatArray]:
         bodies = [from_log_cholesky(theta) for theta in x[: 10 * n].reshape(n, 10)]
@@ -86,33 +113,27 @@ def consistent_robot(estimate: RobotEstimate, prior: Robot | None = None, spread
 
     def residual(x: FloatArray) -> FloatArray:
         standard, _ = unpack(x)
-        off = sums @ np.concatenate([standard, x[11 * n :]]) - estimate.values
+        off = sums @ np.concatenate([standard, x[11 * n :]]) - told.values
         near = np.concatenate([(x[: 10 * n] - theta0) / scales, (x[10 * n : 11 * n] - rotors0) / sizes]) / spread
         return np.concatenate([whiten @ off, near])
 
     def jacobian(x: FloatArray) -> FloatArray:
         _, slopes = unpack(x)
         found = np.zeros((len(whiten) + 11 * n, x.size))
-        found[: len(whiten), : 11 * n] = whiten @ sums[:, : 11 * n] @ slopes
-        found[: len(whiten), 11 * n :] = whiten @ sums[:, 11 * n :]
+        found[: len(whiten), : 11 * n] = whiten @ told.of_standard @ slopes
+        found[: len(whiten), 11 * n :] = whiten @ told.of_others
         found[len(whiten) :, : 11 * n] = np.diag(1 / np.concatenate([scales, sizes])) / spread
         return found
 
-    terms = friction_terms(prior)
-    signed = np.array([term.number is Friction.OFFSET for term in terms])  # it may be negative
-    lower = np.concatenate([np.full(10 * n, -np.inf), np.zeros(n), np.where(signed, -np.inf, 0.0)])
-    start = np.concatenate([theta0, rotors0, np.where(signed, friction, np.abs(friction))])
+    lower = np.concatenate([np.full(10 * n, -np.inf), np.zeros(n), told.least])
+    others = np.where(np.isfinite(told.least), np.abs(told.others), told.others)
+    start = np.concatenate([theta0, rotors0, others])
     start = np.maximum(start, np.where(np.isfinite(lower), 1e-9, -np.inf))
     found = least_squares(
         residual, start, jacobian, bounds=(lower, np.inf), x_scale="jac", ftol=_SETTLED, xtol=_SETTLED, max_nfev=100
     )
     standard, _ = unpack(found.x)
-    joints = []
-    for k, (joint, rotor) in enumerate(zip(prior.joints, standard[10 * n :], strict=True)):
-        pairs = zip(terms, found.x[11 * n :], strict=True)
-        numbers = {term.number: float(value) for term, value in pairs if term.joint == k}
-        joints.append(replace(joint_with_friction(joint, numbers), rotor_inertia=float(rotor)))
-    robot = replace(prior.with_inertials(standard[: 10 * n]), joints=tuple(joints))
+    robot = told.robot(standard[: 10 * n].reshape(n, 10), standard[10 * n :], found.x[11 * n :])
     misfit = float(np.sqrt(np.mean(residual(found.x)[: len(whiten)] ** 2)))
     return ConsistentRobot(robot, misfit, least_inertia(robot))
 
@@ -156,9 +177,9 @@ def _prior_bodies(prior: Robot) -> tuple[FloatArray, FloatArray]:
     return np.concatenate(found), np.concatenate(sizes)
 
 
-def _whitening(estimate: RobotEstimate) -> FloatArray:
-    """Return what takes errors of the estimate to independent ones of deviation 1."""
-    std = estimate.covariance.std
+def _whitening(covariance: Covariance) -> FloatArray:
+    """Return what takes errors of an estimate to independent ones of deviation 1."""
+    std = covariance.std
     std = np.where(std > 0, std, np.min(std[std > 0], initial=1.0))  # a fixed one is kept as well as the best known
-    values, vectors = np.linalg.eigh(estimate.covariance.correlation)
+    values, vectors = np.linalg.eigh(covariance.correlation)
     return np.asarray((vectors / np.sqrt(np.maximum(values, _FLOOR * values[-1]))).T / std)

@@ -37,7 +37,7 @@ from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
 from jointid.estimation.robots.problem import RobotLoopProblem, RobotProblem, Run, robot_problem
 from jointid.models.joints import ClosedLoop, RigidJoint
-from jointid.models.robots.robot import JointSpring, Robot
+from jointid.models.robots.robot import Robot
 from jointid.records.record import Channel, Record, Timing
 from jointid.records.signals.filtering import (
     Filtering,
@@ -48,6 +48,7 @@ from jointid.records.signals.filtering import (
 )
 from jointid.simulation.robot_columns import columns_of
 from jointid.simulation.robot_drive_side import RobotDriveSideRun
+from jointid.simulation.robot_numbers import robot_with
 from jointid.simulation.robots import MassMotion, RobotLoop, RobotOutcome, RobotRun
 from jointid.uncertainty.covariance import Covariance, robust
 
@@ -100,28 +101,7 @@ class RobotFit:
         Raises:
             MethodError: a rotor's inertia, with what is grouped with it, was found negative.
         """
-        numbers, joints = self.run.numbers, []
-        for i, joint in enumerate(robot.joints):
-            own, link = numbers.masses[numbers.rotors[i]], numbers.masses[i]
-            spring = None
-            if numbers.flexible[i]:
-                spring = JointSpring(*map(float, (*numbers.springs[i], link[1], link[2])))
-            inertia, viscous, coulomb, offset, forwards, backwards, rise, below = map(float, own)
-            joints.append(
-                replace(
-                    joint,
-                    rotor_inertia=inertia,
-                    viscous=viscous + forwards,
-                    coulomb=coulomb,
-                    offset=offset,
-                    viscous_backwards=viscous + backwards if joint.asymmetric else None,
-                    coulomb_backwards=None,
-                    stribeck_force=rise,
-                    stribeck_speed=below or None,
-                    spring=spring,
-                )
-            )
-        return replace(robot.with_inertials(numbers.inertials), joints=tuple(joints))
+        return robot_with(robot, self.run.numbers)
 
     def value(self, name: str) -> tuple[float, float]:
         """Return a parameter and its standard deviation."""

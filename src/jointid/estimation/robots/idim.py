@@ -34,6 +34,7 @@ from jointid.estimation.methods.linear import (
     robust,
     weighted,
 )
+from jointid.estimation.robots.consistent import Sums
 from jointid.estimation.robots.instruments import robot_instruments
 from jointid.estimation.robots.regression import (
     base_rows,
@@ -41,7 +42,7 @@ from jointid.estimation.robots.regression import (
     relative_errors,
 )
 from jointid.models.robots.base_parameters import BaseParameters, base_parameters
-from jointid.models.robots.friction_terms import Friction, friction_terms, offset_places
+from jointid.models.robots.friction_terms import Friction, friction_terms, joint_with_friction, offset_places
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -197,6 +198,25 @@ class RobotEstimate(Documented):
             f"The friction of {', '.join(joints)} comes out negative, as no robot's is: check the signs of torque, "
             "motor position and gear.",
         )
+
+    def sums(self, prior: Robot) -> Sums:
+        """Return base parameters and friction as sums of the numbers of a robot of this tree."""
+        n, terms, size = len(prior), friction_terms(prior), len(self.base)
+        friction = self.values[size:]
+        of_standard = np.zeros((self.values.size, 11 * n))
+        of_standard[:size] = self.base.grouping
+        of_standard[size + np.array(offset_places(prior))] = self.base.offsets
+        of_others = np.vstack([np.zeros((size, friction.size)), np.eye(friction.size)])
+        least = np.array([-np.inf if term.number is Friction.OFFSET else 0.0 for term in terms])
+
+        def made(inertials: FloatArray, rotors: FloatArray, others: FloatArray) -> Robot:
+            joints = []
+            for k, joint in enumerate(prior.joints):
+                own = {term.number: float(x) for term, x in zip(terms, others, strict=True) if term.joint == k}
+                joints.append(replace(joint_with_friction(joint, own), rotor_inertia=float(rotors[k])))
+            return replace(prior.with_inertials(inertials), joints=tuple(joints))
+
+        return Sums(self.values, self.covariance, of_standard, of_others, friction, least, made)
 
     def document(self, *, details: bool = False) -> Document:
         """Return what is left of each joint's torque, and the parameters.

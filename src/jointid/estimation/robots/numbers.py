@@ -65,6 +65,11 @@ class RobotParameters:
         """Names of the parameters."""
         return tuple(parameter.name for parameter in self.parameters)
 
+    @property
+    def of_robot(self) -> NDArray[np.bool_]:
+        """Which are of the robot, and not of the record, (parameters,)."""
+        return np.array([not place.is_of_record for place in self.places], dtype=np.bool_)
+
     def formulas(self, robot: Robot) -> tuple[str, ...]:
         """Return the sums that the parameters stand for, as text; of one that stands alone its name."""
         symbols = (*self.names, *(_named(place, robot, self.base, False).name for place in self.dropped))

@@ -4,7 +4,8 @@ Both records are one regression: base parameters and friction are the same in bo
 act in the second alone. So they are all told, though those of the last link are not [Khalil, Gautier and Lemoine 2007].
 The difference of two estimates gives the same payload, of a wider interval, when the empty robot was identified before.
 
-From torques and references alone it comes from two estimates by DIDIM. Where friction is said to be the same in both,
+From torques and references alone it comes from two estimates by DIDIM, from torques and motor positions of a flexible
+robot from two on the drive side. Where friction is said to be the same in both,
 that is the fit of both records at once, by each one's covariance; where each has its own, it is the difference.
 """
 
@@ -166,7 +167,7 @@ def payload_difference(empty: RobotEstimate, loaded: RobotEstimate) -> Payload:
 
 
 def payload_of_torques(empty: RobotTorqueEstimate, loaded: RobotTorqueEstimate, *, same_friction: bool) -> Payload:
-    """Return the payload that makes one estimate by DIDIM into the other, by generalised least squares.
+    """Return the payload that makes one estimate by simulation into the other, by generalised least squares.
 
     Args:
         empty: without the payload.
@@ -176,8 +177,10 @@ def payload_of_torques(empty: RobotTorqueEstimate, loaded: RobotTorqueEstimate, 
     Raises:
         MethodError: as of `payload_difference`; an estimate did not settle, or does not show a spring.
     """
-    parameters = empty.fit.parameters
-    if empty.fit.names != loaded.fit.names or not np.allclose(parameters.grouping, loaded.fit.parameters.grouping):
+    first, second = empty.fit.parameters, loaded.fit.parameters
+    own, others = first.of_robot, second.of_robot
+    names = [[name for name, mine in zip(one.names, one.of_robot, strict=True) if mine] for one in (first, second)]
+    if names[0] != names[1] or not np.allclose(first.grouping[own], second.grouping[others]):
         raise MethodError("The estimates are of two robots; expected one, without its payload and with it.")
     for estimate, record in ((empty, "without the payload"), (loaded, "with it")):
         if hidden := [one.joint for one in estimate.springs if not one.shown]:
@@ -187,14 +190,15 @@ def payload_of_torques(empty: RobotTorqueEstimate, loaded: RobotTorqueEstimate, 
             )
         if not estimate.fit.converged:
             raise MethodError(
-                f"DIDIM did not settle on the record {record}; identify it by itself to see what it leaves, or allow "
+                f"The search did not settle on the record {record}; identify it to see what it leaves, or allow "
                 "more by method.iterations, of springs method.evaluations."
             )
-    columns = payload_columns(parameters)
-    read = np.array([same_friction or not place.is_friction for place in parameters.places]) | np.any(columns, axis=1)
-    matrix = (empty.fit.covariance.matrix + loaded.fit.covariance.matrix)[np.ix_(read, read)]
-    change = (loaded.fit.values - empty.fit.values)[read]
-    return _explain_change(empty.robot, columns[read], change, matrix)
+    columns = payload_columns(first)[own]
+    same = np.array([same_friction or not place.is_friction for place in first.places])[own]
+    read = same | np.any(columns, axis=1)
+    one, other = empty.fit.covariance.matrix[np.ix_(own, own)], loaded.fit.covariance.matrix[np.ix_(others, others)]
+    change = loaded.fit.values[others] - empty.fit.values[own]
+    return _explain_change(empty.robot, columns[read], change[read], (one + other)[np.ix_(read, read)])
 
 
 def payload_columns(parameters: RobotParameters) -> FloatArray:

@@ -21,6 +21,7 @@ from jointid.common.parameters import TORQUE_UNIT, unit_of
 from jointid.common.settings import check_settings, declare, documented, setting
 from jointid.common.text import interval, listed, number
 from jointid.common.units import Kind
+from jointid.estimation.robots.consistent import Sums, consistent_robot
 from jointid.estimation.robots.didim import RobotFit, identify_rigid_robot
 from jointid.estimation.robots.drive_side import RobotDriveSideProblem, drive_side_problem, identify_flexible_drive_side
 from jointid.estimation.robots.flexible import SpringVerdict, identify_flexible_robot
@@ -33,7 +34,7 @@ from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.robot_drive_side import RobotDriveSide
-from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.robot_numbers import NumberOf, RobotNumbers, robot_with, with_values
 from jointid.simulation.robots import RobotLoop
 
 _WITHOUT = (
@@ -178,6 +179,42 @@ class RobotTorqueEstimate(Documented):
     def numbers(self) -> RobotNumbers:
         """Return the robot that was identified, as it is simulated."""
         return self.fit.parameters.numbers(self.fit.values)
+
+    def sums(self, prior: Robot) -> Sums:
+        """Return the parameters as sums of the numbers of a robot of this tree, with springs at the same joints.
+
+        Raises:
+            MethodError: the record does not show a spring.
+        """
+        if hidden := [one.joint for one in self.springs if not one.shown]:
+            raise MethodError(
+                f"The record does not show the spring of {listed(hidden)}, so it does not part motor from link there; "
+                "leave this spring out of the robot file, or excite its mode."
+            )
+        n, parameters, numbers = len(prior), self.fit.parameters, RobotNumbers.of(prior)
+        numbers = replace(numbers, beside=parameters.base.beside, log=parameters.base.log)
+        places = (*parameters.places, *parameters.dropped)
+        both = np.hstack([np.eye(len(parameters.places)), parameters.grouping])
+        of_standard, apart = np.zeros((len(both), 11 * n)), list[int]()
+        for column, place in enumerate(places):
+            if place.of is NumberOf.LINK:
+                of_standard[:, 10 * place.row + place.column] = both[:, column]
+            elif place.of is NumberOf.MASS and place.column == 0:
+                of_standard[:, 10 * n + int(np.flatnonzero(numbers.rotors == place.row)[0])] = both[:, column]
+            else:
+                apart.append(column)
+        own = tuple(places[column] for column in apart)
+        about = np.array(
+            [place.read(self.numbers() if c < len(both) else numbers) for c, place in zip(apart, own, strict=True)]
+        )
+        least = np.array([0.0 if place.is_positive else -np.inf for place in own])
+
+        def made(inertials: FloatArray, rotors: FloatArray, others: FloatArray) -> Robot:
+            there = with_values(replace(numbers, inertials=inertials), own, others)
+            there.masses[there.rotors, 0] = rotors
+            return robot_with(prior, there)
+
+        return Sums(self.fit.values, self.fit.covariance, of_standard, both[:, apart], about, least, made)
 
     def document(self, *, details: bool = False) -> Document:
         """Return the springs first, then what is left of each joint's torque, and the parameters.
@@ -347,7 +384,11 @@ def validate_robot_torques(estimate: RobotTorqueEstimate, records: Sequence[Reco
     if not np.all(np.isfinite(mine)):
         what = "references" if isinstance(closing, RobotLoop) else "motor positions"
         raise MethodError(f"The robot that was identified cannot be simulated along this record; check its {what}.")
-    return RobotValidation(estimate.robot, mine, nominal, settled=estimate.fit.converged)
+    bodies = None
+    if np.all(estimate.robot.inertials[:, 0] > 0) and all(spring.shown for spring in estimate.springs):
+        near = replace(RobotNumbers.of(consistent_robot(estimate).robot), log=found.log)
+        bodies, _ = _errors(closing, records, estimate.filtering, near)
+    return RobotValidation(estimate.robot, mine, nominal, bodies, settled=estimate.fit.converged)
 
 
 def _nominal(robot: Robot, found: RobotNumbers) -> RobotNumbers:

@@ -1,6 +1,7 @@
 """A payload weighed two ways, beside each other: by both records at once, and by the difference of two estimates.
 
-From torques and references alone both ways come from an estimate of each record by DIDIM.
+From torques and references alone both ways come from an estimate of each record by DIDIM, behind springs also from
+torques and motor positions, on the drive side.
 
 Both ways read the same records, so that they agree says that the robot was the same in both: its friction and its own
 links. Where they differ by more than three deviations of the difference alone, one of these has changed.
@@ -27,11 +28,18 @@ from jointid.estimation.robots.payload import (
     payload_of_torques,
     require_told,
 )
-from jointid.estimation.robots.torque_estimate import RobotDIDIM, RobotTorqueEstimate, identify_robot_from_torques
+from jointid.estimation.robots.torque_estimate import (
+    RobotDIDIM,
+    RobotDriveSideFit,
+    RobotTorqueEstimate,
+    identify_robot_drive_side,
+    identify_robot_from_torques,
+)
 from jointid.models.robots.inertial import is_consistent
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
+from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robots import RobotLoop
 
 _ROWS = (
@@ -165,35 +173,41 @@ def weigh_payload(
 
 
 def weigh_payload_from_torques(
-    loop: RobotLoop,
+    closing: RobotLoop | RobotDriveSide,
     empty: Sequence[Record],
     loaded: Sequence[Record],
-    settings: RobotDIDIM | None = None,
+    settings: RobotDIDIM | RobotDriveSideFit | None = None,
     filtering: Filtering | None = None,
     progress: Progress = silent,
 ) -> WeighedPayload:
-    """Return what the last link carries in the second record, from torques and references alone, found both ways.
+    """Return what the last link carries in the second record, by two estimates from simulations, found both ways.
 
     Args:
-        loop: the robot, rigid or flexible, and its controllers; their gains are the same with the payload.
-        empty: of each joint, with torque and reference, without the payload.
+        closing: the robot, rigid or flexible, and its controllers, whose gains are the same with the payload; or a
+            flexible one, `RobotDriveSide`, whatever its controllers are.
+        empty: of each joint, with torque and reference, or motor position, without the payload.
         loaded: the same with it; another motion will do.
-        settings: of DIDIM.
+        settings: of DIDIM, or of the drive side.
         filtering: of torques and derivatives.
         progress: is told the steps.
 
     Raises:
         MethodError: the robot does not tell all of a payload; an estimate does not settle, or does not show a spring;
             or the mass comes out negative.
-        RecordError: as of `identify_robot_from_torques`.
+        RecordError: as of `identify_robot_from_torques` and `identify_robot_drive_side`.
     """
     offsets = (settings or RobotDIDIM()).offsets
-    require_told(payload_columns(robot_parameters(loop.robot, offsets=offsets)))
+    require_told(payload_columns(robot_parameters(closing.robot, offsets=offsets)))
 
     def identify(records: Sequence[Record], said: str) -> RobotTorqueEstimate:
-        return identify_robot_from_torques(
-            loop, records, settings, filtering=filtering, progress=lambda text: progress(f"{said}: {text}")
-        )
+        def told(text: str) -> None:
+            progress(f"{said}: {text}")
+
+        if isinstance(closing, RobotLoop):
+            assert not isinstance(settings, RobotDriveSideFit)
+            return identify_robot_from_torques(closing, records, settings, filtering=filtering, progress=told)
+        assert not isinstance(settings, RobotDIDIM)
+        return identify_robot_drive_side(closing.robot, records, settings, filtering=filtering, progress=told)
 
     one, other = identify(empty, "without the payload"), identify(loaded, "with it")
     return WeighedPayload(*(payload_of_torques(one, other, same_friction=same) for same in (True, False)))

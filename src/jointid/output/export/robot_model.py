@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -11,7 +12,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.models.robots.inertial import is_consistent, mass_properties
-from jointid.models.robots.robot import Link, Robot
+from jointid.models.robots.robot import Link, Robot, RobotJoint
 from jointid.output.export.joint_model import number
 from jointid.output.export.robots import write_document
 
@@ -41,7 +42,7 @@ def write_robot(robot: Robot, path: Path) -> tuple[str, tuple[str, ...]]:
 
 def robot_urdf(robot: Robot) -> tuple[str, tuple[str, ...]]:
     """Return a robot as URDF, and a sentence for each part of it that URDF does not have."""
-    lost = _lost(robot)
+    lost, robot = _lost(robot), _stiffened(robot)
     if np.any(robot.of_joints("rotor_inertia")):
         lost.append("the rotors' inertias")
     if not np.allclose(robot.gravity, _DOWN, atol=1e-3):
@@ -70,7 +71,7 @@ def robot_urdf(robot: Robot) -> tuple[str, tuple[str, ...]]:
 
 def robot_mjcf(robot: Robot) -> tuple[str, tuple[str, ...]]:
     """Return a robot as MJCF, and a sentence for each part of it that MJCF does not have."""
-    lost = _lost(robot)
+    lost, robot = _lost(robot), _stiffened(robot)
     root = ET.Element("mujoco", model=robot.name)
     ET.SubElement(root, "compiler", angle="radian")
     ET.SubElement(root, "option", gravity=_numbers(robot.gravity))
@@ -110,8 +111,27 @@ def _lost(robot: Robot) -> list[str]:
     if not np.array_equal(robot.coupling, np.eye(len(robot))):
         lost.append("the coupling of the motors; rotors and friction are those of the motors, at the joints")
     if any(robot.flexible):
-        lost.append("the springs of the joints")
+        lost.append("the springs of the joints; the friction behind them stands with that of the motors")
     return lost
+
+
+def _stiffened(robot: Robot) -> Robot:
+    """Return a robot without springs, whose joints have the friction of both sides: what it is to slow motion."""
+
+    def stiff(joint: RobotJoint) -> RobotJoint:
+        spring = joint.spring
+        if spring is None:
+            return joint
+        back = None if joint.viscous_backwards is None else joint.viscous_backwards + spring.viscous
+        return replace(
+            joint,
+            viscous=joint.viscous + spring.viscous,
+            coulomb=joint.coulomb + spring.coulomb,
+            viscous_backwards=back,
+            spring=None,
+        )
+
+    return replace(robot, joints=tuple(map(stiff, robot.joints)))
 
 
 def _said(lost: list[str]) -> list[str]:

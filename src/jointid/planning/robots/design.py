@@ -47,13 +47,13 @@ from jointid.simulation import excitation
 from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.robots import (
     RobotLoop,
-    RobotOutcome,
     add_feed_forward,
     prepare_robot,
     robot_records,
     run_robot,
     simulate_robot,
 )
+from jointid.simulation.simulated import require_finished
 
 NOISE = 0.01
 """Of each joint's torque in motions drawn at random: the noise that is foretold with where no first record says it."""
@@ -502,9 +502,7 @@ def _by_simulation(
     Rows that are filtered and thinned hold white noise of the part of its power that passes, so each of them tells as
     much as the samples that it stands for.
     """
-    run = simulate_robot(loop, driven)
-    if run.outcome is not RobotOutcome.FINISHED:
-        raise MethodError(f"The robot cannot be simulated along this motion: {run.outcome.value}.")
+    run = require_finished(simulate_robot(loop, driven), "The robot's motion")
     parameters = robot_parameters(loop.robot)
     problem = robot_problem(loop, robot_records(loop, driven, run), parameters, filtering)
     numbers = RobotNumbers.of(loop.robot)
