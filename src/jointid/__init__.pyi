@@ -67,6 +67,7 @@ from .simulation import excitation
 from .simulation.closed_loop import simulate
 from .simulation.loop_input import prepare
 from .simulation.prescribed import DriveSide, OpenLoop
+from .simulation.robot_drive_side import RobotDriveSide
 from .simulation.robots import RobotLoop, add_feed_forward, robot_records, simulate_robot
 from .simulation.synthesis import simulated_record
 from .tuning.proposals import Tuning
@@ -112,6 +113,7 @@ __all__ = [
     "Robot",
     "RobotDIDIM",
     "RobotDiagnosis",
+    "RobotDriveSide",
     "RobotDriveSideFit",
     "RobotEstimate",
     "RobotFile",
