@@ -94,15 +94,15 @@ START = np.array([-1.2, 1e-12])
 
 
 def test_a_step_that_promises_nothing_is_not_made() -> None:
-    """Near its end a search that foresees makes an evaluation less, and ends at the same place."""
+    """Near its end a search that asks what a step is worth evaluates a point less, and ends at the same place."""
     regression, made = REGRESSIONS[0], {}
-    for foresees in (False, True):
+    for worth in (0.0, 1e-5):
         counted = Counted(regression)
-        end = solve(counted, LevenbergMarquardt(1e-4, foresees=foresees), np.array(regression.starts[1]))
+        end = solve(counted, LevenbergMarquardt(1e-4, worth=worth), np.array(regression.starts[1]))
         assert end.converged
-        made[foresees] = counted.evaluations
+        made[worth] = counted.evaluations
         np.testing.assert_allclose(end.x, regression.values, rtol=1e-2)
-    assert made[True] < made[False]
+    assert made[1e-5] < made[0.0]
 
 
 @pytest.mark.parametrize("name", LEAST_SQUARES)

@@ -27,7 +27,6 @@ _SHORTER, _FARTHER = 0.25, 2.0  # factors on the reach of a step, likewise
 _PATIENCE = 8  # steps that change less than the tolerance
 _NEAREST = 1e-3  # of its reach: that of a step after many that failed
 _CUT = 0.999  # of its reach: a step that the reach has cut
-_PROMISED = 0.1  # of the tolerance: a step that is not worth an evaluation
 _IDLE = 1e-2  # of the residual
 _THERE = 1e-2  # of a tolerance
 _STATUS = {-2: Status.COST, 2: Status.COST, 3: Status.STEP, 4: Status.STEP_AND_COST}
@@ -47,14 +46,14 @@ class LevenbergMarquardt:
         evaluations: at most, each with the derivatives.
         reach: (parameters,) how far one step may move each; as far as its bounds when None. A step far beyond where
             the linear model holds may lower the error, and yet end where the torque depends on a parameter no more.
-        foresees: whether a step is not made, and nothing evaluated, where the linear model promises a tenth of the
-            tolerance at most: for problems whose evaluations are dear.
+        worth: relative, of the criterion: a step of which the linear model promises less is not made, and nothing
+            evaluated. For problems whose evaluations are dear; 0 makes every step.
     """
 
     tolerance: float = 1e-8
     evaluations: int = 60
     reach: FloatArray | None = None
-    foresees: bool = False
+    worth: float = 0.0
 
     def solve(self, problem: Problem, start: FloatArray, watch: Watch) -> Solution:
         """Return where one descent ends; the trace begins with the start."""
@@ -67,9 +66,9 @@ class LevenbergMarquardt:
             norm = trace[-1].norm
             step = damped_step(error, J, bounds.around(x).within(reach), damping, bounds.upper - bounds.lower)
             cut = reach is not None and bool(np.any(np.abs(step) >= _CUT * reach))
-            if self.foresees and damping <= _DAMPING and not cut:
+            if self.worth > 0.0 and damping <= _DAMPING and not cut:
                 promised = 1.0 - (float(np.linalg.norm(error + J @ step)) / norm) ** 2 if norm else 0.0
-                if promised <= _PROMISED * self.tolerance:
+                if promised <= self.worth:
                     status = Status.COST
                     break
             after, slopes = counted.linearised(x + step)

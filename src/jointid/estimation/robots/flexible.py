@@ -20,13 +20,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, no_choice
+from jointid.common.parallel import threads
 from jointid.common.parameters import Parameter
 from jointid.estimation.robots.didim import RobotFit, conclude, identify_rigid_robot, joint_sizes
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
@@ -56,23 +57,27 @@ _STIFF = 0.07  # of the sampling frequency: where a joint is as good as rigid, a
 _SOFTEST = 1e-3  # of the sampling frequency: the lowest mode that is looked for
 _STIFFEST = 0.15  # of the sampling frequency: the highest mode that is looked for
 _REACH = math.log(3.0)  # of a step: a stiffness or a rotor's inertia to at most so many times what it was
-_ROUGH, _CLOSE, _FINE = (
-    3e-2,
-    1e-3,
-    3e-5,
-)  # tolerances: with first sizes of the joints' errors, with better ones, at last
 _DAMPED = 5.0  # of a step: a spring's damping by at most so many times what it begins with
 _TURNS, _SETTLED = 4, 0.4  # searches with new sizes of the joints' errors, and their change that asks for no other
-_COMMON, _TRIED = (
-    (11.25, 16.875, 25.3125),
-    6,
-)  # Hz of all springs, and evaluations, where the first search leads nowhere
+_COMMON = 11.25, 16.875, 25.3125  # Hz of all springs, where the first search leads nowhere
+_TRIED = 6  # evaluations from each of them
 _POOR = 0.1  # of a joint's filtered torque: an error that is more than noise
 _FIRST = 12  # evaluations, after which springs are looked for in what was found: with springs most searches are over
 _SHOWN = 4.0  # standard deviations by which a compliance is told from 0
 _TWO = 2.0  # of them: the bound of one that is not
 _OFF = 1e-3  # of the stiffest, on a logarithmic scale: a spring that is not at its bound
 _EXACT = 1e-6  # of the torques: an error that the simulation itself may have
+
+
+class _Aim(NamedTuple):
+    """How far a search goes: its tolerance, and what a step is to promise, shares of the criterion."""
+
+    tolerance: float
+    worth: float
+
+
+_ROUGH, _CLOSE, _FINE = _Aim(3e-2, 1e-2), _Aim(1e-3, 1e-4), _Aim(3e-5, 3e-6)
+"""With the first sizes of the joints' errors, with better ones, and at last."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,15 +248,15 @@ def search_springs(
         found = (_judge(seen, problem, name, units[name]) for name in flexible)
         springs = tuple(replace(one, shown=False, stiffness=None, deviation=None) for one in found)
         return FlexibleRobotFit(seen, springs, rigid, seen.iterations, "no joint shows a spring")
+    end = _search(end.reweighted(), end, _CLOSE, evaluations, progress).of(problem)
     for _ in range(_TURNS):
-        weighed = end.reweighted()
-        end = _search(weighed, end, _CLOSE, evaluations, progress)
-        change = np.log(end.reweighted().sigma / weighed.sigma)
-        if not end.solution.converged or np.all(np.abs(change) < _SETTLED):
+        if not end.solution.converged:
             break
-    end = end.of(problem)
-    if end.solution.converged:
-        end = _search(end.reweighted(), end, _FINE, evaluations, progress)
+        weighed = end.reweighted()
+        end = _search(weighed, end, _FINE, evaluations, progress)
+        change = np.log(end.reweighted().sigma / weighed.sigma)
+        if np.all(np.abs(change) < _SETTLED):
+            break
     fit = end.fit()
     if fit is None:
         raise MethodError("The search led to where the robot cannot be simulated; give other frequencies.")
@@ -384,9 +389,7 @@ def _begin(
     return replace(best, made=made)
 
 
-def _search(
-    problem: RobotProblem[Any], start: _Start | _End, tolerance: float, evaluations: int, progress: Progress
-) -> _End:
+def _search(problem: RobotProblem[Any], start: _Start | _End, aim: _Aim, evaluations: int, progress: Progress) -> _End:
     """Return where a search of the least torque error ends, from a start or from where another ended."""
 
     def watch(step: Step) -> None:
@@ -400,7 +403,7 @@ def _search(
             error, slopes = start.linearised()
             weights = problem.weights(error.size)
             counted.remember(x, error * weights, slopes * weights[:, np.newaxis])
-    solver = LevenbergMarquardt(tolerance, evaluations, start.reach, foresees=True)
+    solver = LevenbergMarquardt(aim.tolerance, evaluations, start.reach, aim.worth)
     found = solve(counted, solver, x, watch)
     return _End(problem, found, made + found.evaluations, start.reach, kept.run_at(found.x))
 
@@ -471,14 +474,21 @@ class StartOfSprings:
         root = 1.0 / np.sqrt(np.outer(alone, alone))
         taken = min(float(np.linalg.eigvalsh(M * root)[0]) for M in masses)
         wanted = np.where(numbers.flexible, np.minimum(_SHARE * about, _ROOM * taken * alone), 0.0)
-        for spread in _SPREADS:
-            split, rotors = _split(problem.parameters, rigid, numbers, wanted, spread * about, _LIGHTEST * about)
+
+        def split(spread: float) -> tuple[StartOfSprings, bool]:
+            values, rotors = _split(problem.parameters, rigid, numbers, wanted, spread * about, _LIGHTEST * about)
             costs = np.full(about.size, np.inf)
-            start = cls(problem, names, split, rotors, np.maximum(about - rotors, _LIGHTEST * about), costs)
+            start = cls(problem, names, values, rotors, np.maximum(about - rotors, _LIGHTEST * about), costs)
             run = problem.run(problem.parameters.searched(start.all_at(start.stiff)), keep=False)
-            if run.outcome is RobotOutcome.FINISHED:
-                error = problem.error(run)
-                return replace(start, costs=start._norms(error * problem.weights(error.size)))
+            if run.outcome is not RobotOutcome.FINISHED:
+                return start, False
+            error = problem.error(run)
+            return replace(start, costs=start._norms(error * problem.weights(error.size))), True
+
+        for first in range(0, len(_SPREADS), threads()):
+            for start, runs in in_threads(split, _SPREADS[first : first + threads()]):
+                if runs:
+                    return start
         return start
 
     def _norms(self, weighted: FloatArray) -> FloatArray:
