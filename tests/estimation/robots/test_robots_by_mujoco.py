@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("mujoco", reason="MuJoCo, of the extra robots, makes the independent data")
 
 from jointid.common.arrays import FloatArray
-from jointid.estimation.robots.didim import identify_rigid_robot
+from jointid.estimation.robots.didim import RobotFit, identify_rigid_robot
 from jointid.estimation.robots.flexible import identify_flexible_robot
 from jointid.records.record import Channel, Record, Timing
 from jointid.simulation.robot_numbers import RobotNumbers
@@ -66,3 +66,30 @@ def test_springs_are_identified_from_torques_by_mujoco() -> None:
         assert spring.stiffness is not None
         assert spring.deviation is not None
         assert abs(spring.stiffness - stiffness) < 3 * spring.deviation
+
+
+@pytest.mark.statistical
+@pytest.mark.parametrize(
+    ("twin", "multisine", "step"),
+    [(six(), 0.0, 2.5e-4), (two((12.0, 18.0)), 0.004, 2e-5)],
+    ids=["six rigid", "two flexible"],
+)
+def test_intervals_hold_when_the_error_of_mujoco_is_counted(twin: Twin, multisine: float, step: float) -> None:
+    """That error is what is found of its torques without noise; beside it two deviations hold the truth."""
+    records = twin.records(6.0, multisine=multisine)
+    theirs, _ = moved(twin, records, step=step)
+
+    def identified(noise: float, seed: int) -> RobotFit:
+        made = logged(records, theirs, noise, seed)
+        return identify_flexible_robot(twin.loop(), made).fit if multisine else identify_rigid_robot(twin.loop(), made)
+
+    clean = identified(1e-7, 0)
+    truth = clean.parameters.group(RobotNumbers.of(twin.robot))
+    own, inside, counted = np.abs(clean.values - truth), [], []
+    for seed in range(6):
+        fit = identified(0.02, seed)
+        off, two_sigma = np.abs(fit.values - truth), 2 * fit.covariance.std
+        inside.append(off < two_sigma)
+        counted.append(off < two_sigma + own)
+    assert np.mean(inside) > 0.91
+    assert np.mean(counted) > 0.95

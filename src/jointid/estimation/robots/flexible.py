@@ -76,8 +76,11 @@ class _Aim(NamedTuple):
     worth: float
 
 
-_ROUGH, _CLOSE, _FINE = _Aim(3e-2, 1e-2), _Aim(1e-3, 1e-4), _Aim(3e-5, 3e-6)
-"""With the first sizes of the joints' errors, with better ones, and at last."""
+_ROUGH, _CLOSE = _Aim(3e-2, 1e-2), _Aim(1e-3, 1e-4)
+"""With the first sizes of the joints' errors, and with better ones."""
+
+_FINE = 3e-5  # tolerance at last
+_LAST = 0.1  # of the sum of squares in units of the noise, a step's worth there: all parameters move by 0.3 deviations
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,7 +256,7 @@ def search_springs(
         if not end.solution.converged:
             break
         weighed = end.reweighted()
-        end = _search(weighed, end, _FINE, evaluations, progress)
+        end = _search(weighed, end, _Aim(_FINE, _LAST / end.solution.residual.size), evaluations, progress)
         change = np.log(end.reweighted().sigma / weighed.sigma)
         if np.all(np.abs(change) < _SETTLED):
             break
