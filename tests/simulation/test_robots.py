@@ -325,7 +325,9 @@ def test_runs_of_a_joint_and_of_a_robot_answer_alike() -> None:
     """What did not finish is refused in one sentence, whichever simulation it was."""
     twin = two()
     good, bad = twin.loop(), twin.loop()
-    wild = replace(bad, controllers=tuple(replace(c, position_gain=-c.position_gain) for c in bad.controllers))
+    wild = replace(
+        bad, controllers=tuple(replace(c, derivative_gain=100.0 * c.derivative_gain) for c in bad.controllers)
+    )
     driven = twin.records(1.0)
     finished: Simulated = simulate_robot(good, driven)
     assert require_finished(finished) is finished

@@ -309,9 +309,10 @@ def run_robot(
     taken = 1 if steps is None else steps
     if numbers.possible:
         longest = float(np.max(clock.lengths))
-        if steps is None:
-            taken = choose_steps(experiment.tree, experiment.references, longest, numbers, stride)
+        taken = choose_steps(experiment.tree, experiment.references, longest, numbers) if steps is None else steps
+        # What is too stiff is so whatever the stride: a search that goes by long steps ends where short ones do.
         outcome = RobotOutcome.FINISHED if taken <= _STEPS else RobotOutcome.TOO_STIFF
+        taken = taken if steps else math.ceil(taken * FINE / stride)
     rows = (_MORE * clock.steps * parts * min(taken, _STEPS) + 1000) if keep and outcome is RobotOutcome.FINISHED else 0
     tape = RobotTape.empty(clock.steps * parts, rows, masses)
     if outcome is RobotOutcome.FINISHED:
@@ -369,17 +370,14 @@ def motion_at(run: RobotRun, parts: IntArray) -> MassMotion:
     return found
 
 
-def choose_steps(
-    tree: LoopTree, references: FloatArray, length: float, numbers: RobotNumbers, stride: float = FINE
-) -> int:
-    """Return the steps of a time of this length that keep the robot's fastest motion within a stride each.
+def choose_steps(tree: LoopTree, references: FloatArray, length: float, numbers: RobotNumbers) -> int:
+    """Return the steps of a time of this length that keep the robot's fastest motion within 0.5 rad each.
 
     Args:
         tree: of the links.
         references: (samples, n) where the shafts are about.
         length: s.
         numbers: of the robot.
-        stride: rad.
     """
     from jointid.models.robots.equations import ROOM, equations_of_motion
 
@@ -406,7 +404,7 @@ def choose_steps(
             continue
         each = [np.abs(np.linalg.eigvals(np.linalg.solve(M, matrix))) for matrix in (springs, dampers)]
         fastest = max(fastest, math.sqrt(float(np.max(each[0]))), float(np.max(each[1])))
-    return max(math.ceil(length * fastest / stride), 1)
+    return max(math.ceil(length * fastest / FINE), 1)
 
 
 def add_feed_forward(

@@ -1,7 +1,6 @@
 """The answer that every simulation gives: of one joint, exact to rounding, and of a robot, to the order that it states.
 
-`closed_loop.simulate`, `prescribed.simulate_drive_side` and `simulate_open_loop`, `robots.simulate_robot` and
-`robot_drive_side.run_drive_side` run one candidate each, never raise for a candidate's sake, and say how the run ended.
+`closed_loop.simulate` and `robots.simulate_robot` run a candidate, never raise for its sake, and say how the run ended.
 What compares torques, writes them or draws them needs no more than this, and does not see which of them it was.
 """
 
@@ -26,7 +25,7 @@ class Simulated(Protocol):
 
     @property
     def outcome(self) -> StrEnum:
-        """How the run ended, as the sentence to print; its name is the same for one joint and for a robot."""
+        """How the run ended, as the sentence to print; `FINISHED` for one joint and for a robot."""
 
     @property
     def finished(self) -> float:

@@ -61,6 +61,7 @@ class LevenbergMarquardt:
         before = counted.evaluations
         error, J = counted.linearised(x)
         trace, damping, used = [Step(x, float(np.linalg.norm(error)), counted.evaluations)], _DAMPING, 1
+        little = False
         status, reach, share, idle = None if J.any() else Status.NOT_EVALUABLE, self.reach, 1.0, 0
         while status is None and used < self.evaluations:
             norm = trace[-1].norm
@@ -69,7 +70,7 @@ class LevenbergMarquardt:
             if self.worth > 0.0 and damping <= _DAMPING and not cut:
                 promised = 1.0 - (float(np.linalg.norm(error + J @ step)) / norm) ** 2 if norm else 0.0
                 if promised <= self.worth:
-                    status = Status.COST
+                    status, little = Status.COST, True
                     break
             after, slopes = counted.linearised(x + step)
             used += 1
@@ -97,6 +98,8 @@ class LevenbergMarquardt:
             damping = max(damping * _EASIER, _LEAST) if gained > 0.0 else damping * _HARDER
         status = status or Status.EVALUATION_LIMIT
         message = explain(status, used, self.tolerance)
+        if little:
+            message = f"converged: another step promises to lower the criterion by less than {100 * self.worth:.2g} %"
         return Solution(x, error, J, status, message, tuple(trace), counted.evaluations - before)
 
 

@@ -21,10 +21,11 @@ from jointid.models.robots.inertial import (
     pseudo_inertia,
 )
 from jointid.models.robots.robot import Robot
+from jointid.records.signals.filtering import Filtering
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.estimation.robots.twin import COULOMB, ROTORS, VISCOUS, arm, records_of, with_payload
 from tests.models.robots.trees import random_body
-from tests.robots_plants import six
+from tests.robots_plants import six, two
 
 ARM = arm()
 
@@ -92,6 +93,36 @@ def test_bodies_fit_an_estimate_from_torques_alone(flexible: bool) -> None:
     hidden = replace(estimate, springs=(SpringVerdict("joint2", False, None, None, 10.0),))
     with pytest.raises(MethodError, match="does not show the spring of joint2, so it does not part motor from link"):
         consistent_robot(hidden)
+
+
+@pytest.mark.parametrize("from_torques", [False, True])
+def test_a_prior_that_declares_another_friction_gives_its_masses_alone(from_torques: bool) -> None:
+    twin = two()
+    first, second = twin.robot.joints
+    declared = replace(twin.robot, joints=(replace(first, viscous_backwards=2.0 * first.viscous), second))
+    loop = replace(twin.loop(), robot=declared)
+    records, _ = recorded(loop, twin.records(6.0), 0.01)
+    estimate = identify_robot_from_torques(loop, records) if from_torques else identify_robot(declared, records)
+    rising = replace(second, stribeck_force=0.9, stribeck_speed=0.1)
+    mine = consistent_robot(estimate).robot
+    for prior in (twin.robot, replace(twin.robot, joints=(first, rising))):
+        found = consistent_robot(estimate, prior).robot
+        for one, other in zip(found.joints, mine.joints, strict=True):
+            assert one.viscous == pytest.approx(other.viscous, rel=1e-3)
+            assert one.viscous_back == pytest.approx(other.viscous_back, rel=1e-3)
+            assert one.coulomb == pytest.approx(other.coulomb, rel=1e-3) and one.stribeck_force == 0.0
+    with pytest.raises(MethodError, match="The prior has 6 joints and the robot that was identified 2"):
+        consistent_robot(estimate, ARM)
+
+
+def test_idim_gives_a_robot_without_springs_the_friction_of_both_sides() -> None:
+    twin = two((10.0, 14.0))
+    records, _ = recorded(twin.loop(), twin.records(8.0), 0.01)
+    found = consistent_robot(identify_robot(twin.robot, records, filtering=Filtering(cutoff=4.0))).robot
+    assert not any(found.flexible)
+    for one, truth in zip(found.joints, twin.robot.joints, strict=True):
+        assert truth.spring is not None
+        assert one.viscous == pytest.approx(truth.viscous + truth.spring.viscous, rel=0.05)
 
 
 def test_noise_that_gives_no_bodies_still_gives_a_robot_that_can_be_simulated() -> None:

@@ -80,6 +80,34 @@ def test_friction_by_direction_and_towards_standstill_comes_back() -> None:
     assert bodies[1].stribeck_force == pytest.approx(0.6 * second.coulomb, rel=0.1)
 
 
+def test_a_rise_of_friction_that_the_record_does_not_reach_is_refused() -> None:
+    """Its column is next to nothing, and what multiplies it would be anything."""
+    loop = two().loop()
+    records, _ = recorded(loop, two().records(4.0), 0.01)
+    first, second = loop.robot.joints
+    declared = replace(loop.robot, joints=(first, replace(second, stribeck_force=1.0, stribeck_speed=0.002)))
+    with pytest.raises(
+        MethodError, match=r"joint2 is declared to rise below 0\.002 rad/s, .* fix FS2 by method\.fixed"
+    ):
+        identify_robot(declared, records)
+    found = identify_robot(declared, records, RobotIDIM(fixed={"FS2": 0.5}))
+    assert found.params["FS2"] == 0.5 and not found.objections
+
+
+def test_a_friction_that_is_less_towards_standstill_drives_nothing() -> None:
+    loop = two().loop()
+    records, _ = recorded(loop, two().records(8.0), 0.01)
+    first, second = loop.robot.joints
+    declared = replace(loop.robot, joints=(first, replace(second, stribeck_force=0.0, stribeck_speed=0.2)))
+    found = identify_robot(declared, records)
+    assert not found.objections
+    place = found.names.index("FS2")
+    for rise, objects in ((-0.5 * second.coulomb, False), (-2.0 * second.coulomb, True)):
+        values = found.values.copy()
+        values[place] = rise
+        assert bool(replace(found, values=values).objections) is objects
+
+
 def test_intervals_hold_where_there_is_little_noise() -> None:
     """Samples about reversals are left out: with them hardly any interval of a Coulomb friction would hold."""
     off = []

@@ -178,7 +178,7 @@ def payload(
         mass: of the payload as it was weighed, kg.
         changes: a key of the robot file and its value, as method.estimator=robust; may be given several times.
         json: also write the answer as JSON to this file.
-        quiet: say nothing of the progress of DIDIM.
+        quiet: say nothing of the progress of searches.
     """
     from jointid.estimation.robots.drive_gains import identify_drive_gains
     from jointid.estimation.robots.idim import RobotIDIM
@@ -217,9 +217,15 @@ def export_robot_file(path: Path, changes: Sequence[str], out: Path) -> None:
     """Identify a robot from the record that its file names, and write bodies that fit, as URDF or MJCF."""
     from jointid.common.files import write_whole
     from jointid.estimation.robots.consistent import consistent_robot
+    from jointid.estimation.robots.idim import RobotEstimate
     from jointid.output.export.robot_model import write_robot
 
     _, _, estimate = _identified(path, changes, Outputs({"--out": out}), silent)
+    if not (estimate.converged if isinstance(estimate, RobotEstimate) else estimate.fit.converged):
+        raise MethodError(
+            "The search did not settle, so there is nothing to export; identify the robot to see what it leaves, or "
+            "allow more by method.iterations, of springs method.evaluations."
+        )
     found = consistent_robot(estimate)
     text, lost = write_robot(found.robot, out)
     write_whole(out, text)

@@ -13,7 +13,7 @@ decides; where it says nothing, the model stays.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -94,7 +94,7 @@ def consistent_robot(estimate: OfRobot, prior: Robot | None = None, spread: floa
     """
     from scipy.optimize import least_squares
 
-    prior = estimate.robot if prior is None else prior
+    prior = estimate.robot if prior is None else _declared_as(estimate.robot, prior)
     n, told = len(prior), estimate.sums(prior)
     theta0, scales = _prior_bodies(prior)
     rotors0 = prior.of_joints("rotor_inertia")
@@ -136,6 +136,25 @@ def consistent_robot(estimate: OfRobot, prior: Robot | None = None, spread: floa
     robot = told.robot(standard[: 10 * n].reshape(n, 10), standard[10 * n :], found.x[11 * n :])
     misfit = float(np.sqrt(np.mean(residual(found.x)[: len(whiten)] ** 2)))
     return ConsistentRobot(robot, misfit, least_inertia(robot))
+
+
+def _declared_as(robot: Robot, prior: Robot) -> Robot:
+    """Return a prior whose joints have friction and springs as the robot that was identified: its own are not read."""
+    if len(prior) != len(robot):
+        raise MethodError(
+            f"The prior has {len(prior)} joints and the robot that was identified {len(robot)}; expected the same tree."
+        )
+    pairs = zip(robot.joints, prior.joints, strict=True)
+    return replace(prior, joints=tuple(replace(own, rotor_inertia=other.rotor_inertia) for own, other in pairs))
+
+
+def can_be_near(prior: Robot) -> bool:
+    """Return True if every link of a robot has a mass, and is a body that can be."""
+    try:
+        _prior_bodies(prior)
+    except MethodError:
+        return False
+    return True
 
 
 def mass_matrix_at(robot: Robot, q: FloatArray) -> FloatArray:

@@ -2,10 +2,11 @@
 
 A robot of rigid joints is identified first. It fixes sums: of both sides' friction, of rotor and link. These are
 split, what it says of each by how well it knows it. Each spring is begun at a frequency, given or the best of a row
-of them that all joints go through together. The torque error of all joints is then made least by Levenberg and
-Marquardt's steps with derivatives by variation (`solvers.bounded_least_squares`), rotors' inertias and stiffnesses on
-a logarithmic scale. The joints weigh by their errors, which are estimated again until they settle, a few times at
-most: a search may leave a wrong minimum after the joint that led it there weighs less.
+of them that all joints go through together; where that leads nowhere, from one frequency of all. The torque error of
+all joints is then made least by Levenberg and Marquardt's steps with derivatives by variation
+(`solvers.bounded_least_squares`), rotors' inertias and stiffnesses on a logarithmic scale. The joints weigh by their
+errors, which are estimated again until they settle, a few times at most: a search may leave a wrong minimum after the
+joint that led it there weighs less.
 
 Whether a record shows a spring is asked of each joint alone, by its compliance c = 1/K, in which a rigid joint is not
 at infinity but at 0: it is shown where c is more than four of its standard deviations above 0, with the spring not at
@@ -148,7 +149,7 @@ def identify_flexible_robot(
         frequencies: Hz, of the mode of rotor against link of each flexible joint with the others stiff, where the
             search is to begin; None looks for it between 5 and 38 Hz.
         offsets: whether each motor has a constant torque that is identified, too.
-        evaluations: simulations with derivatives, at most, of each search; there are two to six.
+        evaluations: simulations with derivatives, at most, of each search; there are three to eleven.
         progress: is told the steps.
 
     Raises:
@@ -253,16 +254,17 @@ def search_springs(
         return FlexibleRobotFit(seen, springs, rigid, seen.iterations, "no joint shows a spring")
     end = _search(end.reweighted(), end, _CLOSE, evaluations, progress).of(problem)
     for _ in range(_TURNS):
-        if not end.solution.converged:
-            break
         weighed = end.reweighted()
         end = _search(weighed, end, _Aim(_FINE, _LAST / end.solution.residual.size), evaluations, progress)
         change = np.log(end.reweighted().sigma / weighed.sigma)
-        if np.all(np.abs(change) < _SETTLED):
+        if not end.solution.converged or np.all(np.abs(change) < _SETTLED):
             break
     fit = end.fit()
     if fit is None:
-        raise MethodError("The search led to where the robot cannot be simulated; give other frequencies.")
+        raise MethodError(
+            f"The search led to where the robot cannot be simulated: {problem.run(end.solution.x).outcome.value}. Give "
+            "other frequencies, or leave out springs of joints that are stiff."
+        )
     before, after = (np.linalg.norm(problem.by_joint(problem.error(one.run)), axis=1) for one in (rigid, fit))
     if np.all(after >= before):
         raise MethodError(
@@ -293,7 +295,8 @@ class _End:
 
     def of(self, problem: RobotProblem[Any]) -> _End:
         """Return the end as one of a problem that is simulated finer."""
-        return replace(self, problem=problem.weighted(self.problem.sigma), run=None, finer=True)
+        finer = problem.roughly() is not problem
+        return replace(self, problem=problem.weighted(self.problem.sigma), run=None, finer=finer)
 
     def linearised(self) -> tuple[FloatArray, FloatArray]:
         """Return the error, (rows,), and its derivatives, (rows, free), not weighted."""
@@ -379,7 +382,7 @@ def _begin(
     if best.solution.converged and not best.is_poor:
         return best
     made, chosen = best.made, None
-    for frequency in _COMMON:
+    for frequency in (f for f in _COMMON if f < _STIFF / problem.sample_time):
         begun = start.begin(start.all_at(frequency))
         other = _search(problem, begun, _ROUGH, min(_TRIED, evaluations), progress)
         made += other.made

@@ -40,6 +40,7 @@ from jointid.estimation.robots.regression import (
     base_rows,
     motion_of_robot,
     relative_errors,
+    require_reached,
 )
 from jointid.models.robots.base_parameters import BaseParameters, base_parameters
 from jointid.models.robots.friction_terms import Friction, friction_terms, joint_with_friction, offset_places
@@ -184,13 +185,7 @@ class RobotEstimate(Documented):
     def objections(self) -> tuple[str, ...]:
         """Sentences on what no robot can be, friction that drives by more than two deviations, and on no settling."""
         unsettled = () if self.converged else ("The values by instruments did not settle: do not rely on them.",)
-        friction = zip(
-            friction_terms(self.robot), self.values[len(self.base) :], self._friction_deviations, strict=True
-        )
-        driving = {
-            term.joint for term, value, std in friction if term.number is not Friction.OFFSET and value < -2 * std
-        }
-        joints = [self.robot.names[k] for k in sorted(driving)]
+        joints = [name for k, name in enumerate(self.robot.names) if self._drives(k)]
         if not joints:
             return unsettled
         return (
@@ -213,7 +208,8 @@ class RobotEstimate(Documented):
             joints = []
             for k, joint in enumerate(prior.joints):
                 own = {term.number: float(x) for term, x in zip(terms, others, strict=True) if term.joint == k}
-                joints.append(replace(joint_with_friction(joint, own), rotor_inertia=float(rotors[k])))
+                # To IDIM a joint is rigid: what it finds is the friction of both sides.
+                joints.append(replace(joint_with_friction(joint, own), rotor_inertia=float(rotors[k]), spring=None))
             return replace(prior.with_inertials(inertials), joints=tuple(joints))
 
         return Sums(self.values, self.covariance, of_standard, of_others, friction, least, made)
@@ -267,9 +263,14 @@ class RobotEstimate(Documented):
     def _units(self) -> tuple[str, ...]:
         return (*self.base.units, *(term.unit(self.robot) for term in friction_terms(self.robot)))
 
-    @property
-    def _friction_deviations(self) -> FloatArray:
-        return self.covariance.std[len(self.base) :]
+    def _drives(self, joint: int) -> bool:
+        """Whether a motor's friction drives it by more than two deviations: far from standstill, or close to it."""
+        terms, size = friction_terms(self.robot), len(self.base)
+        own = {term.number: size + i for i, term in enumerate(terms) if term.joint == joint}
+        sums = [[place] for number, place in own.items() if number not in (Friction.OFFSET, Friction.RISE)]
+        sums += [[own[Friction.COULOMB], own[Friction.RISE]]] if Friction.RISE in own else []
+        weights = [np.isin(np.arange(self.values.size), places).astype(np.float64) for places in sums]
+        return any(float(one @ self.values) < -2 * self.covariance.std_of(one) for one in weights)
 
 
 def identify_robot(
@@ -301,6 +302,7 @@ def identify_robot(
     base = base_parameters(robot)
     motion = motion_of_robot(robot, records, filtering or Filtering())
     rows = base_rows(robot, base, motion)
+    require_reached(robot, rows, settings.fixed)
     by_loop = robot_instruments(loop, records, base, motion) if loop and settings.estimator == "iv" else None
     solution = settings.solve(rows, by_loop)
     nominal = _nominal(robot, base, rows)

@@ -11,7 +11,7 @@ that is the fit of both records at once, by each one's covariance; where each ha
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +23,7 @@ from jointid.common.text import interval, listed
 from jointid.estimation.methods.linear import Rows
 from jointid.estimation.robots.idim import RobotEstimate, RobotIDIM
 from jointid.estimation.robots.numbers import RobotParameters
-from jointid.estimation.robots.regression import base_rows, motion_of_robot
+from jointid.estimation.robots.regression import base_rows, motion_of_robot, require_reached
 from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
 from jointid.models.robots.base_parameters import base_parameters, inverse_columns
 from jointid.models.robots.friction_terms import offset_places
@@ -106,14 +106,21 @@ def identify_payload(
             'A payload is weighed from two records without a simulation, so the estimator "iv" has no instruments '
             'there; use "weighted", "robust" or "ols".'
         )
-    rows = both_records(robot, empty, loaded, filtering or Filtering())
-    solution = (settings or RobotIDIM()).solve(rows)
+    settings = settings or RobotIDIM()
+    rows = both_records(robot, empty, loaded, filtering or Filtering(), settings.fixed)
+    solution = settings.solve(rows)
     own = slice(len(rows.names) - len(SYMBOLS), None)
     of_payload = covariance_of(solution.covariance.matrix[own, own], solution.covariance.bandwidth)
     return _payload(robot, solution.fit.values[own], of_payload)
 
 
-def both_records(robot: Robot, empty: Sequence[Record], loaded: Sequence[Record], filtering: Filtering) -> Rows:
+def both_records(
+    robot: Robot,
+    empty: Sequence[Record],
+    loaded: Sequence[Record],
+    filtering: Filtering,
+    fixed: Collection[str] = (),
+) -> Rows:
     """Return the regression of both records: base parameters, friction, and the payload's ten in the second alone.
 
     Args:
@@ -121,13 +128,15 @@ def both_records(robot: Robot, empty: Sequence[Record], loaded: Sequence[Record]
         empty: the record of each joint without the payload.
         loaded: the record of each joint with it.
         filtering: of positions and rows.
+        fixed: symbols of parameters that are known.
 
     Raises:
-        RecordError: as of `identify_robot`.
+        RecordError, MethodError: as of `identify_robot`.
     """
     base, n = base_parameters(robot), len(robot)
     without, carrying = (motion_of_robot(robot, records, filtering) for records in (empty, loaded))
     first, second = base_rows(robot, base, without), base_rows(robot, base, carrying)
+    require_reached(robot, first, fixed)
     columns = inverse_columns(robot, carrying.q, carrying.v, carrying.a)[:, :, 10 * (n - 1) : 10 * n]
     extra = carrying.thinned(columns)
     instants = min(len(first.Y), len(second.Y)) // n

@@ -9,20 +9,20 @@ Coulomb frictions so far that of their 2-sigma intervals 17 % held the truth, an
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import RecordError
+from jointid.common.errors import MethodError, RecordError
 from jointid.estimation.methods.linear import Rows
 from jointid.estimation.problems.inverse_model import through_window, torque_and_positions
 from jointid.estimation.problems.rest import moving_weights, turning_weights
 from jointid.models.joints import RigidJoint
 from jointid.models.robots.base_parameters import BaseParameters, inverse_columns
-from jointid.models.robots.friction_terms import friction_columns, friction_terms
+from jointid.models.robots.friction_terms import Friction, FrictionTerm, friction_columns, friction_terms
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import (
@@ -37,6 +37,7 @@ from jointid.records.signals.filtering import (
 _LONG = 20  # samples in a row that are a rest, as for one joint
 _SMEAR = 0.4  # of the position filter's period
 _WHOLE = 0.9  # of the weight of a row whose samples are all seen, as a filter leaves it
+_REACHED = 1e-2  # of the Coulomb friction's column: that of a rise of which a record has samples
 _TOLD = 0.05  # of a row's weight: what holds less is of rest
 
 
@@ -169,6 +170,26 @@ def base_rows(robot: Robot, base: BaseParameters, motion: RobotMotion) -> Rows:
     W = motion.thinned(np.concatenate([links, friction_columns(robot, motion.v)], axis=2))
     names = (*base.symbols, *(term.symbol for term in friction_terms(robot)))
     return Rows(motion.thinned_torque(), W, names, len(robot), len(robot))
+
+
+def require_reached(robot: Robot, rows: Rows, fixed: Collection[str] = ()) -> None:
+    """Raise a `MethodError` if a friction is to rise at speeds that no sample of the record has.
+
+    Args:
+        robot: whose motors' friction may rise towards standstill.
+        rows: of `base_rows`, without the samples about reversals.
+        fixed: symbols of parameters that are known.
+    """
+    sizes = dict(zip(rows.names, np.linalg.norm(rows.W, axis=0), strict=True))
+    for term in friction_terms(robot):
+        joint = robot.joints[term.joint]
+        coulomb = FrictionTerm(term.joint, Friction.COULOMB).symbol
+        if term.number is Friction.RISE and term.symbol not in fixed and sizes[term.symbol] < _REACHED * sizes[coulomb]:
+            raise MethodError(
+                f"The friction of {joint.name} is declared to rise below {joint.stribeck_speed:g} "
+                f"{robot.position_unit(term.joint)}/s, and beside reversals, which IDIM leaves out, this record has "
+                f"hardly a sample there; move it slowly, leave the speed out, or fix {term.symbol} by method.fixed."
+            )
 
 
 def relative_errors(rows: Rows, values: FloatArray) -> FloatArray:

@@ -21,7 +21,7 @@ from jointid.common.parameters import TORQUE_UNIT, unit_of
 from jointid.common.settings import check_settings, declare, documented, setting
 from jointid.common.text import interval, listed, number
 from jointid.common.units import Kind
-from jointid.estimation.robots.consistent import Sums, consistent_robot
+from jointid.estimation.robots.consistent import Sums, can_be_near, consistent_robot
 from jointid.estimation.robots.didim import RobotFit, identify_rigid_robot
 from jointid.estimation.robots.drive_side import RobotDriveSideProblem, drive_side_problem, identify_flexible_drive_side
 from jointid.estimation.robots.flexible import SpringVerdict, identify_flexible_robot
@@ -385,7 +385,7 @@ def validate_robot_torques(estimate: RobotTorqueEstimate, records: Sequence[Reco
         what = "references" if isinstance(closing, RobotLoop) else "motor positions"
         raise MethodError(f"The robot that was identified cannot be simulated along this record; check its {what}.")
     bodies = None
-    if np.all(estimate.robot.inertials[:, 0] > 0) and all(spring.shown for spring in estimate.springs):
+    if can_be_near(estimate.robot) and all(spring.shown for spring in estimate.springs):
         near = replace(RobotNumbers.of(consistent_robot(estimate).robot), log=found.log)
         bodies, _ = _errors(closing, records, estimate.filtering, near)
     return RobotValidation(estimate.robot, mine, nominal, bodies, settled=estimate.fit.converged)

@@ -15,7 +15,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented, Paragraph
 from jointid.common.errors import MethodError
-from jointid.estimation.robots.consistent import consistent_robot
+from jointid.estimation.robots.consistent import can_be_near, consistent_robot
 from jointid.estimation.robots.idim import RobotEstimate, errors_table
 from jointid.estimation.robots.regression import base_rows, motion_of_robot, relative_errors
 from jointid.models.robots.robot import Robot
@@ -33,7 +33,7 @@ class RobotValidation(Documented):
         joint_errors: (n,) what the estimate leaves of each joint's filtered torque, as a share.
         nominal_errors: (n,) what the nominal masses leave, with friction fitted to the estimate's record.
         body_errors: (n,) what bodies near the nominal ones leave, which fit the estimate; None where the model has no
-            masses to be near.
+            bodies to be near, or the record does not show a spring.
         settled: whether the search for the estimate had.
     """
 
@@ -101,7 +101,7 @@ def validate_robot(estimate: RobotEstimate, records: Sequence[Record]) -> RobotV
         records: of each joint, as `identify_robot` takes them.
 
     Raises:
-        MethodError: no body can have a link's parameters in the model, or the record is the estimate's own.
+        MethodError: the record is the estimate's own.
         RecordError: as of `identify_robot`.
     """
     motion = motion_of_robot(estimate.robot, records, estimate.filtering)
@@ -109,7 +109,7 @@ def validate_robot(estimate: RobotEstimate, records: Sequence[Record]) -> RobotV
     mine = relative_errors(rows, estimate.values)
     require_unseen(mine, estimate.joint_errors)
     bodies = None
-    if np.all(estimate.robot.inertials[:, 0] > 0):
+    if can_be_near(estimate.robot):
         bodies = relative_errors(rows, estimate.base.with_friction(consistent_robot(estimate).robot))
     return RobotValidation(estimate.robot, mine, relative_errors(rows, estimate.nominal), bodies)
 

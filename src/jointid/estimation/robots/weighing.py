@@ -16,6 +16,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented, Paragraph, Table
+from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, silent
 from jointid.common.text import interval, listed
 from jointid.estimation.robots.idim import KNOWN, RobotIDIM, identify_robot
@@ -204,9 +205,15 @@ def weigh_payload_from_torques(
             progress(f"{said}: {text}")
 
         if isinstance(closing, RobotLoop):
-            assert not isinstance(settings, RobotDriveSideFit)
+            if isinstance(settings, RobotDriveSideFit):
+                raise MethodError(
+                    "RobotDriveSideFit is of the drive side, and a loop is weighed by DIDIM; give RobotDIDIM."
+                )
             return identify_robot_from_torques(closing, records, settings, filtering=filtering, progress=told)
-        assert not isinstance(settings, RobotDIDIM)
+        if isinstance(settings, RobotDIDIM):
+            raise MethodError(
+                "RobotDIDIM is of a robot under its controllers; on the drive side give RobotDriveSideFit."
+            )
         return identify_robot_drive_side(closing.robot, records, settings, filtering=filtering, progress=told)
 
     one, other = identify(empty, "without the payload"), identify(loaded, "with it")
