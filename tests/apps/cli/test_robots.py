@@ -72,7 +72,7 @@ def test_validate(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_diagnose(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run("diagnose", folder / "robot.toml", "--json", tmp_path / "found.json")
     printed = " ".join(capsys.readouterr().out.split())
-    assert "The model explains the torques of all joints but for noise" in printed
+    assert "The model leaves little of every joint's torque, but what it leaves of joint1" in printed, "of reversals"
     answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.robot_diagnosis/1" and answer["explained"] and answer["as_declared"] is None
     assert answer["joints"][1]["parameters"]["Fv2"]["known"] == "told"

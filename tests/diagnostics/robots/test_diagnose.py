@@ -189,3 +189,15 @@ def test_the_sums_of_didim_are_those_of_its_parameters() -> None:
     own = {one.name: one for one in rows}
     assert own["joint2.coulomb"].joint == 1 and own["joint2.coulomb"].nominal == pytest.approx(1.5)
     assert own["joint2.coulomb"].known is Told.TOLD
+
+
+def test_little_that_is_left_is_not_called_noise_where_it_is_coloured() -> None:
+    """A friction that rises a little towards standstill, undeclared: small, and said all the same."""
+    records = records_of(arm(), 2, noise=0.002)
+    v = motion(2)[1][:, 3]
+    more = with_torque(records, 3, 0.1 * np.sign(v) * np.exp(-np.abs(v) / 0.15))
+    found = diagnose_robot(identify_robot(arm(), more), more)
+    joint = found.joints[3]
+    assert joint.explained and joint.coloured
+    assert "but for noise" not in found.answer and "joint4 is no white noise" in found.answer
+    assert any("which is little, but no white noise" in one and "stribeck_speed" in one for one in found.sentences)

@@ -145,6 +145,7 @@ def test_a_payload_is_weighed_on_the_drive_side() -> None:
         assert found.rows["mass"][way] == pytest.approx(3.0, rel=0.01)
     values, std = found.payload.properties
     assert np.mean(np.abs(values - TRUTH) < 2 * std) > 0.7
+    assert "the difference of two estimates, each with its own friction" in " ".join(found.summary().split())
 
 
 def test_what_is_not_told_of_a_payload_is_said() -> None:

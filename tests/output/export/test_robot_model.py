@@ -48,7 +48,7 @@ def test_what_is_lost_is_said() -> None:
     joints = (uneven, *robot.joints[1:5], coupled)
     text, lost = write_robot(replace(robot, joints=joints, gravity=-DOWN), Path("a.urdf"))
     assert [one.split(";")[0].split(",")[0] for one in lost] == [
-        "the constant parts of the motors' torques", "the friction backwards of joint1",
+        "the constant parts of the motors' torques", "that the friction of joint1 is another backwards",
         "what the friction of joint1 rises by towards standstill", "the coupling of the motors",
         "the rotors' inertias", "how the base stands",
     ]  # fmt: skip

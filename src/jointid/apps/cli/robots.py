@@ -39,7 +39,10 @@ def refuse(**options: object) -> None:
     """
     given = [f"--{name}" for name, value in options.items() if value]
     if given:
-        raise MethodError(f"{', '.join(given)} is for a joint file; a robot file says it itself: leave it out.")
+        raise MethodError(
+            f"{', '.join(given)} is for a joint file; a robot file says it itself, or --set for it, as "
+            "--set method.name=didim: leave it out."
+        )
 
 
 def identify_robot_file(

@@ -87,6 +87,11 @@ class JointDiagnosis:
         return self.whiteness.p_value > _SURE and not self._one_thing
 
     @property
+    def coloured(self) -> bool:
+        """True if what is left is little, but surely no white noise."""
+        return self.explained and self.whiteness is not None and self.whiteness.p_value <= _SURE
+
+    @property
     def law_holds(self) -> bool | None:
         """Whether the declared controller makes the logged torque; None where that is not seen."""
         if self.law is None:
@@ -110,6 +115,12 @@ class JointDiagnosis:
             )
         if not self.explained:
             found.append(self._unexplained())
+        elif self.coloured:
+            follows = f"; it follows {self.follows[0]}" if self.follows is not None and self._one_thing else ""
+            found.append(
+                f"{self.name}: the model leaves {100 * self.left:.3g} % of its torque, which is little, but no white "
+                f"noise{follows}. Where it matters try another friction: viscous_backwards, stribeck_speed."
+            )
         found += [
             f"{self.name}: its spring is refused, at least {number(one.at_least, 3)} {one.unit}; make it rigid in the "
             "robot file, or excite its mode, as with a multisine on top of the motion."
@@ -141,7 +152,11 @@ class JointDiagnosis:
             f"{self.name}: along the logged position the declared controller leaves {_percent(law.left)} of the torque"
         )
         if law.late and law.noise < _OF_ANY_LAW:
-            return f"{said}; it is {1e3 * law.late:.3g} ms later than declared: correct delay or time stamps."
+            when = f"{1e3 * abs(law.late):.3g} ms {'later' if law.late > 0.0 else 'earlier'}"
+            return (
+                f"{said}; what fits best acts {when} than declared: correct delay or time stamps, "
+                "or the gains, which may look like that."
+            )
         if law.noise < _OF_ANY_LAW:
             return f"{said}, which is {law.gain:.3g} times the law's: correct torque_constant, ratio or gains."
         return ""
@@ -227,11 +242,15 @@ class RobotDiagnosis(Documented):
     def answer(self) -> str:
         """What is to be known first."""
         bad = [one.name for one in self.joints if not one.explained]
-        first = (
-            f"The model does not explain the torque of {listed(bad)}."
-            if bad
-            else "The model explains the torques of all joints but for noise, as far as this record shows."
-        )
+        coloured = [one.name for one in self.joints if one.coloured]
+        first = "The model explains the torques of all joints but for noise, as far as this record shows."
+        if bad:
+            first = f"The model does not explain the torque of {listed(bad)}."
+        elif coloured:
+            first = (
+                f"The model leaves little of every joint's torque, but what it leaves of {listed(coloured)} is no "
+                "white noise."
+            )
         if self.as_declared is None:
             why = (
                 "is not seen apart from the model: no motor position and reference were logged"
@@ -243,7 +262,10 @@ class RobotDiagnosis(Documented):
             second = "The declared controllers make the logged torques of the logged positions."
         else:
             wrong = [one.name for one in self.joints if one.law_holds is False]
-            second = f"The declared controller of {listed(wrong)} does not make the logged torque: no DIDIM with it."
+            second = (
+                f"The declared controller of {listed(wrong)} does not make the logged torque of the logged positions: "
+                "unless these are noisy or rounded, do not rely on DIDIM with it."
+            )
         count = sum(len(one.asked) for one in self.joints)
         told = sum(len(one.names(Told.TOLD)) for one in self.joints)
         return f"{first} {second} The record tells {told} of {count} parameters to a tenth."

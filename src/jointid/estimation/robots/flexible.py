@@ -176,7 +176,7 @@ def require_springs(robot: Robot, frequencies: Mapping[str, float] | None) -> No
     if not flexible:
         raise MethodError(
             "No joint of this robot has a spring; give one a JointSpring, [joints.spring] of a robot file, or identify "
-            "it as rigid."
+            "it as rigid, by idim or didim."
         )
     if frequencies is not None and (missing := sorted(set(flexible) - set(frequencies))):
         raise MethodError(
@@ -309,6 +309,13 @@ class _End:
         return self.problem.weighted(joint_sizes(self.problem, error, slopes.shape[1], _least(self.problem)))
 
     @property
+    def converged(self) -> bool:
+        """Whether the search settled, or left no more than the simulation itself may err."""
+        error, _ = self.linearised()
+        left = np.linalg.norm(self.problem.by_joint(error), axis=1)
+        return self.solution.converged or bool(np.all(left <= _least(self.problem)))
+
+    @property
     def norm(self) -> float:
         """Of the weighted error that is left."""
         return float(np.linalg.norm(self.solution.residual))
@@ -336,7 +343,7 @@ class _End:
         if run.outcome is not RobotOutcome.FINISHED:
             return None
         J = -self.linearised()[1]
-        return conclude(self.problem, x, run, J, J, self.made, self.solution.converged, _least(self.problem))
+        return conclude(self.problem, x, run, J, J, self.made, self.converged, _least(self.problem))
 
 
 def _least(problem: RobotProblem[Any]) -> float:

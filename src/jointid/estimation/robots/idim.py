@@ -24,7 +24,7 @@ from jointid.common.document import Document, Documented, Facts, Heading, Listin
 from jointid.common.errors import MethodError
 from jointid.common.messages import no_choice
 from jointid.common.settings import check_settings, declare, documented, setting
-from jointid.common.text import interval, number
+from jointid.common.text import interval, listed, number
 from jointid.estimation.methods.linear import (
     Instruments,
     Rows,
@@ -52,6 +52,8 @@ from jointid.uncertainty.covariance import Covariance
 
 KNOWN = 0.1
 """Relative deviation: a parameter that is known better is told by the record."""
+
+_LEFT = 0.1  # of a joint's filtered torque: beyond, the model does not hold
 
 _WORDS = {
     "ols": "ordinary least squares",
@@ -194,6 +196,24 @@ class RobotEstimate(Documented):
             "motor position and gear.",
         )
 
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """Sentences on springs that the model has and IDIM has not, and on torque that is left."""
+        found = []
+        soft = [joint.name for joint in self.robot.joints if joint.spring is not None]
+        if soft:
+            found.append(
+                f"The robot file has springs at {listed(soft)}, and to IDIM every joint is rigid: that holds below a "
+                "fifth of the modes; lower filtering.cutoff to it, or identify by didim or drive_side."
+            )
+        bad = [name for name, left in zip(self.robot.names, self.joint_errors, strict=True) if left > _LEFT]
+        if bad:
+            found.append(
+                f"More than a tenth of the torque of {listed(bad)} is left: the model does not hold there, as where a "
+                "joint bends. jointid diagnose says what is left."
+            )
+        return tuple(found)
+
     def sums(self, prior: Robot) -> Sums:
         """Return base parameters and friction as sums of the numbers of a robot of this tree."""
         n, terms, size = len(prior), friction_terms(prior), len(self.base)
@@ -244,7 +264,7 @@ class RobotEstimate(Documented):
         return Document(
             f"{self.robot.name}: {len(self.base)} base parameters of {len(self.robot)} joints",
             (
-                *(Paragraph(one, lead=True, tone="bad") for one in self.objections),
+                *(Paragraph(one, lead=True, tone="bad") for one in (*self.objections, *self.cautions)),
                 Facts((("method", f"IDIM of a robot, {_WORDS[self.settings.estimator]}"),)),
                 errors_table(self.robot, errors, "of the record it was identified from"),
                 Table(("parameter", "value, 2 sigma", "unit", "sigma, %", "nominal"), rows, caption, (0, 1, 2)),

@@ -44,7 +44,10 @@ _WITHOUT = (
 _TWO = 2.0  # standard deviations of an interval
 _LEFT = 0.1  # of a joint's filtered torque: beyond, the model does not hold
 _TOLD = 0.5  # relative deviation: the interval of a parameter that is known worse holds 0
-_UNSETTLED = "The search did not settle: do not rely on what is below. Allow more evaluations, or look at the record."
+_UNSETTLED = (
+    "The search did not settle: do not rely on what is below. Allow more by method.{}, or record longer and livelier "
+    "motions."
+)
 
 
 def _evaluations() -> Any:
@@ -243,7 +246,7 @@ class RobotTorqueEstimate(Documented):
         hidden = len(self.fit.names) - len(rows)
         caption = self._known
         caption += f"; {hidden} more are not told from 0 by this record" if hidden else ""
-        good = self.fit.converged and not self._poor
+        good, longer = self.fit.converged and not self._poor, "evaluations" if self.springs else "iterations"
         sums = [
             (name, sum_of)
             for name, sum_of in zip(self.fit.names, self.fit.parameters.formulas(self.robot), strict=True)
@@ -257,7 +260,7 @@ class RobotTorqueEstimate(Documented):
             (
                 *((Paragraph(_WITHOUT, lead=True, tone="bad"),) if self._no_spring else ()),
                 *(
-                    (Paragraph(_UNSETTLED, lead=True, tone="bad"),)
+                    (Paragraph(_UNSETTLED.format(longer), lead=True, tone="bad"),)
                     if not (self.fit.converged or self._no_spring)
                     else ()
                 ),

@@ -21,6 +21,7 @@ from jointid.estimation.robots.regression import base_rows, motion_of_robot, rel
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 
+_ALIKE = 0.02  # of an error: two models whose errors differ by less are as good as each other
 _SAME = 1e-9  # relative: errors of two records never agree so closely
 
 
@@ -67,6 +68,8 @@ class RobotValidation(Documented):
                 f"The estimate leaves {mine} of this record; the nominal model cannot be compared, since it is "
                 "unstable under these controllers: give each joint's rotor_inertia, behind its gear."
             )
+        elif abs(_rms(self.joint_errors) - _rms(self.nominal_errors)) < _ALIKE * _rms(self.nominal_errors):
+            said = f"The estimate predicts this record as well as the nominal model: {mine} and {nominal}."
         elif self.better:
             said = f"The estimate predicts this record better than the nominal model: {mine} against {nominal}."
         else:
@@ -83,7 +86,8 @@ class RobotValidation(Documented):
                 f" Bodies near the nominal ones that fit the estimate predict {than} than these: "
                 f"{_percent(self.body_errors)}."
             )
-        useful = self.settled and (self.better or self.bodies_better)
+        least = min(_rms(self.joint_errors), np.inf if self.body_errors is None else _rms(self.body_errors))
+        useful = self.settled and least < (1.0 + _ALIKE) * _rms(self.nominal_errors)
         return Document(
             f"{self.robot.name}: torque on a record that the estimate has not seen",
             (

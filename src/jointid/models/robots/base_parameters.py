@@ -109,7 +109,8 @@ def base_parameters(robot: Robot, seed: int = 0) -> BaseParameters:
     first = order[np.array(kept[n:]) - n]
     grouping, offsets = np.zeros((first.size, 11 * n)), np.zeros((n, 11 * n))
     grouping[:, order], offsets[:, order] = sums[n:, n:], sums[:n, n:]
-    symbols, units = standard_symbols(robot), (*n * UNITS, *n * ("kg m2",))
+    rotors = tuple("kg" if link.kind == "prismatic" else "kg m2" for link in robot.links)
+    symbols, units = standard_symbols(robot), (*n * UNITS, *rotors)
     names = tuple(FrictionTerm(k, Friction.OFFSET).symbol for k in range(n))
     return BaseParameters(
         tuple(symbols[i] for i in first),

@@ -42,7 +42,7 @@ def write_robot(robot: Robot, path: Path) -> tuple[str, tuple[str, ...]]:
 
 def robot_urdf(robot: Robot) -> tuple[str, tuple[str, ...]]:
     """Return a robot as URDF, and a sentence for each part of it that URDF does not have."""
-    lost, robot = _lost(robot), _stiffened(robot)
+    lost, robot = _lost(robot), _simplified(robot)
     if np.any(robot.of_joints("rotor_inertia")):
         lost.append("the rotors' inertias")
     if not np.allclose(robot.gravity, _DOWN, atol=1e-3):
@@ -71,7 +71,7 @@ def robot_urdf(robot: Robot) -> tuple[str, tuple[str, ...]]:
 
 def robot_mjcf(robot: Robot) -> tuple[str, tuple[str, ...]]:
     """Return a robot as MJCF, and a sentence for each part of it that MJCF does not have."""
-    lost, robot = _lost(robot), _stiffened(robot)
+    lost, robot = _lost(robot), _simplified(robot)
     root = ET.Element("mujoco", model=robot.name)
     ET.SubElement(root, "compiler", angle="radian")
     ET.SubElement(root, "option", gravity=_numbers(robot.gravity))
@@ -104,7 +104,7 @@ def _lost(robot: Robot) -> list[str]:
         lost.append("the constant parts of the motors' torques")
     uneven = [joint.name for joint in robot.joints if joint.asymmetric]
     if uneven:
-        lost.append(f"the friction backwards of {', '.join(uneven)}; what is written is that forwards")
+        lost.append(f"that the friction of {', '.join(uneven)} is another backwards; what is written is the mean")
     rising = [joint.name for joint in robot.joints if joint.stribeck_force]
     if rising:
         lost.append(f"what the friction of {', '.join(rising)} rises by towards standstill")
@@ -115,23 +115,23 @@ def _lost(robot: Robot) -> list[str]:
     return lost
 
 
-def _stiffened(robot: Robot) -> Robot:
-    """Return a robot without springs, whose joints have the friction of both sides: what it is to slow motion."""
+def _simplified(robot: Robot) -> Robot:
+    """Return a robot whose joints are rigid, with the friction of both sides, the same in both directions."""
 
-    def stiff(joint: RobotJoint) -> RobotJoint:
-        spring = joint.spring
-        if spring is None:
-            return joint
-        back = None if joint.viscous_backwards is None else joint.viscous_backwards + spring.viscous
+    def simple(joint: RobotJoint) -> RobotJoint:
+        coulomb, offset = joint.coulomb_both
+        beyond = (0.0, 0.0) if joint.spring is None else (joint.spring.viscous, joint.spring.coulomb)
         return replace(
             joint,
-            viscous=joint.viscous + spring.viscous,
-            coulomb=joint.coulomb + spring.coulomb,
-            viscous_backwards=back,
+            viscous=0.5 * (joint.viscous + joint.viscous_back) + beyond[0],
+            coulomb=coulomb + beyond[1],
+            offset=offset,
+            viscous_backwards=None,
+            coulomb_backwards=None,
             spring=None,
         )
 
-    return replace(robot, joints=tuple(map(stiff, robot.joints)))
+    return replace(robot, joints=tuple(map(simple, robot.joints)))
 
 
 def _said(lost: list[str]) -> list[str]:
