@@ -231,14 +231,14 @@ def search_springs(
     hertz = look(start)
     problem = _bounded(problem, start)
     rough = problem.roughly()
-    end = _begin(rough, start, hertz, evaluations, progress)
+    errors = problem.error(rigid.run)
+    without = float(np.linalg.norm(errors * problem.weights(errors.size)))
+    end = _begin(rough, start, hertz, without, evaluations, progress)
     if end.solution.status is Status.NOT_EVALUABLE:
         raise MethodError(
             f"The robot cannot be simulated where its search begins: {rough.run(end.solution.x).outcome.value}. Give "
             "other frequencies, or a record in which all joints move more."
         )
-    errors = problem.error(rigid.run)
-    without = float(np.linalg.norm(errors * problem.weights(errors.size)))
     stiff = not end.solution.converged and end.norm > without
     if stiff:
         # No better than without springs: a robot that has none, or whose modes are high, is found from stiff ones.
@@ -376,17 +376,19 @@ def _begin(
     problem: RobotProblem[Any],
     start: StartOfSprings,
     hertz: Mapping[str, float],
+    without: float,
     evaluations: int,
     progress: Progress,
 ) -> _End:
     """Return where the first search leads, from these frequencies, Hz, and from others where it is not over soon.
 
-    Or where much of a joint's torque is left. A robot split into wrong rotors may look best on wrong frequencies, and
+    Or where much of a joint's torque is left; but not where it is more than the robot of rigid joints left, `without`:
+    such a robot may have no springs. A robot split into wrong rotors may look best on wrong frequencies, and
     the search then creeps. Of 200 random robots four did, and all came down from one frequency of all springs.
     """
     first = min(_FIRST, evaluations)
     best = _search(problem, start.begin(start.values(hertz)), _ROUGH, first, progress)
-    if best.solution.converged and not best.is_poor:
+    if (best.solution.converged and not best.is_poor) or best.norm > without:
         return best
     made, chosen = best.made, None
     for frequency in (f for f in _COMMON if f < _STIFF / problem.sample_time):
