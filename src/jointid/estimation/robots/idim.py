@@ -206,12 +206,8 @@ class RobotEstimate(Documented):
                 f"The robot file has springs at {listed(soft)}, and to IDIM every joint is rigid: that holds below a "
                 "fifth of the modes; lower filtering.cutoff to it, or identify by didim or drive_side."
             )
-        bad = [name for name, left in zip(self.robot.names, self.joint_errors, strict=True) if left > _LEFT]
-        if bad:
-            found.append(
-                f"More than a tenth of the torque of {listed(bad)} is left: the model does not hold there, as where a "
-                "joint bends. jointid diagnose says what is left."
-            )
+        if much := much_left(self.robot, self.joint_errors):
+            found.append(f"{much}: the model does not hold there, as where a joint bends. jointid diagnose says more.")
         return tuple(found)
 
     def sums(self, prior: Robot) -> Sums:
@@ -342,6 +338,17 @@ def _nominal(robot: Robot, base: BaseParameters, rows: Rows) -> FloatArray:
     for k, (error, seen) in enumerate(zip(left, columns, strict=True)):
         found.append(np.linalg.lstsq(seen[:, whose == k], error, rcond=None)[0])
     return np.concatenate([own, *found])
+
+
+def much_left(robot: Robot, errors: FloatArray) -> str:
+    """Return the beginning of a sentence on joints of whose torque too much is left; "" where there is none.
+
+    Args:
+        robot: whose joints they are.
+        errors: (n,) what is left of each joint's torque, as a share.
+    """
+    bad = [name for name, left in zip(robot.names, errors, strict=True) if left > _LEFT]
+    return f"More than a tenth of the torque of {listed(bad)} is left" if bad else ""
 
 
 def errors_table(robot: Robot, columns: Mapping[str, FloatArray], of_what: str) -> Table:

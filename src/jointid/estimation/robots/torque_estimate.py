@@ -25,7 +25,7 @@ from jointid.estimation.robots.consistent import Sums, can_be_near, consistent_r
 from jointid.estimation.robots.didim import RobotFit, identify_rigid_robot
 from jointid.estimation.robots.drive_side import RobotDriveSideProblem, drive_side_problem, identify_flexible_drive_side
 from jointid.estimation.robots.flexible import SpringVerdict, identify_flexible_robot
-from jointid.estimation.robots.idim import KNOWN, errors_table
+from jointid.estimation.robots.idim import KNOWN, errors_table, much_left
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
 from jointid.estimation.robots.problem import RobotLoopProblem, robot_problem
 from jointid.estimation.robots.validation import RobotValidation, require_unseen
@@ -42,7 +42,6 @@ _WITHOUT = (
     "excite the modes. How friction and inertia are split between motors and links below is not to be used."
 )
 _TWO = 2.0  # standard deviations of an interval
-_LEFT = 0.1  # of a joint's filtered torque: beyond, the model does not hold
 _TOLD = 0.5  # relative deviation: the interval of a parameter that is known worse holds 0
 _UNSETTLED = (
     "The search did not settle: do not rely on what is below. Allow more by method.{}, or record longer and livelier "
@@ -162,13 +161,12 @@ class RobotTorqueEstimate(Documented):
     @property
     def _poor(self) -> str:
         """Sentence on joints of whose torque too much is left; "" where there is none."""
-        bad = [name for name, left in zip(self.robot.names, self.joint_errors, strict=True) if left > _LEFT]
-        if not bad:
-            return ""
-        return (
-            f"More than a tenth of the torque of {listed(bad)} is left: the model does not hold there, or the search "
-            "ended in a wrong place. Do not rely on the intervals below; jointid diagnose says what is left."
+        much = much_left(self.robot, self.joint_errors)
+        said = (
+            "the model does not hold there, or the search ended in a wrong place. Do not rely on the intervals below; "
+            "jointid diagnose says what is left."
         )
+        return f"{much}: {said}" if much else ""
 
     @property
     def _known(self) -> str:
