@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from jointid.estimation.robots.didim import identify_rigid_robot
-from jointid.estimation.robots.flexible import StartOfSprings
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.problem import robot_problem
+from jointid.estimation.robots.spring_start import StartOfSprings
 from jointid.records.signals.filtering import Filtering
 from studies.robots import drives, judge, summarise
 

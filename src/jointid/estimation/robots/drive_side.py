@@ -32,7 +32,6 @@ from jointid.estimation.robots.didim import fixed_point
 from jointid.estimation.robots.flexible import (
     SLOW,
     FlexibleRobotFit,
-    StartOfSprings,
     require_frequencies,
     require_springs,
     search_springs,
@@ -40,6 +39,7 @@ from jointid.estimation.robots.flexible import (
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
 from jointid.estimation.robots.problem import RobotProblem, require_torques
 from jointid.estimation.robots.regression import RobotMotion, motion_of_robot
+from jointid.estimation.robots.spring_start import StartOfSprings
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, lowpass, window_parts

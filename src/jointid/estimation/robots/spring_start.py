@@ -1,0 +1,281 @@
+"""Where the search of a robot's springs begins: the robot of rigid joints, split into rotors, springs and links.
+
+It fixes sums: of both sides' friction, of rotor and link. These are split, what it says of each by how well it knows
+it, and each spring is given a frequency of rotor against link.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray, column_norms
+from jointid.common.errors import MethodError
+from jointid.common.messages import Progress
+from jointid.common.parallel import threads
+from jointid.common.parameters import Parameter
+from jointid.estimation.robots.didim import RobotFit
+from jointid.estimation.robots.numbers import RobotParameters
+from jointid.estimation.robots.problem import RobotProblem
+from jointid.simulation.closed_loop import in_threads
+from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers
+from jointid.simulation.robots import RobotOutcome
+
+STIFFEST = 0.15
+"""Of the sampling frequency: the highest mode that is looked for."""
+
+_POSES = 40  # along the references, over which inertias are averaged
+_SHARE = 0.5  # of the inertia about a joint, at most, that its rotor begins with
+_ROOM = 0.6  # of what the rotors can take before the links' mass matrix is not positive
+_SPREADS = (1.0, 0.3, 0.1, 0.03, 0.01)  # of the inertia about a joint: how far its rotor may be from what is wanted
+_LIGHTEST = 0.05  # of the inertia about a joint: a rotor that a search begins with
+_DAMPING = 0.03  # of critical, of the springs a search begins with
+_MODES = tuple(5.0 * 1.5**i for i in range(6))  # Hz: 5 to 38, the row in which a frequency is looked for
+_STIFF = 0.07  # of the sampling frequency: where a joint is as good as rigid, and still takes one step a period
+_SOFTEST = 1e-3  # of the sampling frequency: the lowest mode that is looked for
+_REACH = math.log(3.0)  # of a step: a stiffness or a rotor's inertia to at most so many times what it was
+_DAMPED = 5.0  # of a step: a spring's damping by at most so many times what it begins with
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Start:
+    """Where a search begins.
+
+    Attributes:
+        x: (parameters,) what is searched.
+        reach: (parameters,) how far one step may move each: rotors, springs and their damping not too far.
+    """
+
+    x: FloatArray
+    reach: FloatArray
+
+    @classmethod
+    def of(cls, parameters: RobotParameters, values: FloatArray) -> Start:
+        """Return a start at values of all parameters."""
+        damping = np.array([place.of is NumberOf.SPRING and place.column == 1 for place in parameters.places])
+        reach = np.where(parameters.logarithmic, _REACH, np.where(damping, _DAMPED * values, np.inf))
+        return cls(parameters.searched(values), reach)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StartOfSprings:
+    """The rigid robot split into rotors, springs and links.
+
+    Attributes:
+        problem: of the flexible robot. names: of its joints.
+        split: (parameters,) all but the springs.
+        rotors, links: (n,) inertias of the rotors, and of the links about the joints.
+        costs: (n,) norms of the joints' weighted errors on stiff springs.
+    """
+
+    problem: RobotProblem[Any]
+    names: tuple[str, ...]
+    split: FloatArray
+    rotors: FloatArray
+    links: FloatArray
+    costs: FloatArray
+
+    @classmethod
+    def of(cls, problem: RobotProblem[Any], rigid: RobotFit, names: tuple[str, ...]) -> StartOfSprings:
+        """Split a rigid robot: friction in halves, rotors as large as the links' mass matrix lets them be.
+
+        Of the rotors that the rigid robot tells apart from their links some it hardly knows, and with these as they are
+        the links' mass matrix may not be positive. So what is taken for granted of the rotors is more and more, until
+        the robot can be simulated on stiff springs.
+        """
+        numbers = problem.parameters.base
+        whole = rigid.parameters.numbers(rigid.values)
+        poses = problem.poses
+        masses = np.array([_mass_matrix(problem, whole, pose) for pose in poses[:: max(len(poses) // _POSES, 1)]])
+        if not np.min(np.linalg.eigvalsh(masses)) > 0.0:
+            raise MethodError(
+                "The robot of rigid joints that the search of springs begins with has a mass matrix that is not "
+                "positive in a pose of the record, so the record hardly tells the masses; move all joints faster, and "
+                "differently from each other, or longer."
+            )
+        about = np.mean(np.diagonal(masses, axis1=1, axis2=2), axis=0)
+        # Of a matrix M that is positive M - diag(r) is, too, for r up to this share of what each joint feels alone.
+        alone = np.min(1.0 / np.diagonal(np.linalg.inv(masses), axis1=1, axis2=2), axis=0)
+        root = 1.0 / np.sqrt(np.outer(alone, alone))
+        taken = min(float(np.linalg.eigvalsh(M * root)[0]) for M in masses)
+        wanted = np.where(numbers.flexible, np.minimum(_SHARE * about, _ROOM * taken * alone), 0.0)
+
+        def split(spread: float) -> tuple[StartOfSprings, bool]:
+            values, rotors = _split(problem.parameters, rigid, numbers, wanted, spread * about, _LIGHTEST * about)
+            costs = np.full(about.size, np.inf)
+            start = cls(problem, names, values, rotors, np.maximum(about - rotors, _LIGHTEST * about), costs)
+            run = problem.run(problem.parameters.searched(start.all_at(start.stiff)), keep=False)
+            if run.outcome is not RobotOutcome.FINISHED:
+                return start, False
+            error = problem.error(run)
+            return replace(start, costs=start._norms(error * problem.weights(error.size))), True
+
+        for first in range(0, len(_SPREADS), threads()):
+            for start, runs in in_threads(split, _SPREADS[first : first + threads()]):
+                if runs:
+                    return start
+        return start
+
+    def _norms(self, weighted: FloatArray) -> FloatArray:
+        """Return the norms of the joints' errors, (n,)."""
+        return np.asarray(np.linalg.norm(self.problem.by_joint(weighted), axis=1))
+
+    @property
+    def stiff(self) -> float:
+        """The frequency at which a flexible joint is as good as rigid, Hz."""
+        return _STIFF / self.problem.sample_time
+
+    def all_at(self, frequency: float) -> FloatArray:
+        """Return all parameters with one frequency of all springs."""
+        return self.values(dict.fromkeys(self.names, frequency))
+
+    def begin(self, values: FloatArray) -> Start:
+        """Return the start of a search at values of all parameters."""
+        return Start.of(self.problem.parameters, values)
+
+    def values(self, hertz: Mapping[str, float]) -> FloatArray:
+        """Return all parameters with springs of these frequencies, (parameters,)."""
+        values = self.split.copy()
+        for c, place in enumerate(self.problem.parameters.places):
+            if place.of is NumberOf.SPRING:
+                inertia = self.rotors[place.row] * self.links[place.row] / (self.rotors + self.links)[place.row]
+                w = 2.0 * math.pi * hertz[self.names[place.row]]
+                values[c] = inertia * w * w if place.column == 0 else 2.0 * _DAMPING * inertia * w
+        return values
+
+    def search(self, progress: Progress) -> dict[str, float]:
+        """Return a frequency for each flexible joint: of a row that with which its own torque is explained best.
+
+        All joints have the same frequency in a run: what one's spring does to the torques of others is small beside
+        what it does to its own, and a run for each joint and frequency would take as many times as long. Where a stiff
+        joint would explain its torque better than any of the row, its mode may be above them all: whether it is begun
+        at the best or at the highest is decided by the torques of all joints.
+        """
+        row = frequency_row(self.problem.sample_time)
+
+        def costs(values: FloatArray) -> FloatArray:
+            return self._norms(self.problem.residual(self.problem.parameters.searched(values)))
+
+        flexible = np.flatnonzero(self.problem.parameters.base.flexible)
+        own = np.array(in_threads(costs, [self.all_at(f) for f in row]))[:, flexible]
+        lowest = np.argmin(own, axis=0)
+        higher = np.where(np.min(own, axis=0) < self.costs[flexible], lowest, len(row) - 1)
+        ways = [{self.names[i]: row[k] for i, k in zip(flexible, way, strict=True)} for way in (lowest, higher)]
+        ways = ways[:1] if ways[0] == ways[1] else ways
+        whole = [float(np.linalg.norm(one)) for one in in_threads(costs, [self.values(way) for way in ways])]
+        best = ways[int(np.argmin(whole))]
+        for name, f in best.items():
+            progress(f"{name}: its mode is looked for from {f:.3g} Hz")
+        return best
+
+
+def frequency_row(sample_time: float) -> list[float]:
+    """Return the frequencies at which modes are looked for, Hz."""
+    row = [f for f in _MODES if f < _STIFF / sample_time]
+    if not row:
+        raise MethodError(
+            f"Modes are looked for from {_MODES[0]:g} Hz on, which records of {sample_time:g} s a sample do not show; "
+            "log faster, or leave the springs out."
+        )
+    return row
+
+
+def _mass_matrix(problem: RobotProblem[Any], numbers: RobotNumbers, pose: FloatArray) -> FloatArray:
+    """Return that of a robot of rigid joints, rotors included, (n, n)."""
+    from jointid.models.robots.equations import ROOM, equations_of_motion
+
+    still, room = np.zeros(pose.size), np.empty((pose.size, ROOM))
+    M = np.empty((pose.size, pose.size))
+    equations_of_motion(*problem.tree, numbers.inertials, pose, still, still, room, M, np.empty(pose.size))
+    return M + np.diag(numbers.masses[: pose.size, 0])
+
+
+def _split(
+    parameters: RobotParameters,
+    rigid: RobotFit,
+    numbers: RobotNumbers,
+    wanted: FloatArray,
+    spread: FloatArray,
+    lightest: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the parameters that move as the rigid robot does with stiff springs, and their rotors, (n,).
+
+    Least squares of what the rigid robot's parameters say, each as well as it is known, and of the wanted rotors.
+
+    Args:
+        parameters: of the flexible robot.
+        rigid: what was found of the rigid one.
+        numbers: of the flexible robot.
+        wanted: (n,) rotors.
+        spread: (n,) of these.
+        lightest: (n,) rotors that are not gone below.
+    """
+    rotors = wanted.copy()
+    known = dict(zip(rigid.parameters.places, rigid.values, strict=True))
+    joint_of = {int(row): j for j, row in enumerate(numbers.rotors)}
+    values = np.zeros(len(parameters.places))
+    shared = []  # inertias, and constant torques, as which a weight may act
+    for c, place in enumerate(parameters.places):
+        if place.of is NumberOf.LINK or (place.of is NumberOf.MASS and place.column in (0, 3)):
+            shared.append(c)
+        elif place.of is NumberOf.MASS:
+            joint = joint_of.get(place.row, place.row)
+            both = 0.5 if numbers.flexible[joint] else 1.0
+            found_of = [known.get(NumberPlace(NumberOf.MASS, joint, column), 0.0) for column in range(7)]
+            # The link's own friction is the same in both directions.
+            same = found_of[1] + 0.5 * (found_of[4] + found_of[5])
+            share = 1.0 if place.column == 6 else both  # what rises towards standstill is the motor's
+            values[c] = share * (same if place.column == 1 else found_of[place.column])
+    # What each of these is of the rigid robot's: itself if that has it, or else as it groups it.
+    kept, dropped = list(rigid.parameters.places), list(rigid.parameters.dropped)
+    weights = np.zeros((len(kept), len(shared)))
+    began = np.zeros(len(shared))
+    for i, c in enumerate(shared):
+        place = parameters.places[c]
+        if place.of is NumberOf.MASS:
+            began[i] = wanted[joint_of[place.row]] if place.column == 0 else 0.0
+            place = NumberPlace(NumberOf.MASS, joint_of[place.row], place.column)
+        if place in kept:
+            weights[kept.index(place), i] = 1.0
+        else:
+            weights[:, i] = rigid.parameters.grouping[:, dropped.index(place)]
+    felt = np.any(weights != 0.0, axis=1)
+    # What is known of them while the others are free: the end of a triangle that has these last.
+    last = np.column_stack([rigid.information[:, ~felt], rigid.information[:, felt]])
+    before = int(np.sum(~felt))
+    whiten = np.asarray(np.linalg.qr(last, mode="r"))[before:, before:]
+    places = [parameters.places[c] for c in shared]
+    mine = [i for i, place in enumerate(places) if place.of is NumberOf.MASS and place.column == 0]
+    near = np.zeros((len(mine), len(shared)))
+    near[np.arange(len(mine)), mine] = [1.0 / spread[joint_of[places[i].row]] for i in mine]
+    left = rigid.values[felt] - weights[felt] @ began
+    rows = np.vstack([whiten @ weights[felt], near])
+    norms = column_norms(rows)
+    target = np.concatenate([whiten @ left, np.zeros(len(mine))])
+    found = began + np.linalg.lstsq(rows / norms, target, rcond=None)[0] / norms
+    for i, c in enumerate(shared):
+        place = parameters.places[c]
+        values[c] = found[i]
+        if i in mine and numbers.flexible[joint_of[place.row]]:
+            j = joint_of[place.row]
+            values[c] = rotors[j] = max(float(found[i]), float(lightest[j]))
+    return values, rotors
+
+
+def bound_springs(problem: RobotProblem[Any], start: StartOfSprings) -> RobotProblem[Any]:
+    """Return the problem with each spring between the softest and the stiffest that are looked for."""
+    inertias = start.rotors * start.links / (start.rotors + start.links)
+    lowest, highest = (2.0 * math.pi * share / problem.sample_time for share in (_SOFTEST, STIFFEST))
+
+    def within(place: NumberPlace, parameter: Parameter) -> Parameter:
+        if parameter.symbol != "stiffness":
+            return parameter
+        ends = [math.log(inertias[place.row] * w * w) for w in (lowest, highest)]
+        return replace(parameter, lower=ends[0], upper=ends[1])
+
+    free = tuple(within(place, one) for place, one in zip(problem.parameters.places, problem.free, strict=True))
+    return replace(problem, parameters=replace(problem.parameters, parameters=free))
