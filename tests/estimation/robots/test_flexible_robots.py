@@ -47,6 +47,16 @@ def identified(
     return found, noise
 
 
+def test_a_record_without_noise_settles() -> None:
+    """As everyone's first trial has none: what is left is what the simulation itself errs."""
+    twin = two((12.0, 18.0))
+    found, _ = identified(twin, level=0.0)
+    assert found.fit.converged
+    assert max(found.fit.relative_error) < 1e-6
+    for spring, truth in zip(found.springs, RobotNumbers.of(twin.robot).springs[:, 0], strict=True):
+        assert spring.stiffness == pytest.approx(truth, rel=1e-6)
+
+
 def test_springs_come_back_with_their_intervals() -> None:
     twin = two((12.0, 18.0))
     found, noise = identified(twin)
