@@ -93,6 +93,13 @@ class Rosenbrock:
 START = np.array([-1.2, 1e-12])
 
 
+def test_a_search_is_over_where_its_residual_is_as_good_as_none() -> None:
+    """At a residual of 0 the error falls on to rounding, unless it is said what is enough."""
+    ends = [solve(Rosenbrock(), LevenbergMarquardt(1e-8, 500, enough=enough), START) for enough in (0.0, 1e-3)]
+    assert ends[1].converged and ends[1].evaluations < ends[0].evaluations
+    assert np.linalg.norm(ends[1].residual) <= 1e-3 and "no more than the problem itself may err" in ends[1].message
+
+
 def test_a_step_that_promises_nothing_is_not_made() -> None:
     """Near its end a search that asks what a step is worth evaluates a point less, and ends at the same place."""
     regression, made = REGRESSIONS[0], {}

@@ -48,12 +48,14 @@ class LevenbergMarquardt:
             the linear model holds may lower the error, and yet end where the torque depends on a parameter no more.
         worth: relative, of the criterion: a step of which the linear model promises less is not made, and nothing
             evaluated. For problems whose evaluations are dear; 0 makes every step.
+        enough: norm of a residual that is as good as none, where the search is over.
     """
 
     tolerance: float = 1e-8
     evaluations: int = 60
     reach: FloatArray | None = None
     worth: float = 0.0
+    enough: float = 0.0
 
     def solve(self, problem: Problem, start: FloatArray, watch: Watch) -> Solution:
         """Return where one descent ends; the trace begins with the start."""
@@ -63,7 +65,7 @@ class LevenbergMarquardt:
         trace, damping, used = [Step(x, float(np.linalg.norm(error)), counted.evaluations)], _DAMPING, 1
         little = False
         status, reach, share, idle = None if J.any() else Status.NOT_EVALUABLE, self.reach, 1.0, 0
-        while status is None and used < self.evaluations:
+        while status is None and used < self.evaluations and trace[-1].norm > self.enough:
             norm = trace[-1].norm
             step = damped_step(error, J, bounds.around(x).within(reach), damping, bounds.upper - bounds.lower)
             cut = reach is not None and bool(np.any(np.abs(step) >= _CUT * reach))
@@ -96,9 +98,12 @@ class LevenbergMarquardt:
                 share = min(_FARTHER * share, 1.0) if gained > 0.0 else shorter
                 reach = share * self.reach
             damping = max(damping * _EASIER, _LEAST) if gained > 0.0 else damping * _HARDER
-        status = status or Status.EVALUATION_LIMIT
+        enough = status is not Status.NOT_EVALUABLE and trace[-1].norm <= self.enough
+        status = Status.COST if enough else status or Status.EVALUATION_LIMIT
         message = explain(status, used, self.tolerance)
-        if little:
+        if enough:
+            message = "converged: what is left is no more than the problem itself may err"
+        elif little:
             message = f"converged: another step promises to lower the criterion by less than {100 * self.worth:.2g} %"
         return Solution(x, error, J, status, message, tuple(trace), counted.evaluations - before)
 

@@ -48,13 +48,13 @@ def identified(
 
 
 def test_a_record_without_noise_settles() -> None:
-    """As everyone's first trial has none: what is left is what the simulation itself errs."""
-    twin = two((12.0, 18.0))
+    """As everyone's first trial has none: the search is over where the simulation itself errs, soon."""
+    twin = two((8.0, 25.0))
     found, _ = identified(twin, level=0.0)
-    assert found.fit.converged
+    assert found.fit.converged and found.evaluations < 30
     assert max(found.fit.relative_error) < 1e-6
     for spring, truth in zip(found.springs, RobotNumbers.of(twin.robot).springs[:, 0], strict=True):
-        assert spring.stiffness == pytest.approx(truth, rel=1e-6)
+        assert spring.stiffness == pytest.approx(truth, rel=1e-4)
 
 
 def test_springs_come_back_with_their_intervals() -> None:

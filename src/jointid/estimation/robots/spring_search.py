@@ -25,6 +25,7 @@ from jointid.uncertainty.covariance import white
 
 _COMMON = 11.25, 16.875, 25.3125  # Hz of all springs, where the first search leads nowhere
 _TRIED = 6  # evaluations from each of them
+_FALLING = 0.7  # of its error before a step: a search that is on its way
 _POOR = 0.1  # of a joint's filtered torque: an error that is more than noise
 FIRST = 12  # evaluations, after which springs are looked for in what was found: with springs most searches are over
 OFF = 1e-3  # of the stiffest, on a logarithmic scale: a spring that is not at its bound
@@ -77,13 +78,6 @@ class End:
         return self.problem.weighted(joint_sizes(self.problem, error, slopes.shape[1], least_error(self.problem)))
 
     @property
-    def converged(self) -> bool:
-        """Whether the search settled, or left no more than the simulation itself may err."""
-        error, _ = self.linearised()
-        left = np.linalg.norm(self.problem.by_joint(error), axis=1)
-        return self.solution.converged or bool(np.all(left <= least_error(self.problem)))
-
-    @property
     def norm(self) -> float:
         """Of the weighted error that is left."""
         return float(np.linalg.norm(self.solution.residual))
@@ -96,6 +90,12 @@ class End:
             parameter.symbol == "stiffness" and 0.0 < std < 1.0 / _TWO and value < parameter.upper - OFF
             for parameter, std, value in zip(self.problem.free, known.std, x, strict=True)
         )
+
+    @property
+    def is_falling(self) -> bool:
+        """Whether the last step lowered the error by much, so that the search is on its way."""
+        trace = self.solution.trace
+        return len(trace) > 1 and trace[-1].norm < _FALLING * trace[-2].norm
 
     @property
     def is_poor(self) -> bool:
@@ -111,7 +111,7 @@ class End:
         if run.outcome is not RobotOutcome.FINISHED:
             return None
         J = -self.linearised()[1]
-        return conclude(self.problem, x, run, J, J, self.made, self.converged, least_error(self.problem))
+        return conclude(self.problem, x, run, J, J, self.made, self.solution.converged, least_error(self.problem))
 
 
 def least_error(problem: RobotProblem[Any]) -> float:
@@ -128,15 +128,16 @@ def begin_search(
     evaluations: int,
     progress: Progress,
 ) -> End:
-    """Return where the first search leads, from these frequencies, Hz, and from others where it is not over soon.
+    """Return where the first search leads, from these frequencies, Hz, and from others where that leads nowhere.
 
-    Or where much of a joint's torque is left; but not where it is more than the robot of rigid joints left, `without`:
-    such a robot may have no springs. A robot split into wrong rotors may look best on wrong frequencies, and
-    the search then creeps. Of 200 random robots four did, and all came down from one frequency of all springs.
+    That is where it creeps, or where much of a joint's torque is left; not where it is more than the robot of rigid
+    joints left, `without`, which may have no springs. A robot split into wrong rotors may look best on wrong
+    frequencies. Of 200 random robots four did, and all came down from one frequency of all springs.
     """
     first = min(FIRST, evaluations)
     best = search(problem, start.begin(start.values(hertz)), ROUGH, first, progress)
-    if (best.solution.converged and not best.is_poor) or best.norm > without:
+    over = not best.is_poor if best.solution.converged else best.is_falling
+    if over or best.norm > without:
         return best
     made, chosen = best.made, None
     for frequency in (f for f in _COMMON if f < start.stiff):
@@ -166,7 +167,8 @@ def search(problem: RobotProblem[Any], start: Start | End, aim: Aim, evaluations
             error, slopes = start.linearised()
             weights = problem.weights(error.size)
             counted.remember(x, error * weights, slopes * weights[:, np.newaxis])
-    solver = LevenbergMarquardt(aim.tolerance, evaluations, start.reach, aim.worth)
+    exact = least_error(problem) / float(np.max(problem.sigma))
+    solver = LevenbergMarquardt(aim.tolerance, evaluations, start.reach, aim.worth, exact)
     found = solve(counted, solver, x, watch)
     return End(problem, found, made + found.evaluations, start.reach, kept.run_at(found.x))
 
