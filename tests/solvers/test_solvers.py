@@ -52,6 +52,17 @@ def test_least_squares_gives_the_certified_digits(name: str, regression: Certifi
     assert end.jacobian == pytest.approx(regression.linearised(end.x)[1], rel=1e-9)
 
 
+@pytest.mark.parametrize("regression", [r for r in REGRESSIONS if r.name in ("Misra1b", "Lanczos3", "MGH09")])
+def test_the_order_of_the_rows_decides_nothing(regression: Certified) -> None:
+    """Sums in another order round differently, as another processor's do; a search ends all the same."""
+    rng = np.random.default_rng(9)
+    for _ in range(12):
+        order = rng.permutation(regression.y.size)
+        permuted = replace(regression, x=regression.x[order], y=regression.y[order])
+        end = solve(permuted, LEAST_SQUARES["Levenberg-Marquardt"], np.array(regression.starts[1]))
+        assert end.converged and regression.digits(end.x) > DIGITS
+
+
 @pytest.mark.parametrize("regression", [r for r in REGRESSIONS if r.name in ("Misra1a", "DanWood", "Rat42", "MGH09")])
 def test_a_simplex_gives_them_too(regression: Certified) -> None:
     size = float(np.linalg.norm(regression.y))

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 _DAMPING, _LEAST, _MOST = 1e-3, 1e-12, 1e12  # of the first step, in columns of norm 1; and its range
 _EASIER, _HARDER = 0.1, 5.0  # factors on the damping after a step that went down, and one that did not
 _SHORTER, _FARTHER = 0.25, 2.0  # factors on the reach of a step, likewise
-_PATIENCE = 8  # steps that change less than the tolerance
+_PATIENCE = 8  # steps that change less than the tolerance, or that are refused
+_RESOLVED = 1.5e-8  # relative decrease of the criterion that rounding can hide: the root of the machine precision
 _NEAREST = 1e-3  # of its reach: that of a step after many that failed
 _CUT = 0.999  # of its reach: a step that the reach has cut
 _IDLE = 1e-2  # of the residual
@@ -64,19 +65,19 @@ class LevenbergMarquardt:
         error, J = counted.linearised(x)
         trace, damping, used = [Step(x, float(np.linalg.norm(error)), counted.evaluations)], _DAMPING, 1
         little = False
-        status, reach, share, idle = None if J.any() else Status.NOT_EVALUABLE, self.reach, 1.0, 0
+        status, reach, share, idle, refused = None if J.any() else Status.NOT_EVALUABLE, self.reach, 1.0, 0, 0
         while status is None and used < self.evaluations and trace[-1].norm > self.enough:
             norm = trace[-1].norm
             step = damped_step(error, J, bounds.around(x).within(reach), damping, bounds.upper - bounds.lower)
             cut = reach is not None and bool(np.any(np.abs(step) >= _CUT * reach))
-            if self.worth > 0.0 and damping <= _DAMPING and not cut:
-                promised = 1.0 - (float(np.linalg.norm(error + J @ step)) / norm) ** 2 if norm else 0.0
-                if promised <= self.worth:
-                    status, little = Status.COST, True
-                    break
+            worthless = self.worth > 0.0 and damping <= _DAMPING and not cut
+            if worthless and _gain(norm, error + J @ step) <= self.worth:
+                status, little = Status.COST, True
+                break
             after, slopes = counted.linearised(x + step)
             used += 1
-            gained = 1.0 - (float(np.linalg.norm(after)) / norm) ** 2 if norm else 0.0
+            gained = _gain(norm, after)
+            refused = 0 if gained > 0.0 else refused + 1
             small = bool(np.all(np.abs(step) <= self.tolerance * np.abs(x)))
             if gained > 0.0:
                 x, error, J = x + step, after, slopes
@@ -87,7 +88,11 @@ class LevenbergMarquardt:
                 status = Status.STEP
             elif damping <= 1.0 and abs(gained) <= self.tolerance and not cut:
                 status = Status.COST
-            elif damping >= _MOST:
+            elif gained <= 0.0:
+                # At the minimum only rounding decides whether the criterion rises; a harder damping changes nothing.
+                limit = self.tolerance if refused < _PATIENCE else max(self.tolerance, _RESOLVED)
+                status = Status.COST if _gain(norm, error + J @ _whole_step(error, J, bounds, x)) <= limit else None
+            if status is None and damping >= _MOST:
                 status = Status.NO_DESCENT
             # Steps with a reach, long or short, that all change nothing have come to the end.
             idle = idle + 1 if reach is not None and abs(gained) <= self.tolerance else 0
@@ -106,6 +111,16 @@ class LevenbergMarquardt:
         elif little:
             message = f"converged: another step promises to lower the criterion by less than {100 * self.worth:.2g} %"
         return Solution(x, error, J, status, message, tuple(trace), counted.evaluations - before)
+
+
+def _gain(norm: float, after: FloatArray) -> float:
+    """Relative decrease of the criterion from a residual's norm to another residual."""
+    return 1.0 - (float(np.linalg.norm(after)) / norm) ** 2 if norm else 0.0
+
+
+def _whole_step(error: FloatArray, J: FloatArray, bounds: Bounds, x: FloatArray) -> FloatArray:
+    """Minimum of the linear model within the bounds, with the least damping."""
+    return damped_step(error, J, bounds.around(x), _LEAST, bounds.upper - bounds.lower)
 
 
 def damped_step(error: FloatArray, J: FloatArray, room: Bounds, damping: float, widths: FloatArray) -> FloatArray:
