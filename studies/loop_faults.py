@@ -30,12 +30,12 @@ def judge_fault(seed: int, loop: Loop, noise: Noise, fault: str) -> dict[str, st
     return {"fault": fault, "named": name_first(seed, loop, noise, fault)}
 
 
-def name_two(seed: int, loop: Loop, noise: Noise, fault: str) -> tuple[str, ...]:
-    """Return what is named where there is a fault or a pair of them, two at most, in order."""
-    where = setting(loop)
-    made = problem(where, on(loop, fault), noise, seed)
+def judge_pair(seed: int, pair: str) -> dict[str, list[str]]:
+    """Return the two faults that there are on loop L19 with a force in it, and what is named, two at most, in order."""
+    where = setting("L19")
+    made = problem(where, on("L19", pair), "disturbance", seed)
     found = find_faults(made, solved(made, where, 1e-4), LoopTests(most=2)).findings
-    return tuple(f.test.name for f in found)
+    return {"faults": pair.split(", "), "named": [one.test.name for one in found]}
 
 
 @dataclass(frozen=True, slots=True)

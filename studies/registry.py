@@ -10,13 +10,14 @@ from jointid.paper.twin import TABLE_2
 from jointid.tuning.margins import NAMES
 from studies.foretold import SUMS
 from studies.loop_faults import NOTHING
-from studies.margins import MarginRun
+from studies.margins import CHANGED, MarginRun
 from studies.random_plants import PlantRun
 from studies.refusals import FACTORS, INVISIBLE, PLAIN, StiffnessRun
 from studies.robots import Found
 from studies.stiffness_bounds import BoundRun
 from studies.study import Share, Study
 from tests.faults import FAULTS
+from tests.faults import PAIRS as FAULT_PAIRS
 from tests.mistakes import PAIRS, axis, mistakes_of, more_mistakes_of
 
 LEAST = {"motor_inertia": 0.207, "load_inertia": 0.114, "stiffness": 3003.0}
@@ -264,8 +265,8 @@ STUDIES: tuple[Study, ...] = (
         "Pairs of records of one axis, without a change and with one of the stated size (1 %, 90 %).",
         "studies.margins:judge_pair",
         range(30),
-        (*_changes("stiffness"), *_changes("load_inertia")),
-        ({"names": ["stiffness", "load_inertia"]},),
+        tuple(share for name in CHANGED for share in _changes(name)),
+        ({"names": list(CHANGED)},),
     ),
     Study(
         "false-alarms",
@@ -290,6 +291,17 @@ STUDIES: tuple[Study, ...] = (
             for fault in FAULTS
             for loop, noise in (("L19", "disturbance"), ("L30", "white"))
         ),
+    ),
+    Study(
+        "two-faults",
+        "The twin with two things wrong in loop or log.",
+        "studies.loop_faults:judge_pair",
+        range(1, 3),
+        (
+            Share("one of them is named first", lambda run: bool({*run["named"][:1]} & {*run["faults"]}), 0.95),
+            Share("both are named, and nothing else", lambda run: sorted(run["named"]) == sorted(run["faults"]), 0.8),
+        ),
+        tuple({"pair": pair} for pair in FAULT_PAIRS),
     ),
     Study(
         "mistakes",

@@ -25,7 +25,7 @@ class Program:
     """The program that made outcomes.
 
     Attributes:
-        commit: of the working tree. clean: whether the tree was that commit.
+        commit: of the working tree. clean: whether the tree was that commit, but for the documentation.
         date: of the run. processor: its model.
     """
 
@@ -37,7 +37,7 @@ class Program:
     @classmethod
     def here(cls) -> Program:
         """Return this program, now, on this machine."""
-        commit, changed = _git("rev-parse", "HEAD"), _git("status", "--porcelain")
+        commit, changed = _git("rev-parse", "HEAD"), _git("status", "--porcelain", "--", ".", ":!docs")
         return cls(commit, not changed, datetime.datetime.now(datetime.UTC).date().isoformat(), _processor())
 
 

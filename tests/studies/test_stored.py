@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 
 from studies import __main__ as command
-from studies.registry import STUDIES
 from studies.seeds import Judged, Task
-from studies.stored import ROOT, Entry, Program, fill_tables, read_entries, shown_studies, write_entries
+from studies.stored import Entry, Program, fill_tables, read_entries, shown_studies, write_entries
 from studies.study import Share, Study
 
 STUDY = Study(
@@ -63,19 +62,6 @@ def test_a_table_stands_between_its_markers() -> None:
     assert filled.startswith("before\n") and filled.endswith("<!-- end of studies -->\nafter\n")
     assert "replaced" not in filled
     assert fill_tables(filled, [STUDY], {"squares": entry()}) == filled
-
-
-def test_every_study_is_stored_as_it_is_and_within_its_claims() -> None:
-    stored = read_entries()
-    assert set(stored) == {study.name for study in STUDIES}
-    for study in STUDIES:
-        assert stored[study.name].is_of(study), study.name
-
-
-def test_the_documentation_has_the_stored_tables(capsys: pytest.CaptureFixture[str]) -> None:
-    shown = {name for page in (ROOT / "docs").rglob("*.md") for name in shown_studies(page.read_text(encoding="utf-8"))}
-    assert shown == {study.name for study in STUDIES}
-    assert command.main(["tables", "--check"]) == 0, capsys.readouterr().out
 
 
 @pytest.fixture
