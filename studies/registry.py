@@ -228,7 +228,7 @@ STUDIES: tuple[Study, ...] = (
         "bounds",
         "Random drives of unknown load friction and damping: a stiffness, or a bound of it.",
         "studies.stiffness_bounds:identify_plant",
-        range(30),
+        range(20),
         (
             Share("the drive is answered", _bounds(lambda run: not run.error), 0.97),
             Share(
@@ -253,7 +253,7 @@ STUDIES: tuple[Study, ...] = (
         "margins",
         "Margins that are stated of random flexible drives, beside those of the true joint.",
         "studies.margins:judge",
-        range(30),
+        range(20),
         (
             Share("margins are stated", lambda run: bool(run["stated"]), 0.95),
             Share("all of the present loop hold", _margins("present"), 0.95),
@@ -264,7 +264,7 @@ STUDIES: tuple[Study, ...] = (
         "changes",
         "Pairs of records of one axis, without a change and with one of the stated size (1 %, 90 %).",
         "studies.margins:judge_pair",
-        range(30),
+        range(20),
         tuple(share for name in CHANGED for share in _changes(name)),
         ({"names": list(CHANGED)},),
     ),
@@ -272,7 +272,7 @@ STUDIES: tuple[Study, ...] = (
         "false-alarms",
         "The twin with nothing wrong, on both loops with either noise.",
         "studies.loop_faults:name_first",
-        range(40),
+        range(25),
         (Share("nothing is named", lambda named: named == NOTHING, 0.95),),
         tuple(
             {"loop": loop, "noise": noise, "fault": NOTHING}
@@ -284,7 +284,7 @@ STUDIES: tuple[Study, ...] = (
         "faults",
         "The twin with one thing wrong in loop or log.",
         "studies.loop_faults:judge_fault",
-        range(1, 5),
+        range(1, 4),
         tuple(map(_fault, FAULTS)),
         tuple(
             {"loop": loop, "noise": noise, "fault": fault}
@@ -296,7 +296,7 @@ STUDIES: tuple[Study, ...] = (
         "two-faults",
         "The twin with two things wrong in loop or log.",
         "studies.loop_faults:judge_pair",
-        range(1, 3),
+        range(1, 2),
         (
             Share("one of them is named first", lambda run: bool({*run["named"][:1]} & {*run["faults"]}), 0.95),
             Share("both are named, and nothing else", lambda run: sorted(run["named"]) == sorted(run["faults"]), 0.8),
@@ -327,7 +327,7 @@ STUDIES: tuple[Study, ...] = (
         "learned",
         "Controllers of random loops, learned from noisy records.",
         "studies.learned:judge",
-        range(10),
+        range(6),
         (
             Share("the structure is right, or named among those alike", lambda run: run["right"] or run["named"], 0.95),
             Share("all numbers within 3 sigma", _all_within_3, 0.93),
@@ -349,7 +349,7 @@ STUDIES: tuple[Study, ...] = (
         "drive-gain",
         "A drive whose torque is 3 % more than its log says, from a known mass.",
         "studies.added_mass:judge_gain",
-        range(8000, 8020),
+        range(8000, 8015),
         (
             Share("the gain within 2 sigma", lambda run: abs(run["z"]) <= 2, 0.9),
             Share("the gain within 1.4 %", lambda run: abs(run["error"]) <= 0.014, 0.92),
@@ -361,7 +361,7 @@ STUDIES: tuple[Study, ...] = (
         "random-plants",
         "Random flexible drives of any size, identified from nothing.",
         "studies.random_plants:judge",
-        range(30),
+        range(20),
         (
             Share("the search ends at the noise", lambda run: PlantRun(**run).at_noise, 0.97),
             Share("within 150 simulations", lambda run: run["simulations"] <= 150, 0.5),
@@ -373,7 +373,7 @@ STUDIES: tuple[Study, ...] = (
         "random-starts",
         "Random flexible drives, from starts within a factor of ten.",
         "studies.random_plants:judge",
-        range(15),
+        range(10),
         (Share("the search ends at the noise", lambda run: PlantRun(**run).at_noise, 0.95),),
         ({"family": "prismatic", "spread": 10.0}, {"family": "rotary", "spread": 10.0}),
     ),
@@ -395,7 +395,7 @@ STUDIES: tuple[Study, ...] = (
         "wrong-loop",
         "The same loop, taken as declared, and an offset that is not declared.",
         "studies.loop_faults:is_flagged",
-        range(10_000, 10_010),
+        range(10_000, 10_005),
         (Share("something is named", lambda flagged: flagged, 0.98),),
         ({"noise": "white"}, {"noise": "disturbance"}),
     ),
@@ -403,7 +403,7 @@ STUDIES: tuple[Study, ...] = (
         "resting-servos",
         "Random rigid servos that stand when their log begins.",
         "studies.resting:judge",
-        range(20),
+        range(12),
         (
             Share("neither answer says that it moves", lambda run: not any(run["moves"]), 0.97),
             Share("both starts end at the same error", lambda run: run["apart"] <= 1.002, 0.97),
@@ -419,6 +419,6 @@ STUDIES: tuple[Study, ...] = (
         (Share("the answer says that it moves", lambda run: all(run["moves"]), 0.97),),
         ({"moving": True},),
     ),
-    _robots("rigid", False, range(20)),
-    _robots("flexible", True, range(20)),
+    _robots("rigid", False, range(12)),
+    _robots("flexible", True, range(12)),
 )
