@@ -94,7 +94,7 @@ def test_other_tasks_than_the_stored_ones_are_refused(
     only_squares: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(command, "STUDIES", (replace(STUDY, seeds=range(21)),))
-    assert command.main(["check"]) == 1
+    assert command.main(["check", "--draw", "abc"]) == 1
     assert "other tasks or shares than squares" in capsys.readouterr().out
 
 
