@@ -68,8 +68,9 @@ def _coverage(loop: Literal["L19", "L30"], noise: Literal["white", "disturbance"
         shares.append(Share(f"{_symbol(name)} above the truth", _above(name, "error"), 0.4, 0.6))
     shares += [
         Share("Fv1 + Fv2 in the reported 2 sigma", lambda run: abs(run["sum_error"]) <= 2, 0.93, 0.985),
-        Share("Fv1 and Fv2 said to be known by their sum", _is("inseparable"), 0.97),
-        Share("residual said to repeat with the motion", _is("repeats"), at_most=0.1),
+        Share("Fv1 and Fv2 said to be known by their sum", _is("inseparable"), 0.98),
+        Share("their correlation is -0.93 or stronger", lambda run: run["correlation"] <= -0.93, 0.99),
+        Share("residual said to repeat with the motion", _is("repeats"), at_most=0.08),
     ]
     if white:
         shares += [
@@ -80,9 +81,9 @@ def _coverage(loop: Literal["L19", "L30"], noise: Literal["white", "disturbance"
             Share(f"{_symbol(name)} within 2 of the least deviations", _least(name, best), 0.92)
             for name, best in LEAST.items()
         ]
-        shares.append(Share("residual said to be coloured", _is("white", False), at_most=0.1))
+        shares.append(Share("residual said to be coloured", _is("white", False), at_most=0.08))
     else:
-        shares.append(Share("residual said to be coloured", _is("white", False), 0.97))
+        shares.append(Share("residual said to be coloured", _is("white", False), 0.98))
     words = "white noise on the log" if white else "a white force in the loop"
     return Study(
         f"coverage-{loop}-{'log' if white else 'force'}".lower(),
@@ -309,7 +310,7 @@ STUDIES: tuple[Study, ...] = (
         "studies.named_causes:judge",
         (1,),
         (
-            Share("a wrong cause alone is not named", lambda run: not run["misled"], 0.97),
+            Share("a wrong cause alone is not named", lambda run: not run["misled"], 0.99),
             Share("three causes are named at most", lambda run: len(run["named"]) <= 3, 0.99),
             Share("the right cause is among those named", _is_named, 0.8),
         ),
@@ -351,7 +352,7 @@ STUDIES: tuple[Study, ...] = (
         "studies.added_mass:judge_gain",
         range(8000, 8015),
         (
-            Share("the gain within 2 sigma", lambda run: abs(run["z"]) <= 2, 0.9),
+            Share("the gain within 2 sigma", lambda run: abs(run["z"]) <= 2, 0.92),
             Share("the gain within 1.4 %", lambda run: abs(run["error"]) <= 0.014, 0.92),
             Share("the records are said to disagree", _is("differs"), at_most=0.15),
         ),
@@ -365,7 +366,7 @@ STUDIES: tuple[Study, ...] = (
         (
             Share("the search ends at the noise", lambda run: PlantRun(**run).at_noise, 0.97),
             Share("within 150 simulations", lambda run: run["simulations"] <= 150, 0.5),
-            Share("within 250 simulations", lambda run: run["simulations"] <= 250, 0.93),
+            Share("within 250 simulations", lambda run: run["simulations"] <= 250, 0.95),
         ),
         ({"family": "prismatic"}, {"family": "rotary"}),
     ),
@@ -383,7 +384,7 @@ STUDIES: tuple[Study, ...] = (
         "studies.loop_faults:judge_freed",
         range(10_000, 10_100),
         (
-            *_intervals(0.91, 0.985, "z"),
+            *_intervals(0.92, 0.98, "z"),
             *(
                 Share(f"{_symbol(name)} within 1 %", _within(name, 0.01, "relative"), 0.92)
                 for name in ("motor_inertia", "load_inertia", "stiffness")
