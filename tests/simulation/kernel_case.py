@@ -31,10 +31,10 @@ def bands(points: tuple[tuple[float, float], ...]) -> list[tuple[float, float, f
     return found
 
 
-def segments(plant: Plant) -> np.ndarray | None:
+def segments(plant: Plant) -> np.ndarray:
     """Return the kernel's rows for a spring and a friction in pieces: each side's, from the line through each piece."""
     if not (plant.pieces or plant.more1 or plant.more2):
-        return None
+        return kernels.NO_SEGMENTS
     pieces = plant.pieces or ((0.0, 0.0, plant.stiffness, plant.damping),)
     motor, load = bands(plant.more1), bands(plant.more2)
     steps = [len(motor) * len(load), len(load), 1]
@@ -135,7 +135,7 @@ def run(
         np.empty(len(states), dtype=np.int16),
         np.empty((0, kernels.TAPE)),
         counts,
-        np.array([*plant.gravity, float(plant.inertia2 is not None)]) if any(plant.gravity) else None,
+        np.array([*plant.gravity, float(plant.inertia2 is not None)]) if any(plant.gravity) else kernels.NO_GRAVITY,
         segments(plant),
     )
     return status, u, states[:: len(lengths)], counts

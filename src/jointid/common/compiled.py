@@ -37,15 +37,19 @@ def compiled(function: F) -> F:
     kernel: Any = _njit(function)
     if kernel is not function:  # it is where Numba is told not to compile
         try:
-            kernel._cache = KernelCache(function)
+            kernel._cache = KernelCache(function, kernel.targetoptions)
         except RuntimeError:  # there is no such folder
             warn_of_no_place()
     return cast("F", kernel)
 
 
 def inlined(function: F) -> F:
-    """Compile as part of every caller: Numba passes an array to a real call as seven values, and counts references."""
-    return _njit(function, forceinline=True)
+    """Compile as part of every caller: Numba passes an array to a real call as seven values, and counts references.
+
+    Python cannot call what comes of it, except where Numba is told not to compile: the wrappers that it would take cost
+    a fifth of the time to compile.
+    """
+    return _njit(function, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
 def _widened(_: Any) -> tuple[Any, Any]:
@@ -72,9 +76,27 @@ down for the first). A loop that is made of nothing else gains by them.
 """
 
 
-def _njit(function: F, *, forceinline: bool = False) -> F:
-    make = numba.njit(forceinline=forceinline, nogil=True, fastmath={"contract"}, error_model="numpy")
-    return cast("F", make(function))
+def _njit(function: F, **options: bool) -> F:
+    kernel: Any = numba.njit(nogil=True, fastmath={"contract"}, error_model="numpy", **options)(function)
+    if kernel is not function:  # it is where Numba is told not to compile
+        template = kernel.get_call_template
+
+        def without_literals(args: tuple[Any, ...], kws: dict[str, Any]) -> Any:
+            return template(tuple(types.unliteral(arg) for arg in args), kws)
+
+        # Numba takes a constant argument for a type of its own, and compiles the function again for each.
+        kernel.get_call_template = without_literals
+    return cast("F", kernel)
+
+
+@inlined
+def assign(to: FloatArray, values: FloatArray) -> None:
+    """Copy a vector into another of the same length.
+
+    A slice on the left does the same, but brings the text of its error along, which takes a second to compile.
+    """
+    for i in range(values.size):
+        to[i] = values[i]
 
 
 @inlined
@@ -145,11 +167,11 @@ def respond(
     phases, rows = starts.shape[0], starts.shape[1] - 1
     order, elements = z.size, limits.size
     now = np.zeros(order + width + elements)
-    now[:order] = z
+    assign(now[:order], z)
     new = np.zeros(order)
     for k in range(periods):
         phase = k % phases
-        now[order : order + width] = inputs[k]
+        assign(now[order : order + width], inputs[k])
         for row in range(rows):
             total = 0.0
             for at in range(starts[phase, row], starts[phase, row + 1]):
@@ -167,8 +189,8 @@ def respond(
                     cut = np.copysign(limits[row], total) - total
                 excess[k, row] = cut
             now[order + width + row] = excess[k, row]
-        now[:order] = new
-    z[:] = now[:order]
+        assign(now[:order], new)
+    assign(z, now[:order])
 
 
 _ROWS = 64  # of a block: with some hundred columns it stays in the cache

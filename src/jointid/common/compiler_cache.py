@@ -1,6 +1,8 @@
 """The cache of compiled kernels on disk: one that is damaged, empty or cannot be written never ends a command.
 
-A kernel is compiled anew where a file of its folder has changed, as Numba itself looks at that of the kernel alone.
+A kernel is compiled anew where its code, that of a function it calls, or a constant it reads has changed: these make
+its stamp. Numba's own stamp, the time of the kernel's file, misses what the kernel takes from other files and changes
+with every copy of the file. Where several processes need a kernel, one compiles it and the others wait for it.
 
 What Numba reads back is machine code, and it looks at nothing before it runs it. Here it is kept behind its checksum.
 What does not fit, or cannot be read, is compiled again; what cannot be written is compiled in every process. Either way
@@ -10,16 +12,22 @@ a warning names the folder.
 from __future__ import annotations
 
 import hashlib
+import os
 import pickle
+import re
+import time
 import warnings
 from functools import cache
 from pathlib import Path
+from types import CodeType, FunctionType
 from typing import Any
 
+import numpy as np
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.serialize import dumps
 
 _DIGEST = hashlib.sha256().digest_size
+_PATIENCE, _PAUSE = 120.0, 0.05  # seconds to wait for another process, and between two looks
 
 
 class CacheWarning(UserWarning):
@@ -29,14 +37,26 @@ class CacheWarning(UserWarning):
 class KernelCache(FunctionCache):
     """The cache of one kernel."""
 
-    def __init__(self, function: Any) -> None:
+    def __init__(self, function: Any, options: dict[str, Any]) -> None:
         super().__init__(function)
-        kept = self._cache_file
-        stamp = kept._source_stamp, *_stamps_beside(function.__code__.co_filename)
-        self._cache_file = _CheckedFile(kept._cache_path, self._impl.filename_base, stamp)
+        self._function, self._options = function, options
+        # Numba's names have the line of the function: that moves with every edit above it.
+        base = re.sub(r"-\d+(?=\.py\d)", "", self._impl.filename_base)
+        self._cache_file = _CheckedFile(self._cache_path, base, None)
+        self._turn = _Turn(Path(self._cache_path) / f"{base}.lock")
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return a compiled kernel, None where there is none that can be trusted."""
+        """Return a compiled kernel, None where there is none that can be trusted and this process is to compile it."""
+        if self._cache_file._source_stamp is None:  # not before all that it calls is defined
+            self._cache_file._source_stamp = _stamp(self._function, self._options)
+        found = self._load(sig, target_context)
+        if found is None and self._turn.wait():
+            found = self._load(sig, target_context)
+            if found is not None:
+                self._turn.end()
+        return found
+
+    def _load(self, sig: Any, target_context: Any) -> Any:
         try:
             return super().load_overload(sig, target_context)
         except PermissionError:  # it cannot be written either, which is said then
@@ -51,15 +71,77 @@ class KernelCache(FunctionCache):
             super().save_overload(sig, data)
         except Exception as error:
             _warn_of_place(self.cache_path, getattr(error, "strerror", None) or type(error).__name__)
+        finally:
+            self._turn.end()
 
 
-def _stamps_beside(source: str) -> list[tuple[str, int, int]]:
-    """Return name, time and size of the files in a kernel's folder: it may have compiled in what one of them says."""
-    try:
-        found = [(file.name, file.stat()) for file in sorted(Path(source).parent.glob("*.py"))]
-    except OSError:  # such as in an archive
-        return []
-    return [(name, about.st_mtime_ns, about.st_size) for name, about in found]
+class _Turn:
+    """The right to compile one kernel, held by one process at a time; without file locks every process has it."""
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._file = path, -1
+
+    def wait(self) -> bool:
+        """Take the turn; return whether another process had it meanwhile, and may have left the kernel."""
+        try:
+            import fcntl
+
+            if self._file < 0:
+                self._path.parent.mkdir(parents=True, exist_ok=True)
+                self._file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        except (ImportError, OSError):  # Windows, or a folder that cannot be written
+            return False
+        began = time.monotonic()
+        waited = False
+        while time.monotonic() - began < _PATIENCE:
+            try:
+                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                waited = True
+                time.sleep(_PAUSE)
+            except OSError:  # a file system without locks
+                return waited
+            else:
+                return waited
+        return waited
+
+    def end(self) -> None:
+        """Give the turn to the next process."""
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
+
+
+def _stamp(function: FunctionType, options: dict[str, Any]) -> str:
+    """Return a digest of a function's code, of all functions that it calls, and of the constants that it reads."""
+    seen: set[int] = set()
+    told: list[str] = [repr(sorted(options.items()))]
+
+    def describe(value: Any) -> None:
+        value = getattr(value, "py_func", getattr(value, "_defn", value))  # of a kernel, of an intrinsic of Numba's
+        if isinstance(value, FunctionType):
+            if id(value) not in seen:
+                seen.add(id(value))
+                describe_code(value.__code__, value.__globals__)
+        elif isinstance(value, np.ndarray):
+            told.append(f"{value.dtype}{value.shape}{value.tobytes()!r}")
+        elif isinstance(value, type):
+            told.append(f"{value.__qualname__}{getattr(value, '_fields', ())}")
+        elif isinstance(value, (bool, int, float, str, tuple, np.generic)):
+            told.append(repr(value))
+
+    def describe_code(code: CodeType, names: dict[str, Any]) -> None:
+        told.append(f"{code.co_name}{code.co_code!r}{code.co_names}{code.co_varnames}")
+        for constant in code.co_consts:
+            if isinstance(constant, CodeType):
+                describe_code(constant, names)
+            elif not isinstance(constant, str):  # kernels have no strings but their docstrings
+                told.append(repr(constant))
+        for name in code.co_names:
+            describe(names.get(name))
+
+    describe(function)
+    return hashlib.sha256("\n".join(told).encode()).hexdigest()
 
 
 class _CheckedFile(IndexDataCacheFile):

@@ -244,8 +244,10 @@ def run(
         far = experiment.far + abs(position)
         if beyond is None:
             status = kernels.run(
-                drive, *common, *beginning, far, command, tapped, excess, states, modes, tape, counts, gravity, segments
-            )
+                drive, *common, *beginning, far, command, tapped, excess, states, modes, tape, counts,
+                kernels.NO_GRAVITY if gravity is None else gravity,
+                kernels.NO_SEGMENTS if segments is None else segments,
+            )  # fmt: skip
         else:
             status = stepped_drive.run(
                 drive, beyond, places, *common, *beginning, sliding, far, command, tapped, excess, states,

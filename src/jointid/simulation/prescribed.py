@@ -250,7 +250,8 @@ class _Load:
             status = kernels.run(
                 drive, np.array([motion.step]), np.zeros(1, dtype=np.int64), none, kernels.NO_FEEDBACK,
                 push[np.newaxis], nothing, push[0], _start(joint, motion, values), math.inf, np.empty(n), none,
-                np.empty((0, 1)), states, modes, tape, counts, gravity,
+                np.empty((0, 1)), states, modes, tape, counts, kernels.NO_GRAVITY if gravity is None else gravity,
+                kernels.NO_SEGMENTS,
             )  # fmt: skip
             if status != kernels.FINISHED:
                 return None
@@ -314,7 +315,8 @@ class _Load:
             self.push, np.zeros(n), self.push[0], np.empty((0, 1)), kernels.NO_FEEDBACK, self.drive, seeds,
             explained, len(names) - len(explicit), np.zeros(width), np.zeros((1, width)), start,
             np.zeros((0, width)), np.empty((width, n)), np.empty((width, 0)), states,
-            self.gravity, None if self.gravity is None else weights,
+            kernels.NO_GRAVITY if self.gravity is None else self.gravity, weights, kernels.NO_SEGMENTS,
+            np.zeros((0, kernels.SEGMENT, width)),
         )  # fmt: skip
         return states[:, :2, : len(names)]
 

@@ -55,7 +55,7 @@ def columns_of(
 
         def fill(span: NDArray[np.intp]) -> None:
             inside = slice(span[0], span[-1] + 1)
-            regressor_columns(*tree, q[inside], v[inside], a[inside], whose, which, where, lines[:, inside])
+            regressor_columns(*tree, q[inside], v[inside], a[inside], whose, which, where, span[0], lines)
 
         in_threads(fill, [span for span in spans if span.size])
     return [(own, lines[end - own.size : end].T) for own, end in zip(felt, ends, strict=True)]

@@ -191,13 +191,14 @@ def _followed(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tupl
 
     The first are (periods, lanes), the last (periods * parts, 4, lanes).
     """
+    from jointid.simulation.kernels import drive as kernels
     from jointid.simulation.kernels import drive_sensitivities as sensitivity_kernels
     from jointid.simulation.kernels import stepped_sensitivities
 
     experiment, joint = out.experiment, out.loop.joint
     law, width = experiment.feedback, sensitivity_kernels.LANES
     segments = out.segments
-    pieces = np.zeros((0, 0, width) if segments is None else (*segments.shape, width))
+    pieces = np.zeros((*(kernels.NO_SEGMENTS if segments is None else segments).shape, width))
     seeds, weights, start = np.zeros((14, width)), np.zeros((3, width)), np.zeros((4, width))
     memory, delay, limits = np.zeros((law.order, width)), np.zeros(width), np.zeros((law.limits.size, width))
     explicit, by_name = [], _seeds(joint)
@@ -241,8 +242,8 @@ def _followed(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tupl
     if out.beyond is None:
         sensitivity_kernels.follow(
             experiment.lengths, experiment.lags, out.states, out.modes, out.tape, int(out.counts[1]), *driven,
-            explained, of_law, *moves, out.gravity, None if out.gravity is None else weights, segments,
-            None if segments is None else pieces,
+            explained, of_law, *moves, kernels.NO_GRAVITY if out.gravity is None else out.gravity, weights,
+            kernels.NO_SEGMENTS if segments is None else segments, pieces,
         )  # fmt: skip
     else:
         stepped_sensitivities.follow_steps(

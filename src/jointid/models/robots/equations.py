@@ -30,7 +30,7 @@ import math
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.compiled import compiled, inlined
+from jointid.common.compiled import assign, compiled, inlined
 from jointid.models.robots.dynamics import PARAMETERS, REVOLUTE, IntArray, regressor
 from jointid.models.robots.spatial import (
     ZERO,
@@ -218,7 +218,7 @@ def equations_of_motion(
             _hand_down(room, i, parents[i], _MASS, _W)
     if coupled:
         to_shafts(joints, M)
-        torque[:] = of_joints(joints.T, torque)
+        assign(torque, of_joints(joints.T, torque))
 
 
 @inlined
@@ -310,9 +310,9 @@ def linearised_equations(
 def regressor_columns(
     parents: IntArray, kinds: IntArray, axes: FloatArray, rotations: FloatArray, origins: FloatArray,
     gravity: FloatArray, joints: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray,
-    rows: IntArray, columns: IntArray, at: IntArray, out: FloatArray,
+    rows: IntArray, columns: IntArray, at: IntArray, first: int, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Fill lines of `out`, (lines, samples), with some numbers of the regressor along a motion, (samples, n) each.
+    """Fill lines of `out` with some numbers of the regressor along a motion, (samples, n) each, from sample `first` on.
 
     Rows, columns and `at`, (numbers,), are whose torque by which of the 10 n inertial parameters goes to which line.
     """
@@ -323,9 +323,9 @@ def regressor_columns(
             place, speed, turn = of_joints(joints, q[t]), of_joints(joints, v[t]), of_joints(joints, a[t])
             regressor(parents, kinds, axes, rotations, origins, gravity, place, speed, turn, Y)
             for c in range(PARAMETERS * n):
-                turned[:] = of_joints(joints.T, Y[:, c])
-                Y[:, c] = turned
+                assign(turned, of_joints(joints.T, Y[:, c]))
+                assign(Y[:, c], turned)
         else:
             regressor(parents, kinds, axes, rotations, origins, gravity, q[t], v[t], a[t], Y)
         for k in range(at.size):
-            out[at[k], t] = Y[rows[k], columns[k]]
+            out[at[k], first + t] = Y[rows[k], columns[k]]

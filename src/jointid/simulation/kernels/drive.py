@@ -15,8 +15,10 @@ A rigid joint is the same drive with no spring and a load that nothing pushes: t
 A spring in pieces is affine in each segment of its deflection, and a friction in pieces in each band of a speed. So a
 segment, a box of deflection and both speeds, is a drive of its own, with what its lines have at no deflection and no
 speed among the constant forces. Segments are modes like those of friction: each has its maps, the proofs have a chord
-more for each side of the box, and reaching one is one event more; the force goes on there where it was. A joint with
-a linear spring and one line of friction in each direction is compiled without any of it.
+more for each side of the box, and reaching one is one event more; the force goes on there where it was.
+
+One compiled form serves all drives, since compiling takes seconds: a drive without segments or gravity has arrays of no
+length for them.
 
 Gravity depends on the position, but slowly: over a part of a period it is held, as the torque is, at what it is in
 mid-part (`_gravity`), and a held force on the load needs nothing new (see `run`). What holding costs is an error of
@@ -35,7 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.compiled import compiled, inlined
+from jointid.common.compiled import assign, compiled, inlined
 from jointid.simulation.kernels.polynomial import ORDER, ROOM, SOUGHT, first_root, value_at
 
 IntArray: TypeAlias = NDArray[np.int64]
@@ -165,6 +167,9 @@ NO_FEEDBACK = Feedback(
     np.zeros((1, 1, 1)), np.full(1, np.inf), np.full(1, -1, dtype=np.int64), np.zeros((0, 0)), 0, 0,
 )  # fmt: skip
 """That of a torque which is prescribed: its response is all there is."""
+
+NO_GRAVITY = np.zeros(0)
+NO_SEGMENTS = np.zeros((0, SEGMENT))
 
 
 @inlined
@@ -473,7 +478,7 @@ def _first_event(
 @inlined
 def _travel(
     c: FloatArray, p: Drive, x: State, m1: int, m2: int, s: float, h: float, longest: float,
-    tape: FloatArray, row: int, part: int, segments: FloatArray | None, segment: int,
+    tape: FloatArray, row: int, part: int, segments: FloatArray, segment: int,
 ) -> tuple[State, int, int, int, int, int]:  # fmt: skip
     """Move `x` over `h` seconds under a held torque `s` with every event located.
 
@@ -493,7 +498,7 @@ def _travel(
         loose1, loose2 = m1 != 0 and known1 == 2, m2 != 0 and known2 == 2
         _series(c, p, _motion(p, m1, m2), (x0, x1, x2, x3), s, step, loose1, loose2)
         first, mass, loose = _first_event(c, p, s, m1, m2, known1, known2)
-        if segments is not None:
+        if segments.shape[0] > 0:
             first, mass, loose = _first_edge(c, segments[segment], m1, m2, crossed, first, mass, loose)
         t = min(first, 1.0)
         taped = row + steps - 1
@@ -508,7 +513,7 @@ def _travel(
             known1, known2 = 0, 0
             back1, back2 = False, False
             crossed = 0
-        if segments is not None and first <= 1.0 and mass == _EDGE:
+        if first <= 1.0 and mass == _EDGE:
             further = int(segments[segment, _STEPS + abs(loose) - 1])
             segment, crossed = segment + (further if loose > 0 else -further), -loose
             p, _ = _drive_of(segments, segment)
@@ -685,7 +690,7 @@ def _rest(
 def _glide(
     resting: bool, p: Drive, law: _Law, w: FloatArray, post: FloatArray, u: FloatArray, states: FloatArray,
     m: FloatArray, b: int, m1: int, m2: int, z: tuple[float, float], x: State, bound: float, last: float, k: int,
-    edges: _Segment | None, reach: float,
+    pieces: bool, edges: _Segment, reach: float,
 ) -> tuple[int, int, State, tuple[float, float]]:  # fmt: skip
     """Simulate from period `k` while a chord shows that nothing happens; `resting` if one mass stands still.
 
@@ -738,7 +743,7 @@ def _glide(
                 room2 = 1e-300 + min(p.coulomb2 + (p.offset2 + least), p.coulomb2_back - (p.offset2 + most))
         if not (room1 > chord1 * bound and room2 > chord2 * bound):
             break
-        if edges is not None:
+        if pieces:
             here, there = (x0, d1 * x1, x2, d2 * x3), (y0, d1 * y1, y2, d2 * y3)
             if not _within(edges, here, there, reach * bound, m1, m2, chord1 * bound, chord2 * bound):
                 break
@@ -767,8 +772,8 @@ def run(
     modes: NDArray[np.int16],
     tape: FloatArray,
     counts: IntArray,
-    gravity: FloatArray | None = None,
-    segments: FloatArray | None = None,
+    gravity: FloatArray,
+    segments: FloatArray,
 ) -> int:
     """Simulate one loop; fill `u`, `tapped`, `excess`, `states`, `modes` and `tape` and return how it ended.
 
@@ -794,24 +799,28 @@ def run(
         tape: (rows, TAPE) out, the Taylor steps of the parts with events; their number is counted beyond the rows, too.
         counts: (4,) out: events, Taylor steps, periods simulated, periods at the limit.
         gravity: (5,) factors of the cosine and the sine of an angle, and of the position; the angle per position; 1 if
-            it is the load's, whose spring then holds it, and 0 if it is the motor's. Where there is none the compiler
-            leaves out all that it would take.
+            it is the load's, whose spring then holds it, and 0 if it is the motor's; or (0,) where there is none.
         segments: (segments, SEGMENT) of a spring or a friction in pieces: the coefficients of the drive in each; where
             it begins and ends in the deflection and in the speeds of motor and load; and how many rows further the
-            next one of each of the three is. `drive` is not read then. None of a drive in one piece, and not beside
-            gravity.
+            next one of each of the three is. `drive` is not read then. (0, SEGMENT) of a drive in one piece, and
+            beside gravity.
     """
     n, parts, nz = w.shape[1], lengths.size, z.size
     p = drive_of(drive)
-    fastest, count, segment, edges, reach = _fastest_rate(p), 1, 0, None, 0.0
-    if segments is not None:
-        count, reach = segments.shape[0], _reach(segments, np.max(lengths))
+    part_length = 0.0
+    for part in range(parts):
+        part_length = max(part_length, lengths[part])
+    hanging, pieces = gravity.size > 0, segments.shape[0] > 0
+    fastest, count, segment, reach = _fastest_rate(p), 1, 0, 0.0
+    edges = _Segment(-np.inf, np.inf, 0.0, np.inf, 0.0, np.inf)
+    if pieces:
+        count, reach = segments.shape[0], _reach(segments, part_length)
         for i in range(count):
             fastest = max(fastest, _fastest_rate(_drive_of(segments, i)[0]))
         segment = _find_segment(segments, x)
         p, edges = _drive_of(segments, segment)
     longest = _STEP / fastest
-    if np.max(lengths) > _PIECES * longest:
+    if part_length > _PIECES * longest:
         return TOO_STIFF
     maps = np.empty(parts * 9 * count * _MAP)
     filled = np.zeros(9 * count, dtype=np.bool_)
@@ -824,15 +833,17 @@ def run(
     events, steps, clipped = 0, 0, 0
     status = FINISHED
     alone = feedback.D.size == 1 and feedback.driven.shape[0] == 0  # one phase, one element
-    simple = parts == 1 and nz <= 2 and alone and gravity is None
+    simple = parts == 1 and nz <= 2 and alone and not hanging
     a = _small(feedback, nz if simple else 0)
     direct, limit, sole = feedback.D[0, 0], feedback.limits[0], w[0]
     law = _Law(a[0], a[1], a[2], a[3], a[4], a[5], a[6], a[7], a[8], a[9], direct, nz == 2, limit, lags[0], before)
     memory = z[0] if simple and nz > 0 else 0.0, z[1] if simple and nz > 1 else 0.0
     bound, last = np.inf, 0.0
-    if gravity is not None:
+    g, slid, since = _Gravity(0.0, 0.0, 0.0, 0.0, False), 0.0, lengths[0]
+    if hanging:
         g = _Gravity(gravity[0], gravity[1], gravity[2], gravity[3], gravity[4] > 0.0)
-        slid, since = x3 if g.of_load else x1, lengths[0]
+        slid = x3 if g.of_load else x1
+    stood, hung = 0.0, 0.0
     k = 0
     while k < n and status == FINISHED:
         if simple:
@@ -845,12 +856,12 @@ def run(
             if m1 != 0 and m2 != 0:
                 k, limited, start, memory = _glide(
                     False, p, law, sole, post, u, states, maps, b, m1, m2, memory, start, bound, last, k,
-                    edges, reach,
+                    pieces, edges, reach,
                 )  # fmt: skip
             elif m1 != 0 or m2 != 0:
                 k, limited, start, memory = _glide(
                     True, p, law, sole, post, u, states, maps, b, m1, m2, memory, start, bound, last, k,
-                    edges, reach,
+                    pieces, edges, reach,
                 )  # fmt: skip
             else:
                 k, limited, start, memory = _rest(p, law, sole, post, u, states, memory, start, k)
@@ -866,7 +877,7 @@ def run(
             if tapped.size > 0:
                 tapped[k] = out[feedback.tap]
             if excess.shape[0] > 0:
-                excess[k] = cut
+                assign(excess[k], cut)
             if cut[feedback.tap] != 0.0:
                 clipped += 1
         if not (abs(x0) <= far and abs(u[k]) < np.inf):
@@ -878,7 +889,7 @@ def run(
                 states[row, 0], states[row, 1], states[row, 2], states[row, 3] = x0, x1, x2, x3
             source = k - lags[part]
             s = u[source] + post[source] if source >= 0 else before
-            if gravity is not None:
+            if hanging:
                 q, v = (x2, x3) if g.of_load else (x0, x1)
                 force = _gravity(g, q, v, slid, lengths[part], since)
                 slid, since = v, lengths[part]
@@ -910,7 +921,7 @@ def run(
             calm, bound = _calm(
                 p, f, maps[b + 20], maps[b + 21], (x0, x1, x2, x3), (y0, y1, y2, y3), s, m1, m2, lengths[part]
             )
-            if segments is not None and edges is not None and calm:
+            if pieces and calm:
                 calm = _within(
                     edges, (x0, x1, x2, x3), (y0, y1, y2, y3), reach * bound, m1, m2,
                     maps[b + 20] * bound, maps[b + 21] * bound,
@@ -923,7 +934,7 @@ def run(
                     c, p, (x0, x1, x2, x3), m1, m2, s, lengths[part], longest, tape, steps, k * parts + part,
                     segments, segment,
                 )  # fmt: skip
-                if segments is not None:
+                if pieces:
                     p, edges = _drive_of(segments, segment)
                 events += max(found, 0)
                 steps += used
@@ -931,7 +942,7 @@ def run(
                     status = CHATTERING
                 elif steps > _WORK * n + 10_000:
                     status = TOO_STIFF
-            if gravity is not None:
+            if hanging:
                 x2 = stood + (x2 - hung)  # exactly where it stood, if it did
         k += 1
     x[0], x[1], x[2], x[3] = x0, x1, x2, x3

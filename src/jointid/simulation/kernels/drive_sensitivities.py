@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.compiled import compiled, inlined, wide_vectors
+from jointid.common.compiled import assign, compiled, inlined, wide_vectors
 from jointid.simulation.kernels.drive import Feedback
 
 Motion: TypeAlias = tuple[float, float, float, float, float]
@@ -150,7 +150,7 @@ def _fill(
             )
         phi[b, 4 * i], phi[b, 4 * i + 1] = motion[0], motion[1]
         phi[b, 4 * i + 2], phi[b, 4 * i + 3] = motion[3], motion[4]
-        M[b, _WIDE * i : _WIDE * (i + 1)] = q[_S : _S + _WIDE]
+        assign(M[b, _WIDE * i : _WIDE * (i + 1)], q[_S : _S + _WIDE])
 
 
 @inlined
@@ -360,7 +360,7 @@ def begin_small(q: FloatArray, feedback: Feedback, nz: int, Z: FloatArray, dlimi
         for j in range(LANES):
             q[_Z + j] += seen[0, i] * Z[i, j]
             q[_Z + LANES + j] += seen[1, i] * Z[i, j]
-    q[_LIMIT : _LIMIT + LANES] = dlimits[0]
+    assign(q[_LIMIT : _LIMIT + LANES], dlimits[0])
     return law
 
 
@@ -421,9 +421,9 @@ def control_slopes(
             e[i, j] = acts * (sign * dlimits[i, j] - q[_W + j])
             q[_OUT + j] = q[_W + j] + e[i, j]
         if i == feedback.output:
-            du[:, at] = q[_OUT : _OUT + LANES]
+            assign(du[:, at], q[_OUT : _OUT + LANES])
         if i == feedback.tap and dtapped.shape[1] > 0:
-            dtapped[:, at] = q[_OUT : _OUT + LANES]
+            assign(dtapped[:, at], q[_OUT : _OUT + LANES])
     for i in range(nz):
         for j in range(LANES):
             z[nz + i, j] = feedback.Bq[phase, i] * q[_S + j]
@@ -433,7 +433,8 @@ def control_slopes(
         for other in range(elements):
             for j in range(LANES):
                 z[nz + i, j] += feedback.F[phase, i, other] * e[other, j]
-    z[:nz] = z[nz:]
+    for i in range(nz):
+        assign(z[i], z[nz + i])
 
 
 @inlined
@@ -457,13 +458,12 @@ def _law(feedback: Feedback, nz: int) -> tuple[_Law, FloatArray]:
 
 
 @inlined
-def _by_mode(drive: FloatArray, seeds: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return a drive by the modes of its masses, and the derivatives of that.
+def _fill_modes(drive: FloatArray, seeds: FloatArray, side: FloatArray, dside: FloatArray) -> None:
+    """Write a drive by the modes of its masses, and the derivatives of that.
 
     The first is (mass 2, what 3, mode 3): mobility, viscous coefficient and constant force going backwards, at rest,
     forwards; the second, of the last two, (mass 2, what 2, mode 3, columns).
     """
-    side, dside = np.zeros((2, 3, 3)), np.zeros((2, 2, 3, LANES))
     for mass in range(2):
         for mode, back, sign in ((0, 1, 1.0), (2, 0, -1.0)):
             viscous, coulomb, offset = 4 + 4 * mass + back, 6 + 4 * mass + back, 12 + mass
@@ -472,7 +472,6 @@ def _by_mode(drive: FloatArray, seeds: FloatArray) -> tuple[FloatArray, FloatArr
             for j in range(LANES):
                 dside[mass, 0, mode, j] = seeds[viscous, j]
                 dside[mass, 1, mode, j] = sign * seeds[coulomb, j] - seeds[offset, j]
-    return side, dside
 
 
 @inlined
@@ -517,10 +516,10 @@ def follow(
     du: FloatArray,
     dtapped: FloatArray,
     dstates: FloatArray,
-    gravity: FloatArray | None = None,
-    dgravity: FloatArray | None = None,
-    segments: FloatArray | None = None,
-    dsegments: FloatArray | None = None,
+    gravity: FloatArray,
+    dgravity: FloatArray,
+    segments: FloatArray,
+    dsegments: FloatArray,
 ) -> None:
     """Fill `du` with LANES columns of derivatives of a finished run's output, and `dstates` with those of its states.
 
@@ -535,19 +534,20 @@ def follow(
     `du` is (columns, periods), `dstates` (periods * parts, 4, columns), at the start of every part, or (0, 4, columns).
     Of a drive in gravity, `dgravity` (3, columns) are the derivatives of the first of `gravity`. Of a spring or a
     friction in pieces `segments` is as in `kernels.run`, and `dsegments` (segments, SEGMENT, columns) their
-    derivatives; `drive` and `seeds` are not read then.
+    derivatives; `drive` and `seeds` are not read then. Where there is none of either, `gravity` and `segments` have no
+    length.
     """
     wide_vectors()
     n, parts, nz, elements = u.size, lengths.size, feedback.A.shape[1], feedback.limits.size
-    if segments is not None and dsegments is not None:
+    hanging, pieces = gravity.size > 0, segments.shape[0] > 0
+    drives, dseeds = drive.reshape((1, drive.size)), seeds.reshape((1, drive.size, LANES))
+    if pieces:
         drives, dseeds = segments, dsegments
-    else:
-        drives, dseeds = drive.reshape((1, drive.size)), seeds.reshape((1, drive.size, LANES))
     count, now = drives.shape[0], 0
-    sides, dsides = np.empty((count, 2, 3, 3)), np.empty((count, 2, 2, 3, LANES))
+    sides, dsides = np.zeros((count, 2, 3, 3)), np.zeros((count, 2, 2, 3, LANES))
     rate = 0.0
     for i in range(count):
-        sides[i], dsides[i] = _by_mode(drives[i], dseeds[i])
+        _fill_modes(drives[i], dseeds[i], sides[i], dsides[i])
         rate = max(rate, _rate(drives[i], sides[i]))
     spring, side, dside = drives[0, 2:4], sides[0], dsides[0]
     phi = np.empty((9 * count * parts, 4 * _INPUTS))
@@ -560,18 +560,24 @@ def follow(
         for j in range(LANES):
             for i in range(2):
                 one[_INERTIA + i * LANES + j] = dseeds[0, i, j] / drives[0, i]
-    q[_S : _S + _WIDE] = S.reshape(-1)
-    z[:nz] = Z
+    for i in range(4):
+        assign(q[_S + i * LANES : _S + (i + 1) * LANES], S[i])
+    for i in range(nz):
+        assign(z[i], Z[i])
     small = nz <= 2 and feedback.D.size == 1  # one phase, one element
     law, limit = begin_small(q, feedback, nz if small else 0, Z, dlimits), feedback.limits[0]
-    delayed = np.any(ddelay != 0.0)
-    if gravity is not None and dgravity is not None:
+    delayed = False
+    for j in range(LANES):
+        delayed = delayed or ddelay[j] != 0.0
+    slid, since, hung = 0.0, lengths[0], 0.0
+    if hanging:
         at = 3 if gravity[4] > 0.0 else 1
-        slid, since = states[0, at], lengths[0]
-        q[_SLID : _SLID + LANES] = S[at]
-        q[_WEIGHT : _WEIGHT + 3 * LANES] = dgravity.reshape(-1)
+        slid = states[0, at]
+        assign(q[_SLID : _SLID + LANES], S[at])
+        for i in range(3):
+            assign(q[_WEIGHT + i * LANES : _WEIGHT + (i + 1) * LANES], dgravity[i])
     keep = dstates.shape[0] > 0
-    plain = small and parts == 1 and lags[0] == 0 and gravity is None and not keep and not delayed
+    plain = small and parts == 1 and lags[0] == 0 and not hanging and not keep and not delayed
     row, last = 0, before
     k = 0
     while k < n:
@@ -582,7 +588,7 @@ def follow(
                 q[_Z + i] = q[_Z + i] if abs(q[_Z + i]) > NOTHING else 0.0
         if plain and abs(u[k]) < limit and (row >= rows or tape[row, 0] > k):
             mode = int(modes[k])
-            if segments is not None and mode // 9 != now:
+            if pieces and mode // 9 != now:
                 now = mode // 9
                 spring, side, dside = drives[now, 2:4], sides[now], dsides[now]
             end = min(k - k % OFTEN + OFTEN, n)
@@ -605,7 +611,7 @@ def follow(
             at = k * parts + part
             x0, x1, x2, x3 = states[at, 0], states[at, 1], states[at, 2], states[at, 3]
             mode = int(modes[at])
-            if segments is not None and mode // 9 != now:
+            if pieces and mode // 9 != now:
                 now = mode // 9
                 spring, side, dside = drives[now, 2:4], sides[now], dsides[now]
             source = k - lags[part]
@@ -618,7 +624,7 @@ def follow(
                     for j in range(LANES):
                         dstates[at, i, j] = q[_S + i * LANES + j]
             acting, pull = s, 0.0
-            if gravity is not None and dgravity is not None:
+            if hanging:
                 y, v = (x2, x3) if gravity[4] > 0.0 else (x0, x1)
                 pull, hung = _hang(q, gravity, spring[0], y, v, slid, lengths[part], since)
                 slid, since = v, lengths[part]
@@ -642,7 +648,7 @@ def follow(
                     _take(scratch, dseeds, now)
                     _fill(scratch, lengths[part], rate, mode - 9 * now, b, phi, M, spring, side, dside)
                 _step(q, phi, M, b, x1, x2 - x0, x3, s)
-            if gravity is not None and dgravity is not None:
+            if hanging:
                 for j in range(LANES):
                     q[_S + 2 * LANES + j] -= q[_HUNG + j]
         k += 1

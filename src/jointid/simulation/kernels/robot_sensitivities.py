@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.compiled import compiled, inlined
+from jointid.common.compiled import assign, compiled, inlined
 from jointid.models.robots.dynamics import regressor
 from jointid.models.robots.equations import ROOM, linearised_equations, of_joints
 from jointid.simulation.kernels.drive import IntArray
@@ -241,7 +241,7 @@ def differentiate_run(
                             of_joints(joints, place), of_joints(joints, speed), of_joints(joints, turn), of_links,
                         )  # fmt: skip
                         for c in range(10 * n):
-                            Y[:, c] = of_joints(joints.T, of_links[:, c])
+                            assign(Y[:, c], of_joints(joints.T, of_links[:, c]))
                     elif linked:
                         regressor(parents, kinds, axes, rotations, origins, gravity, place, speed, turn, Y)
                     for i in range(nd):

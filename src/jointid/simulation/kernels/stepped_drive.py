@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.compiled import compiled, inlined
+from jointid.common.compiled import assign, compiled, inlined
 from jointid.simulation.kernels.drive import (
     CHATTERING,
     DIVERGED,
@@ -364,9 +364,9 @@ def run(
     b = beyond_of(beyond)
     y, c, roots = np.zeros(STATES), np.zeros((ROWS, TERMS + 1)), np.empty(ROOM)
     turns = np.zeros((places.shape[0], 2, TERMS + 2))
-    y[:4] = x
+    assign(y[:4], x)
     if b.share > 0.0:
-        y[4:6] = x[2:]  # what swings moves with the load
+        assign(y[4:6], x[2:])  # what swings moves with the load
     y[WOUND1], y[WOUND2] = (sliding if b.soft1 > 0.0 else 0.0), (sliding if b.soft2 > 0.0 else 0.0)
     first, second = (1 if x[1] >= 0.0 else -1), (1 if x[3] >= 0.0 else -1)
     m = Modes(
@@ -384,7 +384,7 @@ def run(
         if tapped.size > 0:
             tapped[i] = out[feedback.tap]
         if excess.shape[0] > 0:
-            excess[i] = cut
+            assign(excess[i], cut)
         if cut[feedback.tap] != 0.0:
             clipped += 1
         if not (abs(y[0]) <= far and abs(u[i]) < np.inf):
@@ -397,7 +397,7 @@ def run(
             m, known = _begin_part(p, b, places, m, y, time, torque)
             if keep:
                 row = i * parts + part
-                states[row] = y[:4]
+                assign(states[row], y[:4])
                 accelerations[row] = accelerations_of(p, b, places, m, y, time, torque)
             left = lengths[part]
             while left > 0.0 and status == FINISHED:
@@ -432,6 +432,6 @@ def run(
                     if events - before_period > _EVENTS:
                         status = CHATTERING
         i += 1
-    x[:] = y[:4]
+    assign(x, y[:4])
     counts[0], counts[1], counts[2], counts[3] = events, steps, i, min(clipped, i)
     return status

@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.compiled import compiled, inlined, wide_vectors
+from jointid.common.compiled import assign, compiled, inlined, wide_vectors
 from jointid.simulation.kernels.drive import Drive, Feedback, IntArray, drive_of
 from jointid.simulation.kernels.drive_sensitivities import (
     LANES,
@@ -346,15 +346,20 @@ def follow_steps(
     c, turns = np.zeros((ROWS, TERMS + 1)), np.zeros((places.shape[0], 2, TERMS + 2))
     q, past, scratch = aligned(_SCRATCH), np.zeros(_KEPT * (TERMS + 1) * LANES), aligned(SCRATCH)
     z, e = np.zeros((2 * nz, LANES)), np.zeros((elements, LANES))
-    z[:nz] = Z
+    for i in range(nz):
+        assign(z[i], Z[i])
     small = nz <= 2 and feedback.D.size == 1
     law = begin_small(scratch, feedback, nz if small else 0, Z, dlimits)
-    q[_DRIVE:_BEYOND], q[_BEYOND:_RELATIVE] = seeds.reshape(-1), dbeyond.reshape(-1)
+    for i in range(seeds.shape[0]):
+        assign(q[_DRIVE + i * LANES : _DRIVE + (i + 1) * LANES], seeds[i])
+    for i in range(dbeyond.shape[0]):
+        assign(q[_BEYOND + i * LANES : _BEYOND + (i + 1) * LANES], dbeyond[i])
     _write_relative(p, b, q)
-    q[_S : _S + 4 * LANES] = S.reshape(-1)
-    if b.share > 0.0:  # what swings begins with the load
-        q[_S + 4 * LANES : _S + 6 * LANES] = S[2:].reshape(-1)
-    delayed, last = np.any(ddelay != 0.0), before
+    for i in range(6 if b.share > 0.0 else 4):  # what swings begins with the load
+        assign(q[_S + i * LANES : _S + (i + 1) * LANES], S[i if i < 4 else i - 2])
+    delayed, last = False, before
+    for j in range(LANES):
+        delayed = delayed or ddelay[j] != 0.0
     m = Modes(0, 0, 1, 1)
     if tape.shape[0] > 0 and (tape[0, 9] != 0.0 or b.soft1 > 0.0):  # it moves as the first torque begins to act
         m = Modes(int(tape[0, 2]), 0, 1, 1)
