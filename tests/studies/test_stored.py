@@ -8,8 +8,10 @@ from pathlib import Path
 import pytest
 
 from studies import __main__ as command
+from studies.comparing import compute_claim_chance, counted
+from studies.registry import STUDIES
 from studies.seeds import Judged, Task
-from studies.stored import Entry, Program, fill_tables, read_entries, shown_studies, write_entries
+from studies.stored import ROOT, Entry, Program, fill_tables, read_entries, shown_studies, write_entries
 from studies.study import Share, Study
 
 STUDY = Study(
@@ -62,6 +64,22 @@ def test_a_table_stands_between_its_markers() -> None:
     assert filled.startswith("before\n") and filled.endswith("<!-- end of studies -->\nafter\n")
     assert "replaced" not in filled
     assert fill_tables(filled, [STUDY], {"squares": entry()}) == filled
+
+
+def test_every_study_is_stored_as_it_is_and_within_its_claims() -> None:
+    stored = read_entries()
+    assert set(stored) == {study.name for study in STUDIES}
+    for study in STUDIES:
+        assert stored[study.name].is_of(study), study.name
+        for share in study.shares:
+            counts = counted(stored[study.name].shares[share.label])
+            assert compute_claim_chance((0, 0), counts, share) > 1e-3, f"{study.name}: {share.label}"
+
+
+def test_the_documentation_has_the_stored_tables(capsys: pytest.CaptureFixture[str]) -> None:
+    pages = [page.read_text(encoding="utf-8") for page in (ROOT / "docs").rglob("*.md")]
+    assert {name for page in pages for name in shown_studies(page)} == {study.name for study in STUDIES}
+    assert command.main(["tables", "--check"]) == 0, capsys.readouterr().out
 
 
 @pytest.fixture
