@@ -29,7 +29,8 @@ settings.load_profile("jointid")
 
 def pytest_configure(config: pytest.Config) -> None:
     """Compile the kernels once, before workers start that would wait for each other."""
-    if not hasattr(config, "workerinput") and getattr(config.option, "numprocesses", None):
+    alone = hasattr(config, "workerinput") or not getattr(config.option, "numprocesses", None)
+    if not alone and not config.option.collectonly:
         from jointid.simulation.warm_up import main
 
         main()
