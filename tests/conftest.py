@@ -27,6 +27,15 @@ settings.register_profile("jointid", deadline=None, derandomize=IN_CI)
 settings.load_profile("jointid")
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile the kernels once, before workers start that would wait for each other."""
+    alone = hasattr(config, "workerinput") or not getattr(config.option, "numprocesses", None)
+    if not alone and not config.option.collectonly:
+        from jointid.simulation.warm_up import main
+
+        main()
+
+
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
     """The folder of the real records: where JOINTID_DATA points, or else ../shared/data from the root."""

@@ -17,7 +17,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the demo's record, joint file and estimate, another format of the record, and a small table."""
     import scipy.io  # noqa: F401 - all are loaded here, once, and not in every copy
 
-    from jointid.simulation import sensitivities
+    from jointid.simulation.warm_up import warm_up
 
     folder = tmp_path_factory.mktemp("demo")
     with pytest.raises(SystemExit) as end:
@@ -26,7 +26,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "torque.png").unlink()
     record = folder / "record.csv"  # a third of it, to have more moments in the same time
     record.write_text("".join(record.read_text(encoding="utf-8").splitlines(keepends=True)[:8001]), encoding="utf-8")
-    sensitivities.warm_up()
+    warm_up()
     rows = np.arange(400)
     write_table(folder / "table.csv", Table({"t": rows * 1e-3, "i": np.sin(rows), "q": np.cos(rows)}))
     return folder

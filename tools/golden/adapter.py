@@ -37,7 +37,8 @@ from jointid.paper.recomputed import find_misprints
 from jointid.paper.reproduce import reproduce
 from jointid.records.resampling import Resampling
 from jointid.simulation.closed_loop import Initial, simulate_many
-from jointid.simulation.sensitivities import simulate_sensitivities, warm_up
+from jointid.simulation.sensitivities import simulate_sensitivities
+from jointid.simulation.warm_up import warm_up
 from jointid.uncertainty.resampling import Bootstrapping
 from studies.servo import servo_twin
 

@@ -43,6 +43,12 @@ def compiled(function: F) -> F:
     return cast("F", kernel)
 
 
+def is_cached(kernel: object) -> bool:
+    """Whether a kernel is in the cache, or no other process could put it there."""
+    held = getattr(kernel, "_cache", None)
+    return not isinstance(held, KernelCache) or held.holds_any()
+
+
 def inlined(function: F) -> F:
     """Compile as part of every caller: Numba passes an array to a real call as seven values, and counts references.
 
@@ -77,12 +83,14 @@ down for the first). A loop that is made of nothing else gains by them.
 
 
 def _njit(function: F, **options: bool) -> F:
-    kernel: Any = numba.njit(nogil=True, fastmath={"contract"}, error_model="numpy", **options)(function)
+    make: Any = numba.njit  # its types know some of the options only
+    kernel = make(nogil=True, fastmath={"contract"}, error_model="numpy", **options)(function)
     if kernel is not function:  # it is where Numba is told not to compile
         template = kernel.get_call_template
+        unliteral: Any = types.unliteral
 
         def without_literals(args: tuple[Any, ...], kws: dict[str, Any]) -> Any:
-            return template(tuple(types.unliteral(arg) for arg in args), kws)
+            return template(tuple(map(unliteral, args)), kws)
 
         # Numba takes a constant argument for a type of its own, and compiles the function again for each.
         kernel.get_call_template = without_literals

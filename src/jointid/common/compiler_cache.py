@@ -45,16 +45,27 @@ class KernelCache(FunctionCache):
         self._cache_file = _CheckedFile(self._cache_path, base, None)
         self._turn = _Turn(Path(self._cache_path) / f"{base}.lock")
 
+    def holds_any(self) -> bool:
+        """Whether there is any compiled form of the kernel that its stamp allows."""
+        self._require_stamp()
+        try:
+            return bool(self._cache_file._load_index())
+        except PermissionError:
+            return False
+
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return a compiled kernel, None where there is none that can be trusted and this process is to compile it."""
-        if self._cache_file._source_stamp is None:  # not before all that it calls is defined
-            self._cache_file._source_stamp = _stamp(self._function, self._options)
+        self._require_stamp()
         found = self._load(sig, target_context)
         if found is None and self._turn.wait():
             found = self._load(sig, target_context)
             if found is not None:
                 self._turn.end()
         return found
+
+    def _require_stamp(self) -> None:
+        if self._cache_file._source_stamp is None:  # not before all that it calls is defined
+            self._cache_file._source_stamp = _stamp(self._function, self._options)
 
     def _load(self, sig: Any, target_context: Any) -> Any:
         try:

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray, Fresh, Room
 from jointid.common.errors import MethodError
 from jointid.common.parallel import threads
-from jointid.models.controllers import POSITION, REFERENCE, Cascade
-from jointid.models.joints import ClosedLoop, RigidJoint
+from jointid.models.controllers import POSITION, REFERENCE
+from jointid.models.joints import ClosedLoop
 from jointid.models.motion import Motion
-from jointid.records.record import Channel, Record
-from jointid.simulation.loop_input import LoopInput, as_logged, prepare, seen_torque
+from jointid.simulation.loop_input import LoopInput, as_logged, seen_torque
 from jointid.simulation.simulated import FINISHED
 
 T = TypeVar("T")
@@ -434,15 +433,3 @@ def in_threads(function: Callable[[T], R], items: Sequence[T], workers: int | No
         return [function(item) for item in items]
     with ThreadPoolExecutor(workers) as pool:
         return list(pool.map(function, items))
-
-
-def warm_up() -> None:
-    """Compile the simulation, or load it from the cache: what the first simulation would otherwise wait for."""
-    simulate_torque(*smallest())
-
-
-def smallest() -> tuple[ClosedLoop, LoopInput, dict[str, float]]:
-    """Return a loop, what it is driven with and values, as small as they can be."""
-    loop = ClosedLoop(RigidJoint(), Cascade(position_gain=1.0, velocity_gain=1.0))
-    still = Record(reference=Channel(np.zeros(10), "m", 1.0))
-    return loop, prepare(loop, still), dict.fromkeys(("inertia", "viscous", "coulomb", "offset"), 1.0)

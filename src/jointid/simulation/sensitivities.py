@@ -29,7 +29,6 @@ from jointid.simulation.closed_loop import (
     Simulation,
     first_state,
     run,
-    smallest,
 )
 from jointid.simulation.loop_input import LoopInput, acting, as_logged, averages, seen_torque
 
@@ -175,11 +174,6 @@ def _joined(blocks: Sequence[FloatArray], order: Sequence[int]) -> FloatArray:
     """Return the columns of blocks, the last axis, each where `order` says; one block in order is not copied."""
     whole = blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=-1)
     return whole if order == sorted(order) else np.asarray(whole[..., np.argsort(order)])
-
-
-def warm_up() -> None:
-    """Compile the simulation and its derivatives, or load them from the cache."""
-    simulate_sensitivities(*smallest(), ["inertia"])
 
 
 def _is_of_law(own: Container[str], name: str) -> bool:

@@ -175,15 +175,14 @@ def deliver(
 
 def ready(listener: Progress, *, derivatives: bool = True) -> None:
     """Load the compiled simulation, and its derivatives; where they must be compiled first, say why that takes long."""
-    from jointid.simulation import closed_loop, sensitivities
+    from jointid.simulation.warm_up import warm_up
 
-    warm_up, takes = (sensitivities.warm_up, 20) if derivatives else (closed_loop.warm_up, 10)
-    said = f"loading the simulation; the first time on a machine it is compiled, which takes some {takes} s"
+    said = "loading the simulation; the first time on a machine it is compiled, which takes some 10 to 20 s"
     timer = threading.Timer(_PATIENCE, listener, [said])
     timer.daemon = True
     timer.start()
     try:
-        warm_up()
+        warm_up(derivatives=derivatives)
     finally:
         timer.cancel()
 

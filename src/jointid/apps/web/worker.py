@@ -91,9 +91,9 @@ def order(folder: Path) -> None:
 
 def prepare(_: Path) -> None:
     """Compile the simulation where this machine has not yet, so that an identification finds it compiled."""
-    from jointid.simulation import sensitivities
+    from jointid.simulation.warm_up import warm_up
 
-    sensitivities.warm_up()
+    warm_up()
 
 
 def identify(folder: Path) -> None:
@@ -104,7 +104,7 @@ def identify(folder: Path) -> None:
     from jointid.config import load
     from jointid.diagnostics.check_loop import add_loop_check
     from jointid.diagnostics.find_causes import explain_failure
-    from jointid.simulation import sensitivities
+    from jointid.simulation.warm_up import warm_up
     from jointid.uncertainty.verdict import Subject, not_tested
 
     work = _read_work(folder)
@@ -114,7 +114,7 @@ def identify(folder: Path) -> None:
     _tell("reading the record")
     record = file.record(folder / work["file"])
     _tell("preparing the simulation")
-    sensitivities.warm_up()
+    warm_up()
     _tell("identifying")
     try:
         estimate = file.identify(record, _tell)
@@ -179,12 +179,12 @@ def plan(folder: Path) -> None:
     from jointid.config import load
     from jointid.output.figures.matplotlib_backend import png
     from jointid.planning.design import plan_from_estimate
-    from jointid.simulation import sensitivities
+    from jointid.simulation.warm_up import warm_up
 
     work = _read_work(folder)
     file = load(folder / "joint.toml")
     record = file.record(folder / work["file"])
-    sensitivities.warm_up()
+    warm_up()
     _tell("identifying again")
     estimate = file.identify(record, _tell)
     asked = {"goal": work["goal"], "seconds": work["seconds"], "limits": file.limits}

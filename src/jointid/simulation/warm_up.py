@@ -1,0 +1,123 @@
+"""Compile the kernels before they are needed, in two processes where there are two cores.
+
+``python -m jointid.simulation.warm_up`` compiles all of them, as the last step of an installation or of an image.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+
+from jointid.common.compiled import is_cached
+from jointid.common.parallel import Aside
+from jointid.models.controllers import PD, Cascade
+from jointid.models.friction import PreslidingFriction
+from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
+from jointid.records.record import Channel, Record
+from jointid.simulation.closed_loop import simulate_torque
+from jointid.simulation.loop_input import prepare
+from jointid.simulation.sensitivities import simulate_sensitivities
+
+_SAMPLES = 10
+
+
+def warm_up(*, derivatives: bool = True) -> None:
+    """Compile the simulation of a joint, or load it from the cache.
+
+    Args:
+        derivatives: begin with what an identification needs, too, in another process. Nothing waits for it here; who
+            needs a kernel that is not yet there waits for that one.
+    """
+    from jointid.simulation.kernels import drive_sensitivities, stepped_drive
+
+    if derivatives and not (is_cached(drive_sensitivities.follow) and is_cached(stepped_drive.run)):
+        Aside(_compile_derivatives)
+    compile_drive()
+
+
+def _compile_derivatives() -> None:
+    for part in ("derivatives", "smooth laws"):
+        PARTS[part]()
+
+
+def compile_drive() -> None:
+    """Compile the simulation of a drive whose laws are lines in pieces."""
+    loop = ClosedLoop(RigidJoint(), Cascade(position_gain=1.0, velocity_gain=1.0))
+    simulate_torque(loop, prepare(loop, _at_rest()), dict.fromkeys(("inertia", "viscous", "coulomb", "offset"), 1.0))
+
+
+def compile_derivatives() -> None:
+    """Compile the derivatives of such a simulation: a call with no period, which needs no simulation before it."""
+    from jointid.simulation.kernels import drive, drive_sensitivities
+
+    lanes = drive_sensitivities.LANES
+    none, law = np.zeros(0), drive.NO_FEEDBACK
+    drive_sensitivities.follow(
+        np.ones(1), np.zeros(1, dtype=np.int64), np.zeros((0, 4)), np.zeros(0, dtype=np.int16),
+        np.zeros((0, drive.TAPE)), 0, none, none, 0.0, np.zeros((0, 1)), law, np.ones(14), np.zeros((14, lanes)),
+        np.zeros((0, 1, 0)), 0, np.zeros(lanes), np.zeros((1, lanes)), np.zeros((4, lanes)), np.zeros((0, lanes)),
+        np.zeros((lanes, 0)), np.zeros((lanes, 0)), np.zeros((0, 4, lanes)), drive.NO_GRAVITY, np.zeros((3, lanes)),
+        drive.NO_SEGMENTS, np.zeros((0, drive.SEGMENT, lanes)),
+    )  # fmt: skip
+
+
+def compile_smooth_laws() -> None:
+    """Compile the simulation and the derivatives of smooth laws."""
+    joint = FlexibleJoint(friction=PreslidingFriction())
+    loop = ClosedLoop(joint, Cascade(position_gain=1.0, velocity_gain=1.0))
+    values = dict.fromkeys((parameter.name for parameter in joint.parameters), 1.0) | {
+        "offset": 0.0
+    }  # it stays at rest
+    simulate_sensitivities(loop, prepare(loop, _at_rest(sample_time=1e-3)), values, ["motor_inertia"])
+
+
+def compile_robot() -> None:
+    """Compile the simulation of a robot, its derivatives and its regressor."""
+    from jointid.models.robots.base_parameters import base_parameters
+    from jointid.models.robots.dynamics import inverse_dynamics_of, mass_matrix
+    from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
+    from jointid.simulation.robot_numbers import RobotNumbers, all_places
+    from jointid.simulation.robot_sensitivities import differentiate_torques
+    from jointid.simulation.robots import RobotLoop, prepare_robot, run_robot
+
+    body = np.array([1.0, 0.0, 0.0, 0.0, 0.1, 0.0, 0.0, 0.1, 0.0, 0.1])
+    links = tuple(Link(f"link{i}", i - 1, inertial=body) for i in range(2))
+    joints = (RobotJoint("one", 0.1), RobotJoint("two", 0.1, spring=JointSpring(1e3, 1.0)))
+    robot = Robot(links, joints)
+    loop = RobotLoop(robot, (PD(position_gain=100.0, derivative_gain=2.0),) * 2)
+    run = run_robot(prepare_robot(loop, (_at_rest("rad", 1e-3),) * 2), RobotNumbers.of(robot), keep=True)
+    differentiate_torques(run, all_places(run.numbers))
+    still = np.zeros((_SAMPLES, 2))
+    inverse_dynamics_of(*robot.tree, robot.gravity, robot.inertials, still, still, still)
+    mass_matrix(*robot.tree, robot.inertials, still[0], np.zeros((2, 2)))
+    base_parameters(replace(robot, joints=(joints[0], RobotJoint("two", 0.1))))
+
+
+PARTS: Mapping[str, Callable[[], None]] = MappingProxyType(
+    {
+        "drive": compile_drive,
+        "derivatives": compile_derivatives,
+        "smooth laws": compile_smooth_laws,
+        "robot": compile_robot,
+    }
+)
+"""What is compiled apart."""
+
+
+def _at_rest(unit: str = "m", sample_time: float = 1.0) -> Record:
+    return Record(reference=Channel(np.zeros(_SAMPLES), unit, sample_time))
+
+
+def main() -> None:
+    """Compile all kernels."""
+    beside = Aside(compile_robot)
+    for part in ("drive", "derivatives", "smooth laws"):
+        PARTS[part]()
+    beside.result()
+
+
+if __name__ == "__main__":
+    main()

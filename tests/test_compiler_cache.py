@@ -1,0 +1,102 @@
+"""The stamp of a compiled kernel, and who compiles it where several processes need it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from jointid.common.compiler_cache import _stamp
+
+SOURCE = '''
+from jointid.common.compiled import compiled, inlined
+
+FACTOR = 2.0
+
+@inlined
+def scaled(x):
+    """Scale a number."""
+    return FACTOR * x
+
+@compiled
+def kernel(x):
+    """Do it."""
+    return scaled(x) + 1.0
+
+def other(x):
+    return x
+'''
+WORKER = """
+import sys, time
+from pathlib import Path
+import numba, numpy
+from cached import kernel
+place, own = Path(sys.argv[1]), sys.argv[2]
+(place / own).touch()
+while not all((place / name).exists() for name in "ab"):
+    time.sleep(0.001)
+kernel(1.0)
+print(sum(kernel.stats.cache_misses.values()))
+"""
+
+
+def stamp_of(source: str, options: dict[str, Any] | None = None) -> str:
+    names: dict[str, Any] = {"compiled": lambda function: function, "inlined": lambda function: function}
+    exec(source.replace("from jointid.common.compiled import compiled, inlined", ""), names)
+    return _stamp(names["kernel"], options or {})
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes", "another"),
+    [
+        ("+ 1.0", "+ 1.5", True),
+        ("FACTOR * x", "FACTOR + x", True),
+        ("FACTOR = 2.0", "FACTOR = 3.0", True),
+        ("Scale a number", "Multiply", False),
+        ("def other(x):\n    return x", "def other(x):\n    return -x", False),
+        ("FACTOR = 2.0", "\n\nFACTOR = 2.0", False),
+    ],
+)
+def test_a_stamp_changes_with_what_is_compiled_and_with_nothing_else(was: str, becomes: str, another: bool) -> None:
+    assert was in SOURCE
+    assert (stamp_of(SOURCE) != stamp_of(SOURCE.replace(was, becomes))) is another
+    assert stamp_of(SOURCE) != stamp_of(SOURCE, {"fastmath": True})
+
+
+def test_of_two_processes_one_compiles(tmp_path: Path) -> None:
+    (tmp_path / "cached.py").write_text(SOURCE)
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    both = [
+        subprocess.Popen(
+            [sys.executable, "-c", WORKER, str(tmp_path), name], env=environment, stdout=subprocess.PIPE, text=True
+        )
+        for name in "ab"
+    ]
+    misses = [int(process.communicate(timeout=120)[0]) for process in both]
+    assert sorted(misses) == [0, 1]
+
+
+def test_who_compiles_and_ends_without_a_word_keeps_nobody_waiting(tmp_path: Path) -> None:
+    """A lock is the process's own, and ends with it."""
+    from jointid.common.compiler_cache import _Turn
+
+    path = tmp_path / "kernel.lock"
+    program = (
+        "import sys; from pathlib import Path; from jointid.common.compiler_cache import _Turn\n"
+        "turn = _Turn(Path(sys.argv[1])); turn.wait(); print('held', flush=True); input()"
+    )
+    holder = subprocess.Popen(
+        [sys.executable, "-c", program, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert holder.stdout is not None
+    assert holder.stdout.readline() == "held\n"
+    holder.kill()
+    holder.communicate()
+    began = time.monotonic()
+    _Turn(path).wait()
+    assert time.monotonic() - began < 60.0
