@@ -88,8 +88,10 @@ def write_entries(entries: Mapping[str, Entry], path: Path = STORED) -> None:
     path.write_text(json.dumps(document, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
-def make_table(study: Study, entry: Entry) -> str:
-    """Return the table of a study in Markdown, with where and when it was made."""
+def make_table(study: Study, entry: Entry | None) -> str:
+    """Return the table of a study in Markdown, with where and when it was made; a sentence if it was not run."""
+    if entry is None:
+        return f"{study.shows} (Not run yet: `python -m studies {study.name}`.)\n"
     rows = ["| | holds in | of | % | stated, % |", "|---|---|---|---|---|"]
     for share in study.shares:
         held, of = counted(entry.shares[share.label])
@@ -109,7 +111,7 @@ def fill_tables(text: str, studies: Iterable[Study], entries: Mapping[str, Entry
 
     def filled(found: re.Match[str]) -> str:
         name = found["name"]
-        return f"{found['head']}{make_table(by_name[name], entries[name])}{found['foot']}"
+        return f"{found['head']}{make_table(by_name[name], entries.get(name))}{found['foot']}"
 
     return _BETWEEN.sub(filled, text)
 

@@ -64,6 +64,7 @@ def test_a_table_stands_between_its_markers() -> None:
     assert filled.startswith("before\n") and filled.endswith("<!-- end of studies -->\nafter\n")
     assert "replaced" not in filled
     assert fill_tables(filled, [STUDY], {"squares": entry()}) == filled
+    assert "Not run yet: `python -m studies squares`" in fill_tables(filled, [STUDY], {})
 
 
 def test_every_study_is_stored_as_it_is_and_within_its_claims() -> None:
