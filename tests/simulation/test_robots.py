@@ -288,8 +288,8 @@ def test_integrators_hold_the_weight_on_the_reference() -> None:
     assert np.all(run.motor_position == twin.home)
 
 
-def test_a_feed_forward_of_the_inverse_model_tracks_better() -> None:
-    twin = six()
+@pytest.mark.parametrize("twin", [six(), changed(two(), {}, {"coupling": {"joint1": -2.0}})], ids=["six", "coupled"])
+def test_a_feed_forward_of_the_inverse_model_tracks_better(twin: Twin) -> None:
     loop, records = twin.loop(), twin.records(3.0)
     assisted = add_feed_forward(loop, records)
     lag = []
