@@ -40,7 +40,6 @@ SEED = 0
 _OPTIONS = ("-q", "-n", "0", "--no-header", "--tb=no", "-p", "no:cacheprovider", f"--hypothesis-seed={SEED}")
 _LONGEST = 1800.0  # s; a fault may make a search endless
 _COMPILED = "*.nb?"
-_MADE = re.compile(r"^@(compiled|inlined)$", re.MULTILINE)
 _FAILURE = re.compile(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", re.MULTILINE)
 
 
@@ -90,7 +89,7 @@ def read_faults(pattern: str = "") -> list[Fault]:
 
 
 def copy_tree(target: Path) -> None:
-    """Copy the files that git knows or might add, and the compiled kernels, with their times."""
+    """Copy the files that git knows or might add, and the compiled kernels."""
     listed = subprocess.run(
         ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
         cwd=ROOT, capture_output=True, text=True, check=True,
@@ -130,11 +129,9 @@ def run_tests(copy: Path, *chosen: str) -> tuple[list[str], float]:
 def try_fault(base: Path, unsound: Sequence[str], thorough: bool, fault: Fault) -> Outcome:
     """Return whether the tests, but for those that fail without a fault, catch it in a copy of the project."""
     options = ["-x", *(f"--deselect={test}" for test in unsound)]
-    # A stale kernel stays valid where only what it calls from another folder has changed.
-    stale = _MADE.search((base / PACKAGE / fault.file).read_text(encoding="utf-8"))
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "project"
-        shutil.copytree(base, copy, ignore=shutil.ignore_patterns("*.pyc", *([_COMPILED] if stale else [])))
+        shutil.copytree(base, copy, ignore=shutil.ignore_patterns("*.pyc"))
         fault.put_into(copy)
         failed, seconds = run_tests(copy, *options, *fault.tests)
         if thorough and not failed:
