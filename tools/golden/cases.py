@@ -57,6 +57,7 @@ LOOSENED: tuple[Loosened, ...] = (
     Loosened("gravity_link/open_loop/*", 1e-6, _NEAR),
     Loosened("intervals_emps/profiles/*/evaluations", 0.1, _NEAR),
     Loosened("intervals_*/profiles/*", 1e-6, _NEAR),
+    Loosened("intervals_*/over_place/*", 1e-6, _NEAR),
     Loosened("law_pid/trace/*", 1e-6, _NEAR),
     Loosened("law_of_three_rates/residuals/repeatable/*", 1e-5, "nearly nothing repeats"),
     Loosened("learn_*/alternatives/*", 1e-2, "of a filter that the law does not have, little is known"),
