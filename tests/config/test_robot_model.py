@@ -69,11 +69,13 @@ def test_a_urdf_without_its_meshes_in_order_of_its_tree() -> None:
 def test_joints_of_one_body_and_a_position_that_does_not_begin_at_zero() -> None:
     text = """<mujoco><compiler angle="radian"/><worldbody><body name="b" pos="1 0 0">
       <joint name="x" type="slide" axis="1 0 0" ref="0.25"/><joint name="r" pos="0 0.2 0" axis="0 0 2" ref="0.5"/>
-      <geom type="sphere" size="0.1" mass="2" pos="0.3 0 0"/></body></worldbody></mujoco>"""
+      <geom type="sphere" size="0.1" mass="2" pos="0.3 0 0"/><body name="c" pos="0.4 0 0">
+      <joint name="s" pos="0 0.1 0" axis="0 0 1"/><geom type="sphere" size="0.1" mass="1" pos="0.2 0 0"/>
+      </body></body></worldbody></mujoco>"""
     robot = read_robot(text)
     mujoco = pytest.importorskip("mujoco")
     model = mujoco.MjModel.from_xml_string(text)
-    data, q, v, a = mujoco.MjData(model), np.array([0.4, -0.3]), np.array([1.0, 2.0]), np.array([3.0, -1.0])
+    data, (q, v, a) = mujoco.MjData(model), np.array([[0.4, -0.3, 0.7], [1.0, 2.0, -1.5], [3.0, -1.0, 2.0]])
     data.qpos[:], data.qvel[:], data.qacc[:] = q, v, a
     mujoco.mj_inverse(model, data)
     found = inverse_dynamics_of(*robot.tree, robot.gravity, robot.inertials, q[None], v[None], a[None])

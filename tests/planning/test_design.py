@@ -45,6 +45,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.records.writing import write
 from jointid.simulation import excitation
 from jointid.simulation.synthesis import simulated_record
+from jointid.tuning.margins import joint_set
 from tests.text import unwrapped
 
 AXIS = twin("L19", noise="white")
@@ -200,6 +201,17 @@ def test_the_lines_of_the_floor_are_the_peaks_of_its_powers() -> None:
     modes = FlexibleJoint.frequencies(AXIS.truth)
     strong = [f for f, size in floor.lines if size > 0.1]
     assert strong == pytest.approx([modes["motor_locked"], modes["free_free"]], rel=0.03)
+
+
+def test_the_floor_knows_what_the_sampled_loop_leaves_of_a_force() -> None:
+    floor = least_deviation(
+        AXIS.loop, AXIS.truth, NOISE, goal_named("stiffness", {"stiffness": "N/m"}), AxisLimits(rms_torque=50.0),
+        samples=SHORT, sample_time=SAMPLE_TIME, cutoff=60.0,
+    )  # fmt: skip
+    law = AXIS.loop.controller.law(SAMPLE_TIME)
+    sampled = joint_set(AXIS.loop.joint, [AXIS.truth], law)
+    left = np.interp(floor.hertz, sampled.hertz, np.abs(1 / (1 + sampled.response(law)[0])))
+    np.testing.assert_allclose(floor.sensitivity, left, rtol=0.01)
 
 
 def test_a_limit_that_is_passed_counts_before_anything_else() -> None:

@@ -201,6 +201,23 @@ def test_controllers_of_other_periods_and_delays() -> None:
     assert np.array_equal(run.torque[3:6, 1], np.repeat(run.torque[3, 1], 3))
 
 
+def test_a_torque_begins_to_act_a_delay_after_its_controller_s_instant() -> None:
+    """The log shows the torque that was put out last, which a slow controller did some samples before."""
+    twin, periods, delays = two(), (1e-3, 3e-3), (4e-4, 1.3e-3)
+    laws = tuple(
+        replace(law, period=period, delay=delay)  # type: ignore[type-var]
+        for law, period, delay in zip(twin.loop().controllers, periods, delays, strict=True)
+    )
+    clock = prepare_robot(RobotLoop(twin.robot, laws), twin.records(0.1)).clock
+    at = clock.sample_time * np.arange(clock.samples)
+    begins = np.cumsum(clock.lengths) - clock.lengths
+    for begun, period, delay in zip(clock.begun, periods, delays, strict=True):
+        step, part = np.divmod(begun, clock.lengths.size)
+        expected = np.floor(at / period + 1e-6) * period + delay
+        acts = step * np.sum(clock.lengths) + begins[part]
+        np.testing.assert_allclose(acts[:-3], expected[:-3], rtol=0, atol=1e-9)  # what is in the record
+
+
 @pytest.mark.parametrize(
     "twin", [pytest.param(two(), marks=pytest.mark.slow), two((12.0, 18.0)), TWINS["coupled and flexible"][0]]
 )
@@ -271,8 +288,8 @@ def test_integrators_hold_the_weight_on_the_reference() -> None:
     assert np.all(run.motor_position == twin.home)
 
 
-def test_a_feed_forward_of_the_inverse_model_tracks_better() -> None:
-    twin = six()
+@pytest.mark.parametrize("twin", [six(), changed(two(), {}, {"coupling": {"joint1": -2.0}})], ids=["six", "coupled"])
+def test_a_feed_forward_of_the_inverse_model_tracks_better(twin: Twin) -> None:
     loop, records = twin.loop(), twin.records(3.0)
     assisted = add_feed_forward(loop, records)
     lag = []

@@ -11,7 +11,7 @@ import pytest
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.models.controllers import Cascade, numbers_of
-from jointid.models.friction import FRICTIONS
+from jointid.models.friction import FRICTIONS, PARTS
 from jointid.models.gravity import Gravity
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint, frictions_beside, springs_beside
 from jointid.models.ripple import PositionHarmonics
@@ -150,6 +150,30 @@ def test_the_inverse_model_of_a_run_is_its_torque() -> None:
         found = columns @ np.array([values[p.name] for p in joint.parameters])
         np.testing.assert_allclose(found[0][moving], run.torque[moving], atol=1e-6 * np.abs(run.torque).max())
         np.testing.assert_allclose(found[1][moving], 0.0, atol=1e-6 * np.abs(run.torque).max())
+
+
+def test_accelerations_balance_friction_that_drifts() -> None:
+    """Inertia times acceleration is what the torque leaves beside friction and spring, of both sides."""
+    case = prismatic(1)
+    loop, values = _nothing_more(case)
+    drifts = {"motor_viscous": 0.5, "motor_coulomb": -0.3, "load_viscous": -0.4, "load_coulomb": 0.2}
+    record = case.clean.with_channels({n: replace(c, values=c.values[:3000]) for n, c in case.clean.items()})
+    experiment = prepare(loop, record)
+    time = experiment.sample_time * np.arange(experiment.samples)
+    values |= {f"{name}_drift": share * values[name] / time[-1] for name, share in drifts.items()}
+    run = simulate(loop, experiment, values)
+    assert run.load is not None
+    spring = values["stiffness"] * (run.load.position - run.motor.position)
+    spring += values["damping"] * (run.load.velocity - run.motor.velocity)
+    for side, motion, push in (
+        ("motor", run.motor, run.torque - values["offset"] + spring),
+        ("load", run.load, -spring),
+    ):
+        viscous, coulomb = (values[f"{side}_{part}"] + values[f"{side}_{part}_drift"] * time for part in PARTS)
+        left = push - viscous * motion.velocity - coulomb * np.sign(motion.velocity)
+        moving = motion.velocity != 0
+        expected = left[moving] / values[f"{side}_inertia"]
+        np.testing.assert_allclose(motion.acceleration[moving], expected, rtol=0, atol=1e-6 * np.abs(expected).max())
 
 
 def test_a_run_that_fails_has_no_derivatives() -> None:

@@ -57,20 +57,27 @@ LOOSENED: tuple[Loosened, ...] = (
     Loosened("gravity_link/open_loop/*", 1e-6, _NEAR),
     Loosened("intervals_emps/profiles/*/evaluations", 0.1, _NEAR),
     Loosened("intervals_*/profiles/*", 1e-6, _NEAR),
+    Loosened("intervals_*/over_place/*", 1e-6, _NEAR),
+    Loosened("law_pid/trace/*", 1e-6, _NEAR),
     Loosened("law_of_three_rates/residuals/repeatable/*", 1e-5, "nearly nothing repeats"),
     Loosened("learn_*/alternatives/*", 1e-2, "of a filter that the law does not have, little is known"),
+    Loosened("learn_*/numbers/*/lower", 1e-2, "the interval holds what those laws allow"),
+    Loosened("learn_*/numbers/*/upper", 1e-2, "the interval holds what those laws allow"),
     Loosened("learn_*", 1e-6, _NEAR),
     Loosened("motorbench_both_encoders_weighted/*", 1e-7, "weights are iterated"),
     Loosened("motorbench_open_loop/*", 1e-5, "the search does not converge"),
     Loosened("reproduction/*/initial/position", 1e-2, "it is nearly 0, and has no deviation beside it"),
     Loosened("reproduction/*", 1e-7, _NEAR),
+    Loosened("report_emps/profiles/*", 1e-6, _NEAR),
+    Loosened("twin_drive_side/answer/simulations", 0.05, "rounding decides whether a start takes a last step"),
     Loosened("twin_drive_side/*", 1e-7, _NEAR),
     Loosened("twin_free_gains/*", 1e-7, _NEAR),
+    Loosened("twin_open_loop/answer/simulations", 0.05, "rounding decides whether a start takes a last step"),
     Loosened("twin_open_loop/*", 1e-3, "the search does not converge"),
 )
 """What is reproduced on one machine, but carries another order of sums beyond 1e-9; the first that matches counts.
 
-Found by running all of it with the kernels of linear algebra of another processor (OPENBLAS_CORETYPE=Haswell). Such a
+Found by running all of it as on other processors (OPENBLAS_CORETYPE, NPY_DISABLE_CPU_FEATURES; see .ci/run). Such a
 difference is listed, with its reason, and does not fail a check.
 """
 

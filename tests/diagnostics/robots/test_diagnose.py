@@ -187,6 +187,9 @@ def test_the_sums_of_didim_are_those_of_its_parameters() -> None:
     rows = parameters_by_joint(estimate)
     assert [one.joint for one in rows] == sorted(one.joint for one in rows)
     own = {one.name: one for one in rows}
+    motors = [one for one in rows if one.name.startswith("joint")]
+    assert {one.joint for one in motors} == {0, 1}
+    assert all(one.name.startswith(f"joint{one.joint + 1}.") for one in motors)
     assert own["joint2.coulomb"].joint == 1 and own["joint2.coulomb"].nominal == pytest.approx(1.5)
     assert own["joint2.coulomb"].known is Told.TOLD
 

@@ -54,6 +54,7 @@ def test_numbers_of_the_regressor_along_a_motion_are_its_own() -> None:
     rows, columns = (random.integers(0, top, 40) for top in (SIZE, 10 * SIZE))
     for joints in (np.zeros((0, 0)), T):
         found, by = np.empty((40, 5)), joints if joints.size else np.eye(SIZE)
-        regressor_columns(*tree, joints, q, v, a, rows, columns, np.arange(40), found)
+        regressor_columns(*tree, joints, q[:2], v[:2], a[:2], rows, columns, np.arange(40), 0, found)
+        regressor_columns(*tree, joints, q[2:], v[2:], a[2:], rows, columns, np.arange(40), 2, found)
         whole = by.T @ regressor_of(*tree, *(np.ascontiguousarray(values @ by.T) for values in (q, v, a)))
         assert found == pytest.approx(whole[:, rows, columns].T, abs=1e-12 * np.max(np.abs(whole)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -63,6 +64,16 @@ def test_asymmetric_friction_and_a_link_s_weight_are_told_whole() -> None:
     ours = simulated(joint, law, reference, values)
     # Our own simulation holds what gravity is over each period.
     assert apart(torque_of(joint, values, law, reference), ours) < 2e-5
+
+
+def test_a_weight_pulls_down_and_its_counterbalance_up() -> None:
+    joint = ji.RigidJoint("revolute", gravity=ji.Gravity("link", ji.Counterbalance(cos=0.2, rate=0.05), angle=0.5))
+    values = {"inertia": 0.04, "viscous": 0.0, "coulomb": 0.0, "offset": 0.0, "gravity_cos": 0.6, "gravity_sin": -0.2}
+    values |= {"counterbalance_cos": 0.2, "counterbalance_rate": 0.05}
+    plant = ModelicaModel(ji.export(model(joint, values), "modelica").text, "axis", motor_position=0.7)
+    plant.advance(1e-6, 1, torque=1.0)
+    gains = 1.0 - (0.6 * math.cos(0.35) - 0.2 * math.sin(0.35)) + (0.2 * math.cos(0.35) + 0.05 * 0.7)
+    assert plant.values["motor_velocity"] == pytest.approx(1e-6 * gains / 0.04, rel=1e-5)
 
 
 @pytest.mark.parametrize(("made", "values"), [(ji.RigidJoint, RIGID), (ji.FlexibleJoint, FLEXIBLE)])
