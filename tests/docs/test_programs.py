@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import matplotlib as mpl
 import pytest
 
 from tests.docs.blocks import OTHERS, PROGRAMS, ROOT, blocks, pages
@@ -23,6 +22,8 @@ RUNNING = [
 @pytest.mark.docs
 @pytest.mark.parametrize("page", RUNNING, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_a_page_runs(page: Path, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+    import matplotlib as mpl
+
     mpl.use("agg")
     run_page(page, tmp_path, lambda: request.getfixturevalue("data_dir"))
 
