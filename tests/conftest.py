@@ -11,10 +11,6 @@ from typing import TYPE_CHECKING
 # Matrices here are thousands of rows by ten columns: a second thread of the linear algebra only waits for the first.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-# Without bytecode files, every worker and every child process compiles all modules again: 20 s each, of processor.
-sys.dont_write_bytecode = False
-os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-
 import pytest
 from hypothesis import settings
 
@@ -24,6 +20,11 @@ if TYPE_CHECKING:
     from jointid.estimation.methods.registry import Method
     from jointid.estimation.result.estimate import Estimate
     from jointid.records.record import Record
+
+# Without bytecode files, every worker compiles all tests and libraries again, which takes 12 s of processor, and every
+# child process its libraries.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 IN_CI = os.environ.get("CI") == "true"
 

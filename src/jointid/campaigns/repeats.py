@@ -59,8 +59,7 @@ class Repeated:
 
         freedom = self.values.size - 1
         lower, upper = (
-            self.ratio * math.sqrt(freedom / float(chdtri(freedom, (1 - sign * _LEVEL) / 2)))
-            for sign in (1, -1)
+            self.ratio * math.sqrt(freedom / float(chdtri(freedom, (1 - sign * _LEVEL) / 2))) for sign in (1, -1)
         )
         return lower, upper
 
