@@ -43,8 +43,7 @@ class Plant:
 
     def __call__(self, torque: float) -> float:
         self.push(torque)
-        for _ in range(self.steps):
-            mujoco.mj_step(self.model, self.data)
+        mujoco.mj_step(self.model, self.data, self.steps)
         return float(self.data.qpos[0])
 
 
