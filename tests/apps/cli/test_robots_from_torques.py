@@ -183,13 +183,13 @@ def test_a_test_is_planned_and_played(tmp_path: Path, capsys: pytest.CaptureFixt
     limits = "limits = { lower = -1.0, upper = 1.0, speed = 2.0, torque = 60.0 }\n"
     text = joint.read_text(encoding="utf-8").replace("[[joints]]\n", f"[[joints]]\n{limits}")
     joint.write_text(text, encoding="utf-8")
-    run("design", joint, "--seconds", "1", "--duration", "4", "--out", out, "--json", tmp_path / "a.json")
+    run("design", joint, "--seconds", "0.3", "--duration", "4", "--out", out, "--json", tmp_path / "a.json")
     assert "13 parameters to a tenth" in capsys.readouterr().out
     answer = json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.robot_design/1" and answer["samples"] == 4000 and not answer["of_record"]
     assert answer["reached"][0]["upper"] < 1.0 and not answer["passed"]
     run("simulate", joint, "--record", out / "motion.csv", "--out", tmp_path / "log.csv")
-    run("design", joint, "--seconds", "1", "--record", tmp_path / "log.csv")
+    run("design", joint, "--seconds", "0.3", "--record", tmp_path / "log.csv")
     assert "of the present motion's on the geometric mean" in " ".join(capsys.readouterr().out.split())
     run("design", joint, "--motion", out / "motion.csv")
     with pytest.raises(MethodError, match="--stroke is for a joint file"):
