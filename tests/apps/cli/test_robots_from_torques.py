@@ -275,7 +275,8 @@ def test_the_drive_side_of_flexible_joints(tmp_path: Path, capsys: pytest.Captur
     twin, joint = measured_alone(tmp_path), tmp_path / "robot.toml"
     capsys.readouterr()
     one, two_, found = tmp_path / "one.csv", tmp_path / "two.csv", tmp_path / "found.json"
-    run("identify", joint, "--record", one, "--json", found)
+    near = "method.frequencies={joint1=13.0,joint2=20.0}"
+    run("identify", joint, "--record", one, "--set", near, "--json", found)
     printed = " ".join(capsys.readouterr().out.split())
     assert "drive side of a robot, from motor torques and motor positions, of springs, rotors and links" in printed
     answer = json.loads(found.read_text(encoding="utf-8"))
@@ -283,7 +284,6 @@ def test_the_drive_side_of_flexible_joints(tmp_path: Path, capsys: pytest.Captur
         assert one_joint.spring is not None
         row = answer["parameters"][f"{one_joint.name}.stiffness"]
         assert row["value"] == pytest.approx(one_joint.spring.stiffness, rel=0.02)
-    near = "method.frequencies={joint1=13.0,joint2=20.0}"
     run("validate", joint, "--set", 'record.file="one.csv"', "--set", near, "--record", two_)
     assert "nominal model" in capsys.readouterr().out
     capsys.readouterr()
