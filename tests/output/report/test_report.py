@@ -437,16 +437,6 @@ def test_a_long_record_says_what_is_left_out() -> None:
     assert "residual" not in longer.charts
 
 
-@pytest.mark.docs
-def test_the_program_of_the_documentation_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    page = (DOCS / "report.md").read_text(encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-    exec(page.split("```python\n")[1].split("```")[0], {})
-    assert (tmp_path / "report.html").is_file()
-    assert (tmp_path / "figures" / "torque.png").is_file()
-    assert (tmp_path / "markdown" / "report.md").is_file()
-
-
 def test_every_key_of_the_answer_is_documented() -> None:
     page = (DOCS / "answers.md").read_text(encoding="utf-8")
     section = page.split("## `jointid.report/1`")[1].split("\n## ")[0]
