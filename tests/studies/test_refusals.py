@@ -55,10 +55,7 @@ def test_the_verdict_turns_once_from_values_to_bounds(found: Refusals) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("factor", "noise", "given"),
-    [(10.0, "disturbance", True), (50.0, "white", True), (100.0, "disturbance", False), (1e4, "white", False)],
-)
+@pytest.mark.parametrize(("factor", "noise", "given"), [(50.0, "white", True), (100.0, "disturbance", False)])
 def test_a_whole_identification_says_the_same(
     factor: float, noise: Literal["disturbance", "white"], given: bool
 ) -> None:

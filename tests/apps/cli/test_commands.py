@@ -318,8 +318,10 @@ def test_the_motor_position_may_be_removed_from_the_file(emps_path: Path, tmp_pa
 def test_the_flexible_axis_by_command(demo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     flexible = JOINT_FILE.replace('"rigid"', '"flexible"').replace("cutoff = 5.0", "cutoff = 60.0")
     (tmp_path / "joint.toml").write_text(flexible, encoding="utf-8")
+    rows = (demo / "record.csv").read_text(encoding="utf-8").splitlines()[:10_001]  # of 24 s, which take longer
+    (tmp_path / "record.csv").write_text("\n".join(rows), encoding="utf-8")
     out = tmp_path / "out.json"
-    words = ("identify", tmp_path / "joint.toml", "--record", demo / "record.csv", "--json", out, "-q")
+    words = ("identify", tmp_path / "joint.toml", "--record", tmp_path / "record.csv", "--json", out, "-q")
 
     def stiffness() -> float:
         return float(json.loads(out.read_text(encoding="utf-8"))["parameters"]["stiffness"]["value"])
@@ -460,22 +462,14 @@ def test_a_learned_joint_file_names_the_record_that_was_given(
     assert made.controller == learned
 
 
-LEARNED_TWINS = {
-    "P-P": Cascade(position_gain=60.0, velocity_gain=500.0),
-    "P-PI": Cascade(position_gain=60.0, velocity_gain=500.0, integral_gain=15.0),
-    "PID": PID(
+@pytest.mark.slow
+def test_from_an_unknown_controller_to_an_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The joint file has channels and a drive only; the log that is identified then, torque and reference only."""
+    controller = PID(
         position_gain=30000.0, derivative_gain=500.0, integral_gain=2e5, velocity_filter=FirstOrder(2e-3),
         reference_velocity="none",
-    ),
-}  # fmt: skip
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("law", LEARNED_TWINS)
-def test_from_an_unknown_controller_to_an_answer(law: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The joint file has channels and a drive only; the log that is identified then, torque and reference only."""
-    controller = LEARNED_TWINS[law]
-    reference = trapezoids([0.1, 0.3], 2.0, 0.2, 1e-3, 0.1, 6.0)
+    )  # fmt: skip
+    reference = trapezoids([0.2, 0.5], 2.0, 0.05, 1e-3, 0.05, 2.0)
     error = 0.02 * np.random.default_rng(3).standard_normal(reference.size)
     values = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 1.0}
     loop = ClosedLoop(RigidJoint(), controller)
@@ -494,7 +488,7 @@ def test_from_an_unknown_controller_to_an_answer(law: str, tmp_path: Path, capsy
     written.parent.mkdir()
     assert run("controller", tmp_path / "joint.toml", "--record", tmp_path / "log.csv", "--write", written) == 0
     said = capsys.readouterr()
-    assert "this takes some" in said.err and f"{law}" in said.out
+    assert "this takes some" in said.err and "PID" in said.out
     made = load(written)
     assert made.controller is not None
     assert all("#" in line for line in written.read_text().splitlines() if "_gain = " in line)
@@ -504,18 +498,6 @@ def test_from_an_unknown_controller_to_an_answer(law: str, tmp_path: Path, capsy
     assert json.loads(answer.read_text())["method"] == "didim"
     assert found["inertia"] == pytest.approx(5.0, rel=5e-3)
     assert found["viscous"] == pytest.approx(20.0, rel=3e-2)
-
-
-@pytest.mark.slow
-def test_the_public_axis_from_an_unknown_controller_to_an_answer(emps_path: Path, tmp_path: Path) -> None:
-    text = EMPS.read_text(encoding="utf-8")
-    before, _, _ = text.partition("[controller]")
-    (tmp_path / "joint.toml").write_text(before, encoding="utf-8")
-    written, answer = tmp_path / "learned.toml", tmp_path / "answer.json"
-    assert run("controller", tmp_path / "joint.toml", "--record", emps_path, "--write", written, "-q") == 0
-    assert run("identify", written, "--json", answer, "-q") == 0
-    found = {name: one["value"] for name, one in json.loads(answer.read_text())["parameters"].items()}
-    assert found["inertia"] == pytest.approx(95.4, abs=1.0)
 
 
 def test_an_interrupted_search_is_written_and_said(

@@ -75,8 +75,9 @@ def test_a_friction_that_is_declared_another_backwards_is_the_one_found_in_both_
 def test_bodies_fit_an_estimate_from_torques_alone(flexible: bool) -> None:
     """Of a model a third off they predict another record as the estimate does, springs and all."""
     twin = six(flexible)
-    multisine = 0.004 if flexible else 0.0
-    records, other = (recorded(twin.loop(), twin.records(8.0, seed, multisine=multisine), 0.02)[0] for seed in (1, 4))
+    seconds, multisine = (5.0, 0.004) if flexible else (8.0, 0.0)
+    asked = (twin.records(seconds, seed, multisine=multisine) for seed in (1, 4))
+    records, other = (recorded(twin.loop(), each, 0.02)[0] for each in asked)
     factors = np.random.default_rng(5).uniform(0.7, 1.3, 6)
     links = tuple(replace(link, inertial=k * link.inertial) for link, k in zip(twin.robot.links, factors, strict=True))
     model = replace(twin.robot, links=links)

@@ -139,7 +139,7 @@ def test_springs_of_motors_that_are_coupled() -> None:
 def test_six_joints_are_placed_one_after_the_other() -> None:
     """Modes from 8 to 28 Hz behind their motors; that of the last at 73 Hz, above the filter, is known worse."""
     twin, said = six(True), list[str]()
-    found = identified(twin, logged(twin, duration=10.0), progress=said.append)
+    found = identified(twin, logged(twin, duration=6.0), progress=said.append)
     assert [line.split(":")[0] for line in said if "swings" in line][:2] == ["joint1", "joint2"]
     assert found.fit.converged
     truth = RobotNumbers.of(twin.robot).springs[:, 0]
