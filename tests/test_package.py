@@ -61,8 +61,6 @@ def take_kernels(installed: Path) -> None:
     Compiling them takes most of a minute. A copy that does not fit is compiled again.
     """
     package = ROOT / "src" / "jointid"
-    for path in package.rglob("*.py"):
-        shutil.copystat(path, installed / path.relative_to(package))
     for kernel in package.rglob("*.nb[ic]"):
         there = installed / kernel.relative_to(package)
         there.parent.mkdir(exist_ok=True)
