@@ -130,8 +130,8 @@ def test_the_time_of_the_processor_is_bounded(
     tmp_path: Path, fresh: reader_process._Idle, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "run.h5"
-    with h5py.File(path, "w") as file:  # a million chunks, each of which is looked for
-        file.create_dataset("q", shape=(2**24,), dtype="f8", chunks=(16,))
+    with h5py.File(path, "w") as file:  # millions of chunks, each of which is looked for
+        file.create_dataset("q", shape=(2**26,), dtype="f8", chunks=(16,))
     monkeypatch.setattr(reader_process, "SECONDS", 0.5)
     with pytest.raises(
         RecordError, match=r"run\.h5 \(.* KiB\) is not read within 1 s, the time for a file of its size"
