@@ -25,6 +25,7 @@ from jointid.paper.twin import Twin, twin
 from jointid.records.record import InjectionPoint, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import in_threads
+from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.synthesis import simulated_record
 from jointid.solvers.solve import solve
 from tests.estimation.conftest import CONTROLLER
@@ -36,6 +37,7 @@ KILOGRAMS = 10.0
 FRICTION = ("motor_viscous", "motor_coulomb", "load_viscous", "load_coulomb")
 QUICK = FlexibleDIDIM(frequency=30.0)
 RIGID = ClosedLoop(RigidJoint(), CONTROLLER)
+BRIEF = trapezoids((0.083, 0.125), 0.83, 0.2, 1e-3, duration=8.4)
 
 
 @cache
@@ -48,15 +50,18 @@ def heavier(truth: Mapping[str, float]) -> dict[str, float]:
     return {**truth, "load_inertia": truth["load_inertia"] + KILOGRAMS}
 
 
-def logged(loop: ClosedLoop, values: Mapping[str, float], noise: Noise = "none", seed: int = 0) -> Record:
-    """A run of a twin with the noise of the paper's 8 %, as its drive logs it."""
+def logged(
+    loop: ClosedLoop, values: Mapping[str, float], noise: Noise = "none", seed: int = 0, whole: bool = False
+) -> Record:
+    """A run of a twin with the noise of the paper's 8 %, as its drive logs it: two of its speeds, or the whole."""
     axis = twins(noise)
-    reference, injected = axis.record.reference, axis.record.injected
-    assert reference is not None
-    assert injected is not None
-    random = axis.noise * np.random.default_rng(seed).standard_normal(len(reference))
+    reference, known = BRIEF, pulses(BRIEF.size, 1e-3, height=150.0, width=0.02, every=0.4, seed=0)
+    if whole:
+        assert axis.record.reference is not None and axis.record.injected is not None
+        reference, known = axis.record.reference.values, axis.record.injected.channel.values
+    random = axis.noise * np.random.default_rng(seed).standard_normal(reference.size)
     record = simulated_record(
-        loop, reference.values, values, sample_time=1e-3, injected=injected.channel.values,
+        loop, reference, values, sample_time=1e-3, injected=known,
         disturbance=random if noise == "disturbance" else None, torque_noise=random if noise == "white" else None,
         name=f"run {seed}",
     )  # fmt: skip
@@ -112,12 +117,10 @@ def test_a_parameter_of_the_first_record_alone_that_the_others_share() -> None:
     """Values, deviations and correlations are under their own names, in whatever order the records bring them."""
     first = {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": 2.0}
     others = first | {"coulomb": 15.0}
-    reference = twins("none").record.reference
-    assert reference is not None
     records = [
         simulated_record(
-            RIGID, reference.values, values | {"inertia": values["inertia"] + more}, sample_time=1e-3,
-            torque_noise=np.random.default_rng(seed).standard_normal(reference.values.size),
+            RIGID, BRIEF, values | {"inertia": values["inertia"] + more}, sample_time=1e-3,
+            torque_noise=0.5 * np.random.default_rng(seed).standard_normal(BRIEF.size),
         )
         for seed, (values, more) in enumerate(((first, 0.0), (others, 10.0), (others, 6.0)))
     ]  # fmt: skip
@@ -151,10 +154,8 @@ def test_a_torque_constant_from_a_known_mass() -> None:
     joint = RigidJoint(torque_unit="A")
     loop = ClosedLoop(joint, replace(CONTROLLER, gain=1.0))
     truth = {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": -3.0}
-    reference = twins("none").record.reference
-    assert reference is not None
     records = [
-        simulated_record(loop, reference.values, {n: v / 35.0 for n, v in values.items()}, sample_time=1e-3)
+        simulated_record(loop, BRIEF, {n: v / 35.0 for n, v in values.items()}, sample_time=1e-3)
         for values in (truth, truth | {"inertia": 105.0})
     ]
     with pytest.raises(MethodError, match="per A; free drive_gain"):
@@ -273,7 +274,9 @@ def differences(noise: Noise, seed: int) -> tuple[float, float]:
     """
     axis = twins(noise)
     truths = [dict(axis.truth), heavier(axis.truth)]
-    problems = [problem_of(logged(axis.loop, t, noise, 2 * seed + k), axis.loop) for k, t in enumerate(truths)]
+    problems = [
+        problem_of(logged(axis.loop, t, noise, 2 * seed + k, whole=True), axis.loop) for k, t in enumerate(truths)
+    ]
     alone = [by_itself(problem, values) for problem, values in zip(problems, truths, strict=True)]
     apart = alone[1].values["load_inertia"] - alone[0].values["load_inertia"]
     alone = [whitened(one) for one in alone]
@@ -301,7 +304,8 @@ def gain_of(noise: Noise, seed: int) -> tuple[float, float, bool]:
         heavier(axis.truth) | {"motor_coulomb": 11.0, "load_coulomb": 12.0, "load_viscous": 130.0},
     ]
     records = [
-        logged(axis.loop, {n: v / gain for n, v in t.items()}, noise, 2 * seed + k) for k, t in enumerate(truths)
+        logged(axis.loop, {n: v / gain for n, v in t.items()}, noise, 2 * seed + k, whole=True)
+        for k, t in enumerate(truths)
     ]
     found = identify(
         records,
