@@ -52,7 +52,7 @@ def test_idim_needs_the_timing_respected() -> None:
 
 
 @pytest.mark.parametrize("loop", ["L19", "L30"])
-@pytest.mark.parametrize("seed", range(1, 6))
+@pytest.mark.parametrize("seed", [1, 2])
 def test_idim_under_the_paper_s_noise_on_the_log(loop: str, seed: int) -> None:
     axis = twin(loop, noise="white", seed=seed)  # type: ignore[arg-type]
     estimate = identify(axis.record, axis.loop, IDIM())
@@ -110,6 +110,7 @@ def test_didim_recovers_the_noise_free_twin(
     estimate = identified(loop, settings, noise="none")
     assert all(abs(value / axis.truth[name] - 1) <= 1e-4 for name, value in estimate.values.items())
     assert not estimate["initial_velocity"].free
+    assert estimate.fit.simulations <= 700
 
 
 @pytest.mark.parametrize("loop", ["L19", "L30"])
