@@ -446,8 +446,9 @@ def test_a_past_record_is_foretold_as_the_joint_file_reads_it(
     assert "spoiled.csv" in capsys.readouterr().err
 
 
-def test_a_test_stays_where_the_present_one_is_and_begins_at_rest() -> None:
+def test_a_test_stays_where_the_present_one_is_and_begins_at_rest(monkeypatch: pytest.MonkeyPatch) -> None:
     """An axis that begins at 1.2 rad, holds a weight, logs its reference at a quarter of the rate, injects early."""
+    count_trials(monkeypatch)
     loop = ClosedLoop(
         RigidJoint("revolute", gravity=ji.Gravity("constant")),
         ji.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0),
@@ -459,7 +460,7 @@ def test_a_test_stays_where_the_present_one_is_and_begins_at_rest() -> None:
     present = replace(planned_record(loop, slow, 4e-3), torque=torque)
     free = [p for p in loop.joint.parameters if p.free]
     covariance = np.diag([(0.02 * abs(values[p.name]) + 1e-4) ** 2 for p in free])
-    found = design_test(loop, values, Noise(log=0.01), present=present, covariance=covariance, seconds=2.0)
+    found = design_test(loop, values, Noise(log=0.01), present=present, covariance=covariance, seconds=250.0)
     assert not found.passed
     assert found.proposed.reference.min() > 1.19
     assert found.proposed.reference.max() < 2.21
