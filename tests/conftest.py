@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import shlex
+import sys
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,12 +15,20 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import pytest
 from hypothesis import settings
 
+from tests.drawing import DRAW, SHARES, draw_tests
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from jointid.estimation.methods.registry import Method
     from jointid.estimation.result.estimate import Estimate
     from jointid.records.record import Record
+
+# Without bytecode files, every worker compiles all tests and libraries again, which takes 12 s of processor, and every
+# child process its libraries.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+pytest_plugins = ["tests.processor_time"]
 
 IN_CI = os.environ.get("CI") == "true"
 
@@ -34,6 +44,26 @@ def pytest_configure(config: pytest.Config) -> None:
         from jointid.simulation.warm_up import main
 
         main()
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out the tests that `JOINTID_DRAW` does not draw."""
+    if not DRAW:
+        return
+    layers = {item.nodeid: layer for item in items for layer in SHARES if item.get_closest_marker(layer)}
+    kept = draw_tests(((layer, name) for name, layer in layers.items()), DRAW)
+    left = [item for item in items if item.nodeid in layers and item.nodeid not in kept]
+    if left:
+        config.hook.pytest_deselected(items=left)
+        items[:] = [item for item in items if item.nodeid in kept or item.nodeid not in layers]
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    """Print the draw and the command that repeats it."""
+    if DRAW:
+        shares = ", ".join(f"{share:.0%} of {layer}" for layer, share in SHARES.items())
+        command = shlex.join(["pytest", *config.invocation_params.args])
+        terminalreporter.write_line(f"drawn: {shares}; again by: JOINTID_DRAW={shlex.quote(DRAW)} {command}")
 
 
 @pytest.fixture(scope="session")

@@ -16,12 +16,14 @@ from jointid.common.arrays import FloatArray
 from jointid.estimation.methods.flexible import refined_least_squares
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.models.joints import ClosedLoop
-from jointid.paper.twin import twin
+from jointid.paper.twin import SAMPLE_TIME, twin
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Simulation, simulate
+from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.loop_input import LoopInput, prepare
 from jointid.simulation.simulated import require_finished
+from jointid.simulation.synthesis import simulated_record
 
 Loop = Literal["L19", "L30"]
 Noise = Literal["white", "disturbance"]
@@ -40,18 +42,24 @@ class Setting:
     truth: dict[str, float]
     noise: dict[str, float]
     peak: float  # of the controller's output
+    brief: bool
 
 
-@lru_cache(maxsize=2)
-def setting(name: Loop) -> Setting:
-    """The twin with that loop, and the sizes of its two noises."""
+@lru_cache(maxsize=4)
+def setting(name: Loop, brief: bool = False) -> Setting:
+    """The twin with that loop, and the sizes of its two noises; in brief, 8.4 s of it at two speeds."""
     clean = twin(name, noise="none")
-    record = clean.record.without("motor_position", "load_position")
+    record = clean.record
+    if brief:
+        reference = trapezoids((0.083, 0.125), 0.83, 0.2, SAMPLE_TIME, duration=8.4)
+        known = pulses(reference.size, SAMPLE_TIME, height=150.0, width=0.02, every=0.4, seed=0)
+        record = simulated_record(clean.loop, reference, clean.truth, sample_time=SAMPLE_TIME, injected=known)
+    record = record.without("motor_position", "load_position")
     assert record.torque is not None
     assert record.injected is not None
     sizes = {kind: twin(name, noise=kind).noise for kind in ("white", "disturbance")}
     peak = float(np.max(np.abs(record.torque.values - record.injected.channel.values)))
-    return Setting(name, clean.loop, record, dict(clean.truth), sizes, peak)
+    return Setting(name, clean.loop, record, dict(clean.truth), sizes, peak, brief)
 
 
 @dataclass(frozen=True)
@@ -150,13 +158,13 @@ def _logged(where: Setting, fault: Fault, noise: Noise | None, seed: int) -> Flo
 def _moved(where: Setting, fault: Fault, force: FloatArray | None) -> FloatArray:
     """Return the torque the log shows of the loop that really ran; without noise it is always the same."""
     if force is None:
-        return _quiet(where.name, fault)
+        return _quiet(where.name, where.brief, fault)
     return _run(where, fault, force).torque
 
 
 @lru_cache(maxsize=32)
-def _quiet(name: Loop, fault: Fault) -> FloatArray:
-    where = setting(name)
+def _quiet(name: Loop, brief: bool, fault: Fault) -> FloatArray:
+    where = setting(name, brief)
     return _run(where, fault, np.zeros(len(where.record.torque or ()))).torque
 
 

@@ -44,10 +44,10 @@ def reference(law: Law) -> Reference:
     return reference_of(loop_of(law).first(SHORT))
 
 
-def made(kind: type[Peer], law: Law, setting: Setting | None = None) -> Peer:
+def made(kind: type[Peer], law: Law, setting: Setting | None = None, samples: int = SHORT) -> Peer:
     if reason := kind.absent(loop_of(law)):
         pytest.skip(f"{kind.key}: {reason}")
-    return kind(loop_of(law).first(SHORT), setting or kind.settings[0])
+    return kind(loop_of(law).first(samples), setting or kind.settings[0])
 
 
 def test_the_problem_is_that_of_the_stick(bench_dir: Path) -> None:
@@ -109,7 +109,8 @@ def test_exact_derivatives_are_those_of_the_torque(key: str) -> None:
 def test_derivatives_by_differences_point_where_the_exact_ones_do(key: str) -> None:
     best = (min(kind.settings, key=lambda setting: setting.error) for kind in (peer(key), Engine))
     found, exact = (
-        made(kind, STICK, setting).slopes(TRUTH)[1] for kind, setting in zip((peer(key), Engine), best, strict=True)
+        made(kind, STICK, setting, samples=1000).slopes(TRUTH)[1]
+        for kind, setting in zip((peer(key), Engine), best, strict=True)
     )
     lengths = np.linalg.norm(found, axis=0) * np.linalg.norm(exact, axis=0)
     assert np.all(np.sum(found * exact, axis=0) >= (0.5 if key == "rollout" else 0.95) * lengths)

@@ -6,6 +6,7 @@ import contextlib
 import threading
 import time
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -19,9 +20,9 @@ from jointid.campaigns.store import open_database
 from jointid.common.errors import MethodError
 from tests.campaigns.work import POISON, carry, cases, ends
 
-pytest.importorskip("distributed")
 pytestmark = [
     pytest.mark.slow,
+    pytest.mark.skipif(not find_spec("distributed"), reason="distributed is not installed"),
     pytest.mark.filterwarnings("default"),  # Dask's own
 ]
 

@@ -12,6 +12,7 @@ import stat
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -26,12 +27,11 @@ from jointid.campaigns.store import open_database
 from jointid.common.errors import ExtraError, RecordError
 from tests.campaigns.work import SLOW, carry, cases, ends
 
-pytest.importorskip("pysqa")
-h5py = pytest.importorskip("h5py")
 ROOT = Path(__file__).resolve().parents[2]
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(os.name == "nt", reason="SLURM"),
+    pytest.mark.skipif(not (find_spec("pysqa") and find_spec("h5py")), reason="pysqa or h5py is not installed"),
     pytest.mark.filterwarnings("default"),  # executorlib's own
 ]
 
@@ -101,6 +101,8 @@ def test_what_is_under_way_is_waited_for_by_a_client_that_returns_with_more_case
     slurm: SlurmJobs, tmp_path: Path
 ) -> None:
     """The later job is under way when the client returns, and four cases more shift every batch but that one."""
+    import h5py
+
     log, slow = tmp_path / "log", dict.fromkeys(range(5, 10), SLOW)
     leave_after_a_job(slurm, tmp_path / "out", lambda: cases(10, log, slow))
     begun = set(hash_lines(tmp_path / "shared"))

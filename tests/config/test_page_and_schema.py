@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import math
 import re
-import subprocess
-import sys
 
 from jointid.common.transmission import Transmission
 from jointid.common.units import units_of
@@ -95,10 +93,3 @@ def test_the_schema_has_no_null_and_a_description_of_every_key() -> None:
     assert "null" not in text
     for name in json_schema()["$defs"]:
         assert all("description" in key for key in table(name).values())
-
-
-def test_importing_loads_nothing_heavy() -> None:
-    heavy = "numba, matplotlib, scipy.signal, scipy.optimize"
-    program = f"import sys, jointid.config; print([m for m in '{heavy}'.split(', ') if m in sys.modules])"
-    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert result.stdout.strip() == "[]"

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import JointFileError, RecordError
-from jointid.config.loading import load, parse_toml
-from jointid.config.robot_file import RobotFile, RobotFileTable, is_robot_file, load_robot_file, save_robot_file
+from jointid.config.loading import is_robot_file, load, parse_toml
+from jointid.config.robot_file import RobotFile, RobotFileTable, load_robot_file, save_robot_file
 from jointid.models.controllers import PD
 from jointid.models.robots.robot import JointSpring
 from jointid.output.export.robot_model import robot_mjcf

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jointid.common.errors import JointFileError
@@ -251,6 +251,7 @@ def joint_files(draw: st.DrawFn) -> JointFile:
     )
 
 
+@settings(max_examples=50)  # one takes 40 ms
 @given(joint_files())
 def test_what_is_written_is_read_back(file: JointFile) -> None:
     assert loads(dumps(file)) == file

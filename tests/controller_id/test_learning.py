@@ -37,11 +37,12 @@ EMPS = load(Path(__file__).resolve().parents[2] / "examples" / "emps" / "joint.t
 T = 1e-3
 
 
-def made(controller: Controller, noise: float = 0.02, step: float = 1e-7) -> Record:
+def made(controller: Controller, step: float = 1e-7, *, short: bool = False) -> Record:
     """A rigid axis of 5 kg under a law, with noise on the log and a rounded position."""
-    reference = trapezoids([0.1, 0.3, 0.5], 2.0, 0.2, T, 0.1, 6.0)
+    long = trapezoids([0.1, 0.3, 0.5], 2.0, 0.2, T, 0.1, 6.0)
+    reference = trapezoids([0.2, 0.5], 2.0, 0.05, T, 0.05, 2.0) if short else long
     values = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 1.0}
-    error = noise * np.random.default_rng(3).standard_normal(reference.size)
+    error = 0.02 * np.random.default_rng(3).standard_normal(reference.size)
     loop = ClosedLoop(RigidJoint(), controller)
     return simulated_record(loop, reference, values, sample_time=T, encoder_step=step, torque_noise=error)
 
@@ -96,7 +97,7 @@ def test_the_learned_table_is_a_joint_file_s(emps: tuple[Record, LearnedLoop], t
 @pytest.mark.parametrize(
     ("controller", "words"),
     [
-        (Cascade(position_gain=60.0, velocity_gain=500.0), "P-P"),
+        (Cascade(position_gain=60.0, velocity_gain=500.0, limit=19.0), "P-P"),
         (
             Cascade(position_gain=60.0, velocity_gain=500.0, integral_gain=15.0, velocity_feedforward=0.7),
             "P-PI, velocity feed-forward",
@@ -108,28 +109,25 @@ def test_the_learned_table_is_a_joint_file_s(emps: tuple[Record, LearnedLoop], t
             "P-P, acceleration feed-forward, velocity filter first order",
         ),
     ],
-    ids=["P-P", "P-PI", "feed-forward and filter"],
+    ids=["P-P at its limit", "P-PI", "feed-forward and filter"],
 )
 def test_a_law_is_found_with_its_numbers(controller: Cascade, words: str) -> None:
-    learned = learn_loop(made(controller))
-    assert str(learned.structure) == words
+    learned = learn_loop(made(controller, short=True))
+    assert str(learned.structure).partition(", limit")[0] == words
     for name in ("position_gain", "velocity_gain"):
         one = learned[name]
         assert 0.0 < one.std < 1e-3 * one.value
         assert one.value == pytest.approx(getattr(controller, name), rel=2e-3)
-
-
-@pytest.mark.slow
-def test_a_limit_is_read_from_the_log() -> None:
-    learned = learn_loop(made(Cascade(position_gain=60.0, velocity_gain=500.0, limit=19.0)))
-    assert learned["limit"].value == pytest.approx(19.0, rel=1e-3)
-    assert learned["velocity_gain"].value == pytest.approx(500.0, rel=5e-3)
+    if np.isfinite(controller.limit):
+        assert learned["limit"].value == pytest.approx(controller.limit, rel=1e-3)
 
 
 @pytest.mark.slow
 def test_a_slower_position_loop_counts_from_the_first_sample_of_the_file() -> None:
     """The record was cut by two samples at its begin, as a torque that is refreshed slowly has it cut."""
-    record = made(Cascade(position_gain=60.0, velocity_gain=500.0, position_period=4 * T, position_offset=T))
+    record = made(
+        Cascade(position_gain=60.0, velocity_gain=500.0, position_period=4 * T, position_offset=T), short=True
+    )
     learned = learn_loop(replace(record, begin=2 * T))
     assert isinstance(learned.controller, Cascade)
     assert learned.controller.position_period == pytest.approx(4 * T)
@@ -138,7 +136,7 @@ def test_a_slower_position_loop_counts_from_the_first_sample_of_the_file() -> No
 
 @pytest.mark.slow
 def test_a_coarse_position_does_not_bend_the_gains() -> None:
-    learned = learn_loop(made(Cascade(position_gain=60.0, velocity_gain=500.0), step=2e-6))
+    learned = learn_loop(made(Cascade(position_gain=60.0, velocity_gain=500.0), step=2e-6, short=True))
     assert 0.0 < learned.position_noise < 2e-6
     assert all(
         abs(learned[n].value - v) <= 3 * learned[n].std for n, v in (("position_gain", 60.0), ("velocity_gain", 500.0))
@@ -235,7 +233,8 @@ def test_an_interrupt_keeps_the_best_law_so_far(monkeypatch: pytest.MonkeyPatch)
 
 @pytest.mark.slow
 def test_an_interrupt_of_the_first_fits_keeps_their_best(monkeypatch: pytest.MonkeyPatch) -> None:
-    record, said, fits = made(Cascade(position_gain=60.0, velocity_gain=500.0)), list[str](), 0
+    record = made(Cascade(position_gain=60.0, velocity_gain=500.0), short=True)
+    said, fits = list[str](), 0
     trim = search._trim
 
     def interrupted(*given: Any) -> Any:
@@ -286,7 +285,7 @@ def test_one_law_has_one_name() -> None:
 
 @pytest.mark.slow
 def test_a_torque_with_the_wrong_sign_is_refused() -> None:
-    record = made(Cascade(position_gain=60.0, velocity_gain=500.0))
+    record = made(Cascade(position_gain=60.0, velocity_gain=500.0), short=True)
     assert record.torque is not None
     turned = replace(record, torque=replace(record.torque, values=-record.torque.values))
     with pytest.raises(MethodError, match="Check units, signs and sides"):
@@ -439,20 +438,18 @@ def test_a_law_under_much_noise_is_not_refused(monkeypatch: pytest.MonkeyPatch) 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [1, 3])
-def test_no_law_is_made_up_where_the_record_shows_none(data_dir: Path, number: int) -> None:
-    """The KR300's axes: a robot's controller looks at all of them, and at its model."""
-    file = load(Path(__file__).resolve().parents[2] / "examples" / "kr300" / f"axis{number}.toml")
+def test_no_law_is_made_up_where_the_record_shows_none(data_dir: Path) -> None:
+    """An axis of the KR300: a robot's controller looks at all of them, and at its model."""
+    file = load(Path(__file__).resolve().parents[2] / "examples" / "kr300" / "axis3.toml")
     with pytest.raises(MethodError, match="No law that is searched for gives"):
         learn_loop(file.record(data_dir / "kr300" / "rec_A.mat"))
 
 
-@pytest.mark.slow
-def test_what_the_record_does_not_show_is_kept_as_declared() -> None:
-    loop = ClosedLoop(RigidJoint(), Cascade(position_gain=60.0, velocity_gain=500.0))
-    reference = trapezoids([0.1, 0.3], 2.0, 0.2, 1e-3, 0.1, 6.0)
-    values = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 0.0}
-    record = simulated_record(loop, reference, values, sample_time=1e-3, encoder_step=1e-7)
+def test_what_the_record_does_not_show_is_kept_as_declared(monkeypatch: pytest.MonkeyPatch) -> None:
+    record = made(Cascade(position_gain=60.0, velocity_gain=500.0))
+    monkeypatch.setattr(
+        "jointid.controller_id.learn.search", lambda task, _: (begun(task, Structure(), GAINS), (), True)
+    )
     declared = Cascade(position_gain=1.0, velocity_gain=1.0, limit=900.0, delay=5e-4)
     learned = learn_loop(record, declared=declared)
     assert isinstance(learned.controller, Cascade)

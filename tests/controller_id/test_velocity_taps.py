@@ -40,6 +40,7 @@ from jointid.controller_id.structures import (
 from jointid.records.record import Record
 from studies.learned import loop_twin
 from studies.velocity_taps import TapsTwin, learn_servos, taps_twin
+from tests.mistakes import cut
 
 EMPS = load(Path(__file__).resolve().parents[2] / "examples" / "emps" / "joint.toml")
 
@@ -228,7 +229,7 @@ def test_a_servo_s_weighted_difference_is_learned_without_a_feed_forward() -> No
 
 @pytest.mark.slow
 def test_the_search_for_taps_finds_no_taps_where_there_are_none() -> None:
-    record: Record = taps_twin(3).record  # a plain difference
+    record: Record = cut(taps_twin(3).record, 2.5)  # a plain difference
     learned = learn_loop(record)
     assert learned.structure.velocity_filter == "none" and "feed-forward" not in str(learned.structure).replace(
         "full velocity feed-forward", ""

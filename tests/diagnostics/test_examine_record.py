@@ -87,9 +87,7 @@ def told(record: Record, loop: ClosedLoop) -> Examination:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("spoiled", "on"), [*((one, "rigid") for one in SPOILED), ("saturation", "flexible"), ("wrong gain", "flexible")]
-)
+@pytest.mark.parametrize(("spoiled", "on"), [*((one, "rigid") for one in SPOILED), ("wrong gain", "flexible")])
 def test_a_spoiled_record_is_named_for_what_it_is(spoiled: str, on: str) -> None:
     make, with_position, without = SPOILED[spoiled]
     record, loop = make(on)
@@ -100,11 +98,10 @@ def test_a_spoiled_record_is_named_for_what_it_is(spoiled: str, on: str) -> None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("loop", ["L19", "L30"])
 @pytest.mark.parametrize("noise", ["white", "disturbance"])
-def test_nothing_is_wrong_with_a_clean_twin(loop: str, noise: str, seed: int) -> None:
-    made = twin(loop, noise=noise, seed=100 + seed)  # type: ignore[arg-type]
+def test_nothing_is_wrong_with_a_clean_twin(loop: str, noise: str) -> None:
+    made = twin(loop, noise=noise, seed=100)  # type: ignore[arg-type]
     found = examine(made.record, made.loop)
     assert found.healthy, str(found)
     assert len(str(found).splitlines()) <= 48

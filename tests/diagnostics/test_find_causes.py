@@ -135,7 +135,7 @@ def test_a_factor_that_is_found_near_a_known_one_is_that_one() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("factor", [4.0, 8.0, 0.2])
+@pytest.mark.parametrize("factor", [4.0, 0.2])
 def test_a_wrong_sample_time_is_named_by_its_factor(factor: float) -> None:
     record, loop = without_mistake(axis("rigid"))
     timed = {n: replace(c, sample_time=factor * c.sample_time) for n, c in record.items()}
@@ -252,8 +252,10 @@ def test_a_time_that_no_drive_keeps_is_none(seconds: float) -> None:
     assert tell_cause(Cause.DELAY, 5e-4, 0.01, none)[0].words == "the delay is about 0.50 ms, not 0 ms"
 
 
-def test_every_fault_of_an_error_stays_a_line_of_its_own() -> None:
+def test_every_fault_of_an_error_stays_a_line_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     record, loop = BY_NAME["torque turned round"].make(axis("rigid"), 1)
+    cause = tell_cause(Cause.TORQUE_SIGN, None, 0.01, loop)
+    monkeypatch.setattr(searching, "find_causes", lambda *_, **__: searching.Causes(1.0, cause, cause))
     told = explain_failure(RecordError(["one is wrong.", "another is wrong."]), record, loop)
     assert isinstance(told, RecordError)
     assert told.faults[0].endswith(". one is wrong.")

@@ -16,6 +16,7 @@ from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.simulation.closed_loop import simulate
 from jointid.simulation.loop_input import prepare
+from tests.mistakes import cut
 from tests.plants import prismatic
 from tests.simulation.test_friction_in_pieces import RISES, rigid, slow
 
@@ -89,7 +90,7 @@ def test_what_is_kept_of_one_law_is_kept_of_those_that_mean_the_same_by_it(
 @pytest.mark.slow
 def test_a_flexible_joint_of_symmetric_friction() -> None:
     axis = ji.twin(noise="white")
-    found = compare_frictions(axis.record, axis.loop, didim=ji.FlexibleDIDIM(frequency=30.0))
+    found = compare_frictions(cut(axis.record, 8.0), axis.loop, didim=ji.FlexibleDIDIM(frequency=30.0))
     assert found.shown.name == "symmetric"
     assert found.shown.parameters == 4
 

@@ -46,7 +46,7 @@ def test_the_study_s_small_steps_are_the_exact_simulation(seed: int) -> None:
 
 
 def test_each_signature_is_what_another_law_changes_per_unit_of_its_size() -> None:
-    where = setting("L19")
+    where = setting("L19", brief=True)
     made = problem(where, None, None)
     x, largest = made.vector(where.truth), float(np.max(np.abs(made.measured)))
     found = list(vary_mechanics(made, x))
@@ -157,7 +157,7 @@ def test_a_rigid_joint_has_no_spring() -> None:
 
 
 def test_they_are_the_same_of_a_friction_with_a_number_for_each_direction() -> None:
-    where = setting("L19")
+    where = setting("L19", brief=True)
     made = problem(where, None, None)
     x = made.vector(where.truth)
     asymmetric = replace(made.joint, friction=ji.AsymmetricFriction())
@@ -186,7 +186,7 @@ def test_friction_that_winds_up_is_identified_from_all_that_was_tried_of_it() ->
 
 
 def test_what_the_user_holds_is_not_tried_otherwise() -> None:
-    where = setting("L19")
+    where = setting("L19", brief=True)
     made = problem(where, None, None).keeping({"stiffness": where.truth["stiffness"]})
     found = {one.name for one in vary_mechanics(made, made.vector(where.truth))}
     assert {LOAD_DEPENDENT_FRICTION, WINDING_FRICTION} <= found
@@ -194,7 +194,7 @@ def test_what_the_user_holds_is_not_tried_otherwise() -> None:
 
 
 def test_a_residual_that_follows_the_motion_widens_alike_in_any_unit() -> None:
-    where = setting("L19")
+    where = setting("L19", brief=True)
     made = problem(where, None, None)
     x = made.vector(where.truth)
     slopes = made.linearised(x)[1]

@@ -73,7 +73,13 @@ def test_what_is_kept_from_a_fit_is_predicted_worse_than_what_is_fitted(plain: t
     assert more["three-piece"] > more["linear"]
 
 
-def test_a_rigid_axis_shows_no_spring() -> None:
+def judging(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
+    """Judge these springs alone, the rigid joint beside them."""
+    monkeypatch.setattr(spring_comparison, "SPRINGS", {name: SPRINGS[name] for name in names})
+
+
+def test_a_rigid_axis_shows_no_spring(monkeypatch: pytest.MonkeyPatch) -> None:
+    judging(monkeypatch, "linear", "backlash", "three-piece")  # the fewest parameters, and the most
     loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0))
     reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
     truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
@@ -117,7 +123,10 @@ def test_a_law_that_cannot_be_identified_is_listed_with_the_reason(
     assert json.loads(json.dumps(ji.to_dict(found)))["springs"][2]["kept_error_percent"] is None
 
 
-def test_what_is_declared_of_one_law_is_not_taken_for_another_s(plain: tuple[Case, SpringComparison]) -> None:
+def test_what_is_declared_of_one_law_is_not_taken_for_another_s(
+    plain: tuple[Case, SpringComparison], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    judging(monkeypatch, "linear", "two-piece")
     case, _ = plain
     record, given = some_of(case.clean, 3000), {p.name: p for p in case.loop.joint.parameters}
     declared = {

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
-import matplotlib as mpl
 import pytest
 
+from jointid.apps.cli.app import app
 from tests.docs.blocks import OTHERS, PROGRAMS, ROOT, blocks, pages
 from tests.docs.running import run_page, shown
+from tests.learned_once import search_once
 
-NOT_RUN = 19
+NOT_RUN = 20
 """Blocks that are marked as not run; one more is a decision."""
 
 RUNNING = [
@@ -22,8 +24,13 @@ RUNNING = [
 
 @pytest.mark.docs
 @pytest.mark.parametrize("page", RUNNING, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_a_page_runs(page: Path, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+def test_a_page_runs(
+    page: Path, tmp_path: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import matplotlib as mpl
+
     mpl.use("agg")
+    search_once(monkeypatch)
     run_page(page, tmp_path, lambda: request.getfixturevalue("data_dir"))
 
 
@@ -39,6 +46,18 @@ def test_every_block_is_run_or_says_why_not() -> None:
                 first = block.text.lstrip().split(" ", 1)[0]
                 assert first not in ("jointid", "python", "python3", "pip", "uv"), f"{place}: mark the fence as sh"
     assert len(not_run) == NOT_RUN, "\n".join(not_run)
+
+
+def test_every_command_has_its_options() -> None:
+    """The command lines of blocks that are not run, or not drawn, too."""
+    parsed = 0
+    for block in (block for page in pages() for block in blocks(page) if block.language == "sh"):
+        for command in block.commands():
+            words = shlex.split(command, comments=True)
+            if "jointid" in words:
+                app.parse_args(words[words.index("jointid") + 1 :], exit_on_error=False, print_error=False)
+                parsed += 1
+    assert parsed > 80
 
 
 def test_no_command_hides_in_an_indented_block() -> None:

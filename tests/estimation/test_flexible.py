@@ -52,7 +52,7 @@ def test_idim_needs_the_timing_respected() -> None:
 
 
 @pytest.mark.parametrize("loop", ["L19", "L30"])
-@pytest.mark.parametrize("seed", range(1, 6))
+@pytest.mark.parametrize("seed", [1, 2])
 def test_idim_under_the_paper_s_noise_on_the_log(loop: str, seed: int) -> None:
     axis = twin(loop, noise="white", seed=seed)  # type: ignore[arg-type]
     estimate = identify(axis.record, axis.loop, IDIM())
@@ -110,6 +110,7 @@ def test_didim_recovers_the_noise_free_twin(
     estimate = identified(loop, settings, noise="none")
     assert all(abs(value / axis.truth[name] - 1) <= 1e-4 for name, value in estimate.values.items())
     assert not estimate["initial_velocity"].free
+    assert estimate.fit.simulations <= 700
 
 
 @pytest.mark.parametrize("loop", ["L19", "L30"])
@@ -255,12 +256,11 @@ def test_the_starts_said_to_end_together_are_different_ones(frequency: float, mo
     assert "; 2 of 2 starts led there" in estimate.fit.stop
 
 
-@pytest.mark.parametrize("noise", [pytest.param("disturbance", marks=pytest.mark.slow), "white"])
-def test_nelder_mead_reaches_the_minimum_after_one_restart(noise: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nelder_mead_reaches_the_minimum_after_one_restart(monkeypatch: pytest.MonkeyPatch) -> None:
     """By ``fminsearch`` rules, from (13) at 30 Hz; the best known is least squares from four starts."""
     from jointid.simulation.kernels import drive as kernels
 
-    axis = twin(noise=noise)  # type: ignore[arg-type]
+    axis = twin(noise="white")
     record = torque_only(axis)
     calls = []
     original = kernels.run
@@ -278,20 +278,11 @@ def test_nelder_mead_reaches_the_minimum_after_one_restart(noise: str, monkeypat
     assert "inverse model" in simplex.params.basis
 
 
-@pytest.mark.parametrize(
-    "method",
-    [
-        pytest.param(IDIM(), id="idim"),
-        pytest.param(FlexibleDIDIM(), id="ls"),
-        pytest.param(FlexibleDIDIM.paper(), id="simplex", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.parametrize("method", [IDIM(), FlexibleDIDIM()], ids=["idim", "ls"])
 def test_ten_kilograms_on_the_load_are_found_there(method: IDIM | FlexibleDIDIM) -> None:
     before, after = twin(seed=1), twin(seed=2, added_mass=True)
     first, second = (identify(axis.record, axis.loop, method) for axis in (before, after))
     assert second.values["load_inertia"] - first.values["load_inertia"] == pytest.approx(10.2, abs=0.6)
-    if isinstance(method, FlexibleDIDIM) and method.statistics == "inverse-model":
-        return  # its deviations are too small to judge a change by
     for name, value in first.values.items():
         if name == "load_inertia":
             continue

@@ -35,14 +35,13 @@ def bias(estimates: list[Estimate], truth: dict[str, float], name: str) -> tuple
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("loop", "expected"), [("L19", -0.007), ("L30", 0.010)])
-def test_instruments_remove_the_bias_of_a_disturbance_in_the_loop(loop: str, expected: float) -> None:
-    axes = [twin(loop, seed=seed) for seed in SEEDS]  # type: ignore[arg-type]
+def test_instruments_remove_the_bias_of_a_disturbance_in_the_loop() -> None:
+    axes = [twin("L30", seed=seed) for seed in SEEDS]
     plain = [identify(axis.record, axis.loop, IDIM()) for axis in axes]
     instrumented = [identify(axis.record, axis.loop, IDIM("iv")) for axis in axes]
     truth = axes[0].truth
     off, significance = bias(plain, truth, "motor_inertia")
-    assert off == pytest.approx(expected, abs=0.002)
+    assert off == pytest.approx(0.010, abs=0.002)
     assert abs(significance) > 6
     for name in truth:
         assert abs(bias(instrumented, truth, name)[1]) <= 3.5, name  # 3.5 of t with 9 degrees of freedom: 0.7 %
@@ -75,9 +74,8 @@ def test_instruments_on_a_rigid_axis() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("loop", ["L19", "L30"])
-def test_noise_on_the_log_alone_raises_no_alarm(loop: str) -> None:
-    axes = (twin(loop, noise="white", seed=seed) for seed in range(1, 41))  # type: ignore[arg-type]
+def test_noise_on_the_log_alone_raises_no_alarm() -> None:
+    axes = (twin("L30", noise="white", seed=seed) for seed in range(1, 41))
     alarms = [identify(axis.record, axis.loop, IDIM("iv")).checks.tests[0].rejected for axis in axes]
     assert np.mean(alarms) <= 0.1
 

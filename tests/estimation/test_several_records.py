@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -19,12 +20,22 @@ from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import InjectionPoint, Record
 from jointid.records.signals.filtering import Filtering
+from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.synthesis import simulated_record
-from studies.added_mass import FRICTION, KILOGRAMS, QUICK, heavier, logged, twins
+from studies.added_mass import FRICTION, KILOGRAMS, QUICK, Noise, heavier, twins
+from studies.added_mass import logged as log_twin
 from tests.estimation.conftest import CONTROLLER
 from tests.text import unwrapped
 
 RIGID = ClosedLoop(RigidJoint(), CONTROLLER)
+BRIEF = trapezoids((0.083, 0.125), 0.83, 0.2, 1e-3, duration=8.4)
+
+
+def logged(loop: ClosedLoop, values: Mapping[str, float], noise: Noise = "none", seed: int = 0) -> Record:
+    """A run of a twin in two of its speeds, as its drive logs it."""
+    return log_twin(
+        loop, values, noise, seed, (BRIEF, pulses(BRIEF.size, 1e-3, height=150.0, width=0.02, every=0.4, seed=0))
+    )
 
 
 # Noise-free: the truth
@@ -71,12 +82,10 @@ def test_a_parameter_of_the_first_record_alone_that_the_others_share() -> None:
     """Values, deviations and correlations are under their own names, in whatever order the records bring them."""
     first = {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": 2.0}
     others = first | {"coulomb": 15.0}
-    reference = twins("none").record.reference
-    assert reference is not None
     records = [
         simulated_record(
-            RIGID, reference.values, values | {"inertia": values["inertia"] + more}, sample_time=1e-3,
-            torque_noise=np.random.default_rng(seed).standard_normal(reference.values.size),
+            RIGID, BRIEF, values | {"inertia": values["inertia"] + more}, sample_time=1e-3,
+            torque_noise=0.5 * np.random.default_rng(seed).standard_normal(BRIEF.size),
         )
         for seed, (values, more) in enumerate(((first, 0.0), (others, 10.0), (others, 6.0)))
     ]  # fmt: skip
@@ -110,10 +119,8 @@ def test_a_torque_constant_from_a_known_mass() -> None:
     joint = RigidJoint(torque_unit="A")
     loop = ClosedLoop(joint, replace(CONTROLLER, gain=1.0))
     truth = {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": -3.0}
-    reference = twins("none").record.reference
-    assert reference is not None
     records = [
-        simulated_record(loop, reference.values, {n: v / 35.0 for n, v in values.items()}, sample_time=1e-3)
+        simulated_record(loop, BRIEF, {n: v / 35.0 for n, v in values.items()}, sample_time=1e-3)
         for values in (truth, truth | {"inertia": 105.0})
     ]
     with pytest.raises(MethodError, match="per A; free drive_gain"):

@@ -23,7 +23,7 @@ RIGID = {"inertia": 95.0, "viscous": 200.0, "coulomb": 20.0, "offset": -3.0}
 
 
 def rigid_record(loop: ClosedLoop) -> Record:
-    reference = trapezoids((0.05, 0.1, 0.2), 1.0, 0.2, 1e-3, duration=12.0)
+    reference = trapezoids((0.1, 0.2), 2.0, 0.1, 1e-3, duration=3.6)
     return simulated_record(loop, reference, RIGID, sample_time=1e-3)
 
 
@@ -44,7 +44,7 @@ def test_a_rigid_joint_is_identified_with_the_delay_of_its_loop() -> None:
 
 
 def test_a_flexible_joint_is_identified_with_gains_and_delay() -> None:
-    where = setting("L19")
+    where = setting("L19", brief=True)
     made = problem(where, Fault(line_7), None)
     assert where.record.torque is not None
     record = replace(where.record, torque=replace(where.record.torque, values=made.measured))
@@ -81,7 +81,7 @@ def test_a_name_alone_is_no_list_of_names() -> None:
 
 
 def test_the_log_s_own_gain_and_delay_are_found() -> None:
-    where = setting("L19")
+    where = setting("L19", brief=True)
     wrong = Fault(log_gain=1.03, log_shift=1)
     made = problem(where, wrong, None).freeing("log_gain", "log_delay")
     found = dict(zip((p.name for p in made.free), solved(made, where), strict=True))
@@ -122,7 +122,7 @@ def test_any_number_of_a_law_is_found_from_beside(name: str, declared: float) ->
         velocity_feedforward=0.8,
     )
     values = {"inertia": 100.0, "viscous": 200.0, "coulomb": 20.0, "offset": -3.0}
-    reference = trapezoids((0.04, 0.08, 0.12), 0.8, 0.2, 1e-3, duration=8.0)
+    reference = trapezoids((0.06, 0.12), 0.8, 0.1, 1e-3, duration=4.0)
     noise = np.random.default_rng(0).standard_normal(reference.size)
     loop = ClosedLoop(RigidJoint(), true)
     record = simulated_record(loop, reference, values, sample_time=1e-3, torque_noise=noise)

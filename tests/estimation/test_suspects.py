@@ -48,9 +48,9 @@ SIZES = {
 
 @pytest.mark.parametrize("fault", [f for f in FAULTS if f not in ("stribeck", "log_delay")])
 def test_one_fault_is_named_and_measured(fault: str) -> None:
-    where = setting("L19")
+    where = setting("L19", brief=fault != "limit")  # which a long record measures to a thousandth
     made = problem(where, FAULTS[fault], "disturbance", 1)
-    check = find_faults(made, solved(made, where))
+    check = find_faults(made, solved(made, where), LoopTests(most=1))
     first = check.findings[0]
     assert first.test.name == fault
     assert not check.as_declared
@@ -63,21 +63,21 @@ def test_one_fault_is_named_and_measured(fault: str) -> None:
 def test_a_torque_channel_that_is_late_is_no_late_torque() -> None:
     where = setting("L19")
     made = problem(where, FAULTS["log_delay"], "white", 1)
-    first = find_faults(made, solved(made, where)).findings[0]
+    first = find_faults(made, solved(made, where), LoopTests(most=1)).findings[0]
     assert first.test.name == "log_delay"
     assert first.test.size == pytest.approx(1e-3, abs=6e-5)
     assert first.changes["motor_inertia"].sigmas < -3
 
 
 def test_several_faults_are_named_one_after_another() -> None:
-    where = setting("L19")
+    where = setting("L19", brief=True)
     made = problem(where, replace(FAULTS["offset"], law=line_7), "disturbance", 1)
-    check = find_faults(made, solved(made, where), LoopTests(most=4))
-    assert {"offset", "delay"} <= {f.test.name for f in check.findings[:2]}
+    check = find_faults(made, solved(made, where), LoopTests(most=2))
+    assert {"offset", "delay"} == {f.test.name for f in check.findings}
 
 
 def test_a_clean_record_is_as_declared() -> None:
-    where = setting("L19")
+    where = setting("L19", brief=True)
     made = problem(where, None, "disturbance", 1)
     check = find_faults(made, solved(made, where))
     assert check.as_declared
@@ -87,7 +87,7 @@ def test_a_clean_record_is_as_declared() -> None:
 
 
 def test_a_stribeck_friction_looks_like_its_column() -> None:
-    where = setting("L19")
+    where = setting("L19", brief=True)
     clean = problem(where, None, None)
     x = clean.vector(where.truth)
     columns = [a for a in compute_signatures(clean, x)[2] if a.name == "stribeck"]
@@ -100,7 +100,7 @@ def test_a_stribeck_friction_looks_like_its_column() -> None:
 
 
 def test_the_gain_of_a_known_signal_is_a_column() -> None:
-    where = setting("L19")
+    where = setting("L19", brief=True)
     clean = problem(where, None, None)
     x = clean.vector(where.truth)
     column = next(a.column for a in compute_signatures(clean, x)[2] if a.name == "injected_gain")
@@ -114,7 +114,7 @@ def test_the_gain_of_a_known_signal_is_a_column() -> None:
 
 def test_a_measured_torque_that_holds_its_disturbance_does_not_hold_a_friction() -> None:
     """The log of a measured torque shows what is added to it; a friction's force acts on the mass, and is not added."""
-    where = setting("L19")
+    where = setting("L19", brief=True)
     columns = {}
     for tap in (Tap.COMMAND, Tap.MEASURED):
         made = problem(replace(where, record=replace(where.record, tap=tap)), None, None)
@@ -125,13 +125,13 @@ def test_a_measured_torque_that_holds_its_disturbance_does_not_hold_a_friction()
 
 
 def test_a_record_without_noise_has_no_statistics() -> None:
-    where = setting("L19")
+    where = setting("L19", brief=True)
     made = problem(where, None, None)
     assert find_faults(made, made.vector(where.truth)).as_declared
 
 
 def test_what_is_free_is_not_suspected() -> None:
-    where = setting("L19")
+    where = setting("L19", brief=True)
     made = problem(where, FAULTS["delay"], "white", 2).freeing("delay")
     check = find_faults(made, solved(made, where))
     assert check.as_declared
@@ -273,7 +273,7 @@ def test_no_absurd_size_is_said(check: LoopCheck, sentence: str) -> None:
 
 
 def test_a_number_whose_part_of_the_law_vanishes_ends_no_check(monkeypatch: pytest.MonkeyPatch) -> None:
-    where = setting("L19")
+    where = setting("L19", brief=True)
     made = problem(where, FAULTS["position_gain"], "disturbance", 1)
     x = solved(made, where)
 
@@ -309,7 +309,7 @@ def test_the_first_line_needs_no_interval() -> None:
 
 
 def test_changes_are_measured_by_the_deviations_of_the_table() -> None:
-    where = setting("L19")
+    where = setting("L19", brief=True)
     made = problem(where, FAULTS["position_gain"], "disturbance", 1)
     x = solved(made, where)
     own = find_faults(made, x, LoopTests(most=1)).findings[0].changes

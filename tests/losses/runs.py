@@ -15,9 +15,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import jointid
+from tests.drawing import DRAW
 
-SEED = os.environ.get("JOINTID_ATTACKS_SEED", "")
-"""Of the moments: with another one they are others, so that many can be tried in parts."""
+SEED = os.environ.get("JOINTID_ATTACKS_SEED", DRAW)
+"""Of the moments: with another one they are others, so that many can be tried in parts. A draw has its own."""
 
 COUNT = int(os.environ.get("JOINTID_ATTACKS", "6"))
 """Moments at which every command is interrupted; a full disk has a quarter as many sizes, and at least three."""

@@ -32,7 +32,7 @@ EVERY = Document(
         Paragraph("a paragraph"),
         Listing(("first", "second")),
         Code("x = 1", "a program"),
-        Picture("p.svg", b"<svg/>", "a picture"),
+        Picture("p.svg", lambda: b"<svg/>", "a picture"),
     ),
 )
 HOSTILE = Document(
@@ -45,7 +45,7 @@ HOSTILE = Document(
         Paragraph(EVIL),
         Listing((EVIL,)),
         Code(EVIL, EVIL),
-        Picture("p.svg", b"", EVIL),
+        Picture("p.svg", lambda: b"", EVIL),
     ),
 )
 
@@ -131,3 +131,14 @@ def test_rows_that_say_nothing_in_what_goes_on_below_are_left_out_there() -> Non
     rows = (("a", "1" * 30, ""), ("b", "2" * 30, "only with a"))
     said = Document("", (Table(("symbol", "value", "remark"), rows, words=(0, 2)),)).text(40)
     assert said.rstrip().split("\n\n")[-1].splitlines()[2:] == ["b       only with a"]
+
+
+def test_markdown_draws_no_picture() -> None:
+    def draw() -> bytes:
+        raise AssertionError("drawn")
+
+    assert (
+        Document("a title", (Picture("p.svg", draw, "a picture"),))
+        .markdown()
+        .startswith("# a title\n\n![a picture](p.svg)")
+    )

@@ -111,7 +111,7 @@ def test_a_document_escapes_what_it_is_given(tmp_path: Path) -> None:
         Heading(evil),
         Paragraph(evil),
         Table((evil, "a|b"), ((evil, evil),), evil),
-        Picture("p.png", b"png", evil),
+        Picture("p.png", lambda: b"png", evil),
     )
     document = Document(evil, blocks)
     page = html(document)

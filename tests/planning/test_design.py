@@ -61,15 +61,19 @@ def short_record() -> ji.Record:
     )
 
 
+def count_trials(patched: pytest.MonkeyPatch) -> None:
+    """Let every test that is tried take a second: as many on a slow machine as on a fast one."""
+    ticks = itertools.count()
+    patched.setattr(design_module, "search", partial(search, clock=lambda: float(next(ticks))))
+
+
 @pytest.fixture(scope="module")
 def designed() -> Design:
-    """A second for every test that is tried: as many on a slow machine as on a fast one."""
     covariance = np.diag([(0.01 * AXIS.truth[p.name]) ** 2 for p in AXIS.loop.joint.parameters])
-    ticks = itertools.count()
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(design_module, "search", partial(search, clock=lambda: float(next(ticks))))
+        count_trials(patched)
         return design_test(
-            AXIS.loop, AXIS.truth, NOISE, goal="stiffness", present=short_record(), covariance=covariance, seconds=400.0
+            AXIS.loop, AXIS.truth, NOISE, goal="stiffness", present=short_record(), covariance=covariance, seconds=250.0
         )
 
 
@@ -126,12 +130,13 @@ def test_ctrl_c_keeps_the_best_there_is(monkeypatch: pytest.MonkeyPatch) -> None
     assert "interrupted; this is the best" in str(designed)
 
 
-def test_a_test_is_designed_without_a_record_from_limits_alone() -> None:
+def test_a_test_is_designed_without_a_record_from_limits_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    count_trials(monkeypatch)
     loop = ClosedLoop(RigidJoint("revolute"), ji.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0))
     values = {"inertia": 0.04, "viscous": 0.05, "coulomb": 0.1, "offset": 0.02}
     limits = AxisLimits(stroke=2.0, speed=3.0, acceleration=20.0, jerk=400.0, torque=2.0)
     found = design_test(
-        loop, values, Noise(log=0.02), limits=limits, duration=4.0, sample_time=1e-3, seconds=3.0, goal="weakest"
+        loop, values, Noise(log=0.02), limits=limits, duration=4.0, sample_time=1e-3, seconds=60.0, goal="weakest"
     )
     assert found.present is None and found.with_encoder is None and found.floor is None
     assert not found.passed
@@ -441,8 +446,9 @@ def test_a_past_record_is_foretold_as_the_joint_file_reads_it(
     assert "spoiled.csv" in capsys.readouterr().err
 
 
-def test_a_test_stays_where_the_present_one_is_and_begins_at_rest() -> None:
+def test_a_test_stays_where_the_present_one_is_and_begins_at_rest(monkeypatch: pytest.MonkeyPatch) -> None:
     """An axis that begins at 1.2 rad, holds a weight, logs its reference at a quarter of the rate, injects early."""
+    count_trials(monkeypatch)
     loop = ClosedLoop(
         RigidJoint("revolute", gravity=ji.Gravity("constant")),
         ji.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0),
@@ -454,7 +460,7 @@ def test_a_test_stays_where_the_present_one_is_and_begins_at_rest() -> None:
     present = replace(planned_record(loop, slow, 4e-3), torque=torque)
     free = [p for p in loop.joint.parameters if p.free]
     covariance = np.diag([(0.02 * abs(values[p.name]) + 1e-4) ** 2 for p in free])
-    found = design_test(loop, values, Noise(log=0.01), present=present, covariance=covariance, seconds=2.0)
+    found = design_test(loop, values, Noise(log=0.01), present=present, covariance=covariance, seconds=250.0)
     assert not found.passed
     assert found.proposed.reference.min() > 1.19
     assert found.proposed.reference.max() < 2.21
@@ -504,10 +510,11 @@ def test_a_record_of_another_rate_is_foretold_as_it_was_logged(tmp_path: Path) -
     assert "torque" not in (tmp_path / "test.csv").read_text().splitlines()[0]  # there is none yet
 
 
-def test_a_present_test_beyond_the_limits_or_that_tells_little_is_said() -> None:
+def test_a_present_test_beyond_the_limits_or_that_tells_little_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    count_trials(monkeypatch)
     limits = AxisLimits(stroke=0.05)
     found = design_test(
-        AXIS.loop, AXIS.truth, NOISE, present=short_record(), limits=limits, goal="weakest", seconds=2.0
+        AXIS.loop, AXIS.truth, NOISE, present=short_record(), limits=limits, goal="weakest", seconds=60.0
     )
     assert not found.passed
     assert found.present_passes[0].startswith("it passes a limit, stroke 0.")
@@ -516,7 +523,7 @@ def test_a_present_test_beyond_the_limits_or_that_tells_little_is_said() -> None
     assert "which the present test reaches" in str(found)
     one_way = planned_record(AXIS.loop, np.arange(4000) * 2e-5, 1e-3)
     wide = AxisLimits(stroke=0.2, speed=0.2, acceleration=2.0, torque=200.0)
-    found = design_test(AXIS.loop, AXIS.truth, NOISE, present=one_way, limits=wide, seconds=3.0)
+    found = design_test(AXIS.loop, AXIS.truth, NOISE, present=one_way, limits=wide, seconds=60.0)
     assert found.present is None  # it does not tell everything, and what it reaches is known all the same
     assert found.proposed.std["stiffness"] > 0
 

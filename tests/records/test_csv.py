@@ -242,22 +242,6 @@ def test_columns_called_by_their_numbers_are_written_without_names(tmp_path: Pat
     assert list(read_table(path).columns) == ["1", "2"]
 
 
-@pytest.mark.parametrize(
-    ("table", "part"),
-    [
-        (Table({"a": np.zeros(2), "b": np.zeros(3)}), "one length; got a 2, b 3"),
-        (Table({"a": np.zeros(2)}, {"position_gain": 1.0}), "scalars position_gain; write a .mat"),
-        (Table({"2": np.zeros(2)}), "'2' would not be read back"),
-        (Table({"a\nb": np.zeros(2)}), "would not be read back"),
-        (Table({}), "got no column"),
-    ],
-)
-def test_what_text_cannot_hold_is_refused(table: Table, part: str, tmp_path: Path) -> None:
-    with pytest.raises(RecordError, match=part):
-        write_table(tmp_path / "run.csv", table)
-    assert not (tmp_path / "run.csv").exists()
-
-
 def test_names_of_files_that_cannot_be_used(tmp_path: Path) -> None:
     with pytest.raises(RecordError, match=r'run\.xlsx has the suffix "\.xlsx".*CSV: \.csv, .*MAT: \.mat'):
         read_table(tmp_path / "run.xlsx")

@@ -135,6 +135,16 @@ def test_what_is_written_is_read_to_the_last_bit(
         ("x.h5", Table({"a//b": np.ones(2)}), "cannot name a dataset of HDF5"),
         ("x.h5", Table({"a": np.ones(2), "a/b": np.ones(2)}), "no other name begins with it"),
         ("x.h5", Table({"a": np.ones(2)}, {"a": 1.0}), "one dataset per name"),
+        ("x.csv", Table({"a": np.zeros(2), "b": np.zeros(3)}), "one length; got a 2, b 3"),
+        ("x.csv", Table({"a": np.zeros(2)}, {"position_gain": 1.0}), "scalars position_gain; write a .mat"),
+        ("x.csv", Table({"2": np.zeros(2)}), "'2' would not be read back"),
+        ("x.csv", Table({"a\nb": np.zeros(2)}), "would not be read back"),
+        ("x.csv", Table({}), "got no column"),
+        ("x.mat", Table({"t [s]": np.ones(2), "rec.q": np.ones(2)}), r'"t \[s\]", "rec\.q" cannot name a MATLAB'),
+        ("x.mat", Table({"1": np.zeros(2)}), '"1" cannot name'),
+        ("x.mat", Table({"end": np.zeros(2)}), '"end" cannot name'),
+        ("x.mat", Table({"a" * 64: np.zeros(2)}), "at most 63"),
+        ("x.mat", Table({"a": np.zeros(2)}, {"a": 1.0}), '"a" names a column and a scalar'),
         ("x.parquet", Table({"a": np.ones(2), "b": np.ones(3)}), "Parquet has columns of one length; got a 2, b 3"),
         ("x.tdms", Table({"Untitled/a": np.ones(2)}), "cannot name a channel of TDMS"),
         ("x.tdms", Table({"a": np.ones(2)}, {"a/b": 1.0}), "cannot name a property"),
@@ -145,6 +155,7 @@ def test_what_is_written_is_read_to_the_last_bit(
 def test_what_a_format_cannot_hold_is_refused(name: str, table: Table, part: str, tmp_path: Path) -> None:
     with pytest.raises(RecordError, match=part):
         write_table(tmp_path / name, table)
+    assert not (tmp_path / name).exists()
 
 
 # Spoiled files, missing packages

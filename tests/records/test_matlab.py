@@ -138,22 +138,6 @@ def test_another_kind_of_file_is_one_sentence(content: bytes, tmp_path: Path) ->
     assert str(error.value).startswith("run.mat")
 
 
-@pytest.mark.parametrize(
-    ("table", "part"),
-    [
-        (Table({"t [s]": np.zeros(2), "rec.q": np.zeros(2)}), r'"t \[s\]", "rec\.q" cannot name a MATLAB'),
-        (Table({"1": np.zeros(2)}), '"1" cannot name'),
-        (Table({"end": np.zeros(2)}), '"end" cannot name'),
-        (Table({"a" * 64: np.zeros(2)}), "at most 63"),
-        (Table({"a": np.zeros(2)}, {"a": 1.0}), '"a" names a column and a scalar'),
-    ],
-)
-def test_what_a_mat_file_cannot_hold_is_refused(table: Table, part: str, tmp_path: Path) -> None:
-    with pytest.raises(RecordError, match=part):
-        write_table(tmp_path / "run.mat", table)
-    assert not (tmp_path / "run.mat").exists()
-
-
 def test_a_mat_file_has_no_option_but_its_version(tmp_path: Path) -> None:
     with pytest.raises(RecordError, match="Reading MAT has no option delimiter; it has: version"):
         read_table(tmp_path / "run.mat", delimiter=",")

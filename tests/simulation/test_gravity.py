@@ -92,7 +92,7 @@ CONTROLLER = Cascade(position_gain=10.0, velocity_gain=80.0, delay=0.6e-3)
 
 
 def swing(kind: str = "rad", start: float = 0.3) -> Record:
-    reference = start + trapezoids((1.0, 2.0), 8.0, 2.0, 1e-3, rest=0.2, duration=5.0)
+    reference = start + trapezoids((2.0,), 8.0, 0.6, 1e-3, rest=0.2, duration=2.4)
     torque = Channel(np.zeros(reference.size), "N m" if kind == "rad" else "N", 1e-3, Timing.HELD)
     return Record(torque=torque, reference=Channel(reference, kind, 1e-3))
 
@@ -199,7 +199,7 @@ def test_the_derivative_by_the_delay_agrees(model: str) -> None:
     assert np.linalg.norm(found - (ends[1] - ends[0]) / 2e-7) < 5e-5 * np.linalg.norm(found)
 
 
-@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(4, 12))])
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
 def test_the_derivatives_agree_on_random_plants(seed: int) -> None:
     case, rng = rotary(seed), np.random.default_rng([seed, 3])
     assert case.clean.torque is not None

@@ -200,14 +200,14 @@ def test_a_loop_without_coulomb_friction_is_its_matrix_exponentials(name: str, j
     smooth = {key: 0.0 if "coulomb" in key else value for key, value in values.items()}
     tap = Tap.COMMAND if "after" in name else Tap.FILTERED
     torque = 12.0 if law.law(FAST).integrates else None
-    limited = check(law, joint, smooth, Driven(4e-3, 200, tap), torque, 1e-9)
+    limited = check(law, joint, smooth, Driven(4e-3, 100, tap), torque, 1e-9)
     assert (limited > 0.02) == (law.limit < math.inf)
 
 
 @pytest.mark.parametrize("joint", [RigidJoint(), FlexibleJoint()], ids=["rigid", "flexible"])
 @pytest.mark.parametrize("name", [pytest.param("P-PI, limits, hold", marks=pytest.mark.slow), "P-PI, after, track"])
 def test_a_loop_that_sticks_is_the_event_driven_one(name: str, joint: Joint) -> None:
-    check(LAWS[name], joint, RIGID if joint.model == "rigid" else FLEXIBLE, Driven(2e-3, 200), None, 1e-9)
+    check(LAWS[name], joint, RIGID if joint.model == "rigid" else FLEXIBLE, Driven(2e-3, 130), None, 1e-9)
 
 
 def test_a_fast_loop_with_a_slow_position_gain_has_not_gone_far() -> None:

@@ -106,7 +106,7 @@ def test_a_record_may_begin_in_motion() -> None:
 )
 def test_derivatives_are_those_of_differences(hertz: tuple[float | None, float | None]) -> None:
     twin = two(hertz)
-    run = played(twin)
+    run = played(twin, 1.0)
     numbers = replace(RobotNumbers.of(twin.robot), beside=np.zeros((2, 2)), log=np.zeros((1, 1)))
     motion = prescribed(twin.robot, run, parts=4)
     places = (

@@ -45,7 +45,6 @@ def differences(
     ("loop", "steps", "worst"),
     [
         (two().loop(), 1, 2e-3),
-        (two((None, 12.0)).loop(), 4, 5e-3),
         (two((10.0, 14.0)).loop(), 4, 5e-3),
         (RobotLoop(two((10.0, 14.0)).robot, LATE), 4, 5e-3),
         (RobotLoop(two().robot, LIMITED), 4, 5e-3),
@@ -57,7 +56,7 @@ def differences(
         (replace(two((None, 12.0)).loop(), in_motion=True), 4, 5e-3),
     ],
     ids=[
-        "two rigid", "one flexible", "two flexible", "late cascades of two rates", "at their limits", "six rigid",
+        "two rigid", "two flexible", "late cascades of two rates", "at their limits", "six rigid",
         "motors coupled", "friction another backwards", "friction that rises towards standstill", "clocks that differ",
         "in motion",
     ],
@@ -65,10 +64,12 @@ def differences(
 def test_variation_is_the_derivative_of_the_run(loop: RobotLoop, steps: int, worst: float) -> None:
     """The instants of events move with the parameters, and those in which limits act: all is in the derivative."""
     twin = six() if len(loop.controllers) == 6 else two()
-    records = faster(twin.records(5.0), 3.0)
+    # Slowly enough for a motor to be seen below the speed under which its friction rises.
+    times = 4.0 if any(joint.stribeck_force for joint in loop.robot.joints) else 8.0
+    records = faster(twin.records(0.6 * times), times)
     if loop.in_motion:
         records = tuple(
-            replace(one, reference=replace(one.reference, values=one.reference.values[400:]))
+            replace(one, reference=replace(one.reference, values=one.reference.values[100:]))
             for one in records
             if one.reference
         )

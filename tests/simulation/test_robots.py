@@ -48,9 +48,6 @@ RISING: tuple[dict[str, Any], ...] = (
 )
 ONE_WAY: tuple[dict[str, Any], ...] = ({"viscous_backwards": 6.0, "coulomb_backwards": 2.5}, {"viscous_backwards": 0.5})
 TWINS = {
-    "two rigid joints": (two(), 1.0),
-    "one rigid, one flexible": (two((None, 16.0)), 1.0),
-    "two flexible joints": (two((12.0, 18.0)), 0.8),
     "six joints, some flexible": (six((True, True, False, False, True, False)), 0.3),
     "two motors coupled": (changed(two(), *COUPLED), 1.0),
     "coupled and flexible": (changed(two((12.0, 18.0)), *COUPLED), 0.8),
@@ -76,7 +73,7 @@ def test_error_and_order_against_an_adaptive_reference_with_the_same_events(name
     """At 1 ms below 1e-4 of the torque's peak, as promised, and falling with the fourth power of the step."""
     twin, duration = TWINS[name]
     loop = twin.loop()
-    records = faster(twin.records(6 * duration), 6.0)
+    records = faster(twin.records(5.0 * duration), 8.0)
     experiment, numbers = prepare_robot(loop, records), RobotNumbers.of(loop.robot)
     gains = np.array([[c.position_gain, c.derivative_gain] for c in loop.controllers])  # type: ignore[attr-defined]
     start = begin(experiment, numbers).places
@@ -219,19 +216,19 @@ def test_a_torque_begins_to_act_a_delay_after_its_controller_s_instant() -> None
 
 
 @pytest.mark.parametrize(
-    "twin", [pytest.param(two(), marks=pytest.mark.slow), two((12.0, 18.0)), TWINS["coupled and flexible"][0]]
+    "twin", [pytest.param(two(), marks=pytest.mark.slow), TWINS["coupled and flexible"][0]], ids=["rigid", "flexible"]
 )
 def test_a_record_that_begins_while_the_robot_moves(twin: Twin) -> None:
     """It moves on as its references do: another start is another motion for as long as the loop remembers."""
     whole = twin.records(6.0)
     late = tuple(
-        replace(one, reference=replace(one.reference, values=one.reference.values[2500:3300]))
+        replace(one, reference=replace(one.reference, values=one.reference.values[2500:2900]))
         for one in whole
         if one.reference
     )
     run = held_against_the_reference(replace(twin.loop(), in_motion=True), late, 1e-4)
     assert np.min(np.abs(run.tape.speeds[0])) > 0.05
-    uncut = simulate_robot(twin.loop(), whole).torque[2500:3300]
+    uncut = simulate_robot(twin.loop(), whole).torque[2500:2900]
     from_rest = simulate_robot(twin.loop(), late).torque
     wrong = [float(np.max(np.abs(torque - uncut))) for torque in (run.torque, from_rest)]
     assert wrong[0] < 0.1 * wrong[1]

@@ -101,9 +101,11 @@ def test_every_number_of_a_cascade_at_two_rates(joint: Joint) -> None:
     check(replace(BASE, integral_gain=0.0), joint, ("position_gain", "constant_feedforward"), Tap.FILTERED)
 
 
-@pytest.mark.parametrize("tap", [Tap.COMMAND, Tap.FILTERED])
 @pytest.mark.parametrize("at", ["before_limit", "after_limit"])
-@pytest.mark.parametrize("windup", ["hold", "track", "none"])
+@pytest.mark.parametrize(
+    ("windup", "tap"),
+    [("hold", Tap.COMMAND), *((windup, Tap.FILTERED) for windup in ("hold", "track", "none"))],
+)
 def test_limits_that_act(windup: Any, at: Any, tap: Tap) -> None:
     law = replace(BASE, limit=70.0, velocity_limit=0.07, anti_windup=windup, filters_at=at)
     if (windup, at) == ("track", "before_limit"):  # what is tracked must not lag, or it swings

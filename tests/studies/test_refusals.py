@@ -25,10 +25,7 @@ def test_a_spring_is_not_made_stiffer_by_nothing() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("factor", "noise", "given"),
-    [(10.0, "disturbance", True), (50.0, "white", True), (100.0, "disturbance", False), (1e4, "white", False)],
-)
+@pytest.mark.parametrize(("factor", "noise", "given"), [(50.0, "white", True), (100.0, "disturbance", False)])
 def test_a_whole_identification_says_the_same(
     factor: float, noise: Literal["disturbance", "white"], given: bool
 ) -> None:

@@ -49,9 +49,9 @@ def test_a_search_of_springs_begins_where_the_rigid_robot_moves(seed: int) -> No
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [26, 72, 77, 74, 159])
+@pytest.mark.parametrize("seed", [26, 72, 74])
 def test_a_search_ends_at_the_noise(seed: int) -> None:
-    """The first of them only after the joints' weights were estimated again, the last two from other frequencies."""
+    """The first of them only after the joints' weights were estimated again, the last from other frequencies."""
     found = judge(seed, flexible=True)
     assert found is not None
     assert found.at_noise

@@ -25,7 +25,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy import stats
 
 from jointid.campaigns.series import Series
 from jointid.common.arrays import FloatArray
@@ -79,6 +78,8 @@ def best_change(series: Series) -> Change | None:
         >>> found.kind, found.since, round(found.change_percent), found.p_value < 1e-6
         ('step', 'm', -10, True)
     """
+    from scipy.special import stdtr
+
     kept = series.without_outlying()
     if not kept.enough:
         return None
@@ -86,7 +87,7 @@ def best_change(series: Series) -> Change | None:
     slopes, levels, stds = _fit(kept, shapes)
     freedom = kept.values.size - 2
     best = int(np.argmax(np.abs(slopes) / stds))
-    p_value = min(1.0, shapes.shape[0] * 2 * float(stats.t.sf(abs(slopes[best]) / stds[best], freedom)))
+    p_value = min(1.0, shapes.shape[0] * 2 * float(stdtr(freedom, -abs(slopes[best]) / stds[best])))
     shape, slope = shapes[best], float(slopes[best])
     is_step = best < kept.values.size - 2 * _SIDE + 1
     since = int(np.argmax(shape > 0)) if is_step else 0

@@ -13,7 +13,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from jointid.campaigns.rows import Outcome, Row
 from jointid.common.arrays import FloatArray
@@ -56,10 +55,11 @@ class Repeated:
     @property
     def interval(self) -> tuple[float, float]:
         """Interval of the ratio, of 95 %."""
+        from scipy.special import chdtri
+
         freedom = self.values.size - 1
         lower, upper = (
-            self.ratio * math.sqrt(freedom / float(stats.chi2.ppf((1 + sign * _LEVEL) / 2, freedom)))
-            for sign in (1, -1)
+            self.ratio * math.sqrt(freedom / float(chdtri(freedom, (1 - sign * _LEVEL) / 2))) for sign in (1, -1)
         )
         return lower, upper
 

@@ -16,7 +16,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from jointid.campaigns.repeats import Repeated
 from jointid.common.document import Block, Heading, Paragraph, Table
@@ -24,7 +23,7 @@ from jointid.common.errors import RecordError
 from jointid.common.text import counted, listed, number, signed
 
 _SIGMAS = 2.0
-_STATED = float(stats.norm.cdf(_SIGMAS) - stats.norm.cdf(-_SIGMAS))
+_STATED = math.erf(_SIGMAS / math.sqrt(2))
 _LEVEL = 0.95  # of the range of the share
 _CHANCE = 0.01  # that any quantity is called faulty where none is
 _SMALL = 0.2  # stated deviations: a bias that moves no interval by much, however surely it is known
@@ -82,6 +81,8 @@ def against_truth(found: Sequence[Repeated]) -> tuple[AgainstTruth, ...]:
 
 
 def _beside(one: Repeated, truth: float, chance: float) -> AgainstTruth:
+    from scipy import stats
+
     runs, errors = one.values.size, one.values - truth
     bias, scatter, stated = float(errors.mean()), float(errors.std(ddof=1)), float(np.median(one.stds))
     held = int(np.count_nonzero(np.abs(errors) <= _SIGMAS * one.stds))

@@ -12,7 +12,7 @@ import math
 import re
 import sys
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path, PurePath
@@ -104,14 +104,14 @@ class Picture:
 
     Attributes:
         name: of the file.
-        image: its content.
+        draw: returns its content; Markdown, which only names the file, does not call it.
         text: the caption, which says what to see.
         plot: the same as JSON for bokeh, for a page; none when empty.
         wide: whether it may be as wide as the page.
     """
 
     name: str
-    image: bytes
+    draw: Callable[[], bytes]
     text: str
     plot: str = ""
     wide: bool = True
@@ -162,7 +162,7 @@ class Document:
     @property
     def pictures(self) -> dict[str, bytes]:
         """The pictures, by the names of their files."""
-        return {block.name: block.image for block in self.blocks if isinstance(block, Picture)}
+        return {block.name: block.draw() for block in self.blocks if isinstance(block, Picture)}
 
 
 class Documented(ABC):
@@ -374,7 +374,7 @@ def _picture_html(block: Picture) -> str:
     stem = escape(PurePath(block.name).stem)
     data = f'<script type="application/json" class="plot-data">{inert(block.plot)}</script>'
     plot = f'<div class="plot" id="plot-{stem}"></div>\n{data}\n' if block.plot else ""
-    source = f"data:{block.kind};base64,{base64.b64encode(block.image).decode('ascii')}"
+    source = f"data:{block.kind};base64,{base64.b64encode(block.draw()).decode('ascii')}"
     image = f'<img class="still" src="{source}" alt="{escape(block.text)}">'
     narrow = "" if block.wide else " class=narrow"
     return f"<figure{narrow}>\n{plot}{image}\n<figcaption>{escape(block.text)}</figcaption>\n</figure>"

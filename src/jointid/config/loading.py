@@ -102,6 +102,14 @@ def _read(path: Path) -> str:
     return raw.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
 
 
+def is_robot_file(path: str | os.PathLike[str]) -> bool:
+    """True if a TOML file has the table [robot]; a file that cannot be read is none."""
+    try:
+        return "robot" in parse_toml(read_text(Path(path)))
+    except JointFileError:
+        return False
+
+
 def load_to_learn(path: str | os.PathLike[str], changes: Iterable[str] = ()) -> JointFile:
     """Load a joint file whose controller is to be learned: it need not have one, nor its gains.
 

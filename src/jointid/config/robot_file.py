@@ -377,14 +377,6 @@ def load_robot_file(path: str | os.PathLike[str], changes: Iterable[str] = ()) -
     return RobotFile.of(apply_changes(parse_toml(read_text(path)), changes), path)
 
 
-def is_robot_file(path: str | os.PathLike[str]) -> bool:
-    """True if a TOML file has the table [robot]; a file that cannot be read is none."""
-    try:
-        return "robot" in parse_toml(read_text(Path(path)))
-    except JointidError:
-        return False
-
-
 def save_robot_file(file: RobotFile, path: str | os.PathLike[str]) -> None:
     """Write a robot file; a file that is there is replaced.
 

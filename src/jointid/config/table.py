@@ -52,7 +52,7 @@ Fault: TypeAlias = tuple[tuple[int | str, ...], str]
 class Table(BaseModel):
     """A table of the joint file; its fields are its keys, and what defaults to None may be left out."""
 
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, defer_build=True)
 
     shorthand: ClassVar[str | None] = None
     """The key whose value may be written instead of the whole table."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 from jointid import (
     DIDIM,
@@ -256,7 +257,7 @@ def _validation(run: Reproduction, draw: Callable[[Validation], bytes]) -> list[
         ),
         ("figure5", run.first.didim_direct, "Figure 5: the loop simulated with DIDIM's values, on its own run"),
     ):
-        blocks.append(Picture(f"{name}.png", draw(validation), words))
+        blocks.append(Picture(f"{name}.png", partial(bytes, draw(validation)), words))
         blocks.append(
             Paragraph(
                 f"Torque error {_percent(validation.relative_error)} % raw, "

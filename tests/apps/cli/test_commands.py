@@ -27,7 +27,7 @@ from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.output.report import tune_to_limit
 from jointid.paper.twin import CONTROLLERS, JOINT_FILE, TABLE_2, twin
 from jointid.records.drives import Drive
-from jointid.records.formats import Table, write_table
+from jointid.records.formats import Table, read_table, write_table
 from jointid.records.reading import read
 from jointid.records.record import Record
 from jointid.records.writing import write
@@ -51,11 +51,11 @@ def run(*words: object) -> int:
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("demo") / "out"
-    assert run("demo", folder, "--quiet") == 0
+    assert run("demo", folder, "--quiet", "--seed", 7) == 0
     return folder
 
 
-def test_the_demo_writes_a_folder_to_play_with(demo: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_demo_writes_a_folder_to_play_with(demo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert {path.name for path in demo.iterdir()} == {"record.csv", "joint.toml", "estimate.json", "torque.png"}
     answer = json.loads((demo / "estimate.json").read_text(encoding="utf-8"))
     for name, value in TABLE_2.items():
@@ -63,9 +63,10 @@ def test_the_demo_writes_a_folder_to_play_with(demo: Path, capsys: pytest.Captur
         assert abs(found["value"] - value) <= 3 * found["std"], name
     assert abs(answer["parameters"]["stiffness"]["value"] / 8e5 - 1) <= 0.01
     assert answer["channels"] == ["torque", "reference", "injected"]
-    changed = (demo / "joint.toml").read_text(encoding="utf-8").replace("cutoff = 60.0", "cutoff = 50.0")
-    (demo / "joint.toml").write_text(changed, encoding="utf-8")
-    assert run("identify", demo / "joint.toml") == 0
+    text = (demo / "joint.toml").read_text(encoding="utf-8")
+    changed = tmp_path / "joint.toml"
+    changed.write_text(text.replace("cutoff = 60.0", "cutoff = 50.0"), encoding="utf-8")
+    assert run("identify", changed, "--record", demo / "record.csv") == 0
     said = capsys.readouterr()
     assert "K12" in said.out
     assert "iteration 0" in said.err
@@ -136,11 +137,10 @@ def test_a_refused_stiffness_ends_with_what_would_show_it(tmp_path: Path, capsys
     assert json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))["sentence"] in capsys.readouterr().out
 
 
-def test_the_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        assert run("demo", tmp_path / name, "-q", "--seed", 7) == 0
+def test_the_same_seed_gives_the_same_bytes(demo: Path, tmp_path: Path) -> None:
+    assert run("demo", tmp_path / "again", "-q", "--seed", 7) == 0
     for name in ("record.csv", "joint.toml", "estimate.json", "torque.png"):
-        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+        assert (demo / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
 
 
 def test_the_example_of_the_twin_is_the_demo_s_joint_file() -> None:
@@ -304,13 +304,11 @@ def test_the_published_results_by_command(emps_path: Path, tmp_path: Path, capsy
 
 def test_the_motor_position_may_be_removed_from_the_file(emps_path: Path, tmp_path: Path) -> None:
     """The proof that DIDIM does not read it: the column is gone, and the answer is the same to the last digit."""
-    from jointid.records.formats import Table, read_table, write_table
-
-    table = read_table(emps_path)
-    kept = {name: values for name, values in table.columns.items() if name != "qm"}
-    write_table(tmp_path / "no_encoder.mat", Table(kept))
+    cut = {name: values[:5000] for name, values in read_table(emps_path).columns.items()}
+    write_table(tmp_path / "whole.mat", Table(cut))
+    write_table(tmp_path / "no_encoder.mat", Table({name: values for name, values in cut.items() if name != "qm"}))
     answers = []
-    for record in (emps_path, tmp_path / "no_encoder.mat"):
+    for record in (tmp_path / "whole.mat", tmp_path / "no_encoder.mat"):
         assert run("identify", EMPS, "--record", record, "--json", tmp_path / "out.json", "-q") == 0
         answers.append(json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))["parameters"])
     assert answers[0] == answers[1]
@@ -320,8 +318,10 @@ def test_the_motor_position_may_be_removed_from_the_file(emps_path: Path, tmp_pa
 def test_the_flexible_axis_by_command(demo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     flexible = JOINT_FILE.replace('"rigid"', '"flexible"').replace("cutoff = 5.0", "cutoff = 60.0")
     (tmp_path / "joint.toml").write_text(flexible, encoding="utf-8")
+    rows = (demo / "record.csv").read_text(encoding="utf-8").splitlines()[:10_001]  # of 24 s, which take longer
+    (tmp_path / "record.csv").write_text("\n".join(rows), encoding="utf-8")
     out = tmp_path / "out.json"
-    words = ("identify", tmp_path / "joint.toml", "--record", demo / "record.csv", "--json", out, "-q")
+    words = ("identify", tmp_path / "joint.toml", "--record", tmp_path / "record.csv", "--json", out, "-q")
 
     def stiffness() -> float:
         return float(json.loads(out.read_text(encoding="utf-8"))["parameters"]["stiffness"]["value"])
@@ -462,22 +462,14 @@ def test_a_learned_joint_file_names_the_record_that_was_given(
     assert made.controller == learned
 
 
-LEARNED_TWINS = {
-    "P-P": Cascade(position_gain=60.0, velocity_gain=500.0),
-    "P-PI": Cascade(position_gain=60.0, velocity_gain=500.0, integral_gain=15.0),
-    "PID": PID(
+@pytest.mark.slow
+def test_from_an_unknown_controller_to_an_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The joint file has channels and a drive only; the log that is identified then, torque and reference only."""
+    controller = PID(
         position_gain=30000.0, derivative_gain=500.0, integral_gain=2e5, velocity_filter=FirstOrder(2e-3),
         reference_velocity="none",
-    ),
-}  # fmt: skip
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("law", LEARNED_TWINS)
-def test_from_an_unknown_controller_to_an_answer(law: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The joint file has channels and a drive only; the log that is identified then, torque and reference only."""
-    controller = LEARNED_TWINS[law]
-    reference = trapezoids([0.1, 0.3], 2.0, 0.2, 1e-3, 0.1, 6.0)
+    )  # fmt: skip
+    reference = trapezoids([0.2, 0.5], 2.0, 0.05, 1e-3, 0.05, 2.0)
     error = 0.02 * np.random.default_rng(3).standard_normal(reference.size)
     values = {"inertia": 5.0, "viscous": 20.0, "coulomb": 10.0, "offset": 1.0}
     loop = ClosedLoop(RigidJoint(), controller)
@@ -496,7 +488,7 @@ def test_from_an_unknown_controller_to_an_answer(law: str, tmp_path: Path, capsy
     written.parent.mkdir()
     assert run("controller", tmp_path / "joint.toml", "--record", tmp_path / "log.csv", "--write", written) == 0
     said = capsys.readouterr()
-    assert "this takes some" in said.err and f"{law}" in said.out
+    assert "this takes some" in said.err and "PID" in said.out
     made = load(written)
     assert made.controller is not None
     assert all("#" in line for line in written.read_text().splitlines() if "_gain = " in line)
@@ -506,18 +498,6 @@ def test_from_an_unknown_controller_to_an_answer(law: str, tmp_path: Path, capsy
     assert json.loads(answer.read_text())["method"] == "didim"
     assert found["inertia"] == pytest.approx(5.0, rel=5e-3)
     assert found["viscous"] == pytest.approx(20.0, rel=3e-2)
-
-
-@pytest.mark.slow
-def test_the_public_axis_from_an_unknown_controller_to_an_answer(emps_path: Path, tmp_path: Path) -> None:
-    text = EMPS.read_text(encoding="utf-8")
-    before, _, _ = text.partition("[controller]")
-    (tmp_path / "joint.toml").write_text(before, encoding="utf-8")
-    written, answer = tmp_path / "learned.toml", tmp_path / "answer.json"
-    assert run("controller", tmp_path / "joint.toml", "--record", emps_path, "--write", written, "-q") == 0
-    assert run("identify", written, "--json", answer, "-q") == 0
-    found = {name: one["value"] for name, one in json.loads(answer.read_text())["parameters"].items()}
-    assert found["inertia"] == pytest.approx(95.4, abs=1.0)
 
 
 def test_an_interrupted_search_is_written_and_said(
@@ -689,16 +669,29 @@ def test_compare_sets_every_method_of_the_real_axis_side_by_side(
     assert {method["estimate"]["schema"] for method in answer["methods"]} == {"jointid.estimate/1"}
 
 
+@pytest.mark.slow
 def test_the_friction_of_the_real_axis(emps_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "out.json"
-    assert run("diagnose", "friction", EMPS, "--record", emps_path, "--json", out, "-q") == 0
-    assert 'set joint.friction = "asymmetric-stribeck" to identify it' in " ".join(capsys.readouterr().out.split())
-    assert json.loads(out.read_text(encoding="utf-8"))["shown"] == "asymmetric-stribeck"
-    keys = ("--set", "joint.friction=asymmetric-stribeck", "--json", out, "-q")
-    assert run("identify", EMPS, "--record", emps_path, *keys) == 0
-    assert json.loads(out.read_text(encoding="utf-8"))["parameters"]["stribeck_force"]["value"] == pytest.approx(
-        -6.7, abs=0.1
-    )
+    found = friction_of(emps_path, "asymmetric-stribeck", tmp_path / "out.json", capsys)
+    assert found == pytest.approx(-6.7, abs=0.1)
+
+
+def test_nine_seconds_of_it_do_not_tell_directions_apart(
+    emps_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record = tmp_path / "record.mat"
+    write_table(record, Table({name: values[:9000] for name, values in read_table(emps_path).columns.items()}))
+    found = friction_of(record, "stribeck", tmp_path / "out.json", capsys)
+    assert found == pytest.approx(-6.7, abs=1.0)
+
+
+def friction_of(record: Path, law: str, out: Path, capsys: pytest.CaptureFixture[str]) -> float:
+    """Return the force of Stribeck's law that is identified as the comparison of the laws says."""
+    assert run("diagnose", "friction", EMPS, "--record", record, "--json", out, "-q") == 0
+    assert f'set joint.friction = "{law}" to identify it' in " ".join(capsys.readouterr().out.split())
+    assert json.loads(out.read_text(encoding="utf-8"))["shown"] == law
+    keys = ("--set", f"joint.friction={law}", "--json", out, "-q")
+    assert run("identify", EMPS, "--record", record, *keys) == 0
+    return float(json.loads(out.read_text(encoding="utf-8"))["parameters"]["stribeck_force"]["value"])
 
 
 def test_an_estimate_with_ripple_is_validated_and_simulated(

@@ -83,15 +83,15 @@ def needed(robot: ji.Robot) -> np.ndarray:
     )
 
 
-def test_six_rigid_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_files(tmp_path, six(), 6.0)
-    joint, truth = tmp_path / "robot.toml", six().robot.joints
+def test_rigid_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_files(tmp_path, two(), 4.0)
+    joint, truth = tmp_path / "robot.toml", two().robot.joints
     for name, of in (("one.csv", "references.csv"), ("two.csv", "others.csv")):
         run("simulate", joint, "--record", tmp_path / of, "--out", tmp_path / name)
         logged(tmp_path, name, 0.01, 3)
     assert "reversals, stops and starts; peak torques: joint1 " in capsys.readouterr().out
     # The model that it is held beside is a fifth too heavy.
-    write_files(tmp_path, six(), 6.0, heavier=1.2)
+    write_files(tmp_path, two(), 4.0, heavier=1.2)
     one, two_ = tmp_path / "one.csv", tmp_path / "two.csv"
     run("identify", joint, "--record", one, "--json", tmp_path / "found.json")
     printed = capsys.readouterr().out
@@ -99,7 +99,7 @@ def test_six_rigid_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.robot_torque_estimate/1" and answer["converged"]
     units = {name: row["unit"] for name, row in answer["parameters"].items()}
-    assert units["link6.mx"] == "kg m" and units["link6.Ixx"] == "kg m2"
+    assert units["link2.mx"] == "kg m" and units["link2.Iyy"] == "kg m2"
     for one_joint in truth:
         for word in ("viscous", "coulomb"):
             row = answer["parameters"][f"{one_joint.name}.{word}"]
@@ -120,7 +120,7 @@ def test_six_rigid_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "Bodies near the nominal ones that fit the estimate predict better than these" in said
     run("export", joint, "--set", 'record.file="one.csv"', "--out", tmp_path / "found.xml")
     assert "the mass matrix is positive in 1000 random poses" in " ".join(capsys.readouterr().out.split())
-    found, true = (needed(ji.load_robot(tmp_path / "found.xml")), needed(six().robot))
+    found, true = (needed(ji.load_robot(tmp_path / "found.xml")), needed(two().robot))
     assert np.all(np.linalg.norm(found - true, axis=0) < 0.02 * np.linalg.norm(true, axis=0))
 
 
@@ -183,13 +183,13 @@ def test_a_test_is_planned_and_played(tmp_path: Path, capsys: pytest.CaptureFixt
     limits = "limits = { lower = -1.0, upper = 1.0, speed = 2.0, torque = 60.0 }\n"
     text = joint.read_text(encoding="utf-8").replace("[[joints]]\n", f"[[joints]]\n{limits}")
     joint.write_text(text, encoding="utf-8")
-    run("design", joint, "--seconds", "1", "--duration", "4", "--out", out, "--json", tmp_path / "a.json")
+    run("design", joint, "--seconds", "0.3", "--duration", "4", "--out", out, "--json", tmp_path / "a.json")
     assert "13 parameters to a tenth" in capsys.readouterr().out
     answer = json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.robot_design/1" and answer["samples"] == 4000 and not answer["of_record"]
     assert answer["reached"][0]["upper"] < 1.0 and not answer["passed"]
     run("simulate", joint, "--record", out / "motion.csv", "--out", tmp_path / "log.csv")
-    run("design", joint, "--seconds", "1", "--record", tmp_path / "log.csv")
+    run("design", joint, "--seconds", "0.3", "--record", tmp_path / "log.csv")
     assert "of the present motion's on the geometric mean" in " ".join(capsys.readouterr().out.split())
     run("design", joint, "--motion", out / "motion.csv")
     with pytest.raises(MethodError, match="--stroke is for a joint file"):
@@ -203,15 +203,17 @@ def test_a_payload_is_weighed_by_didim(tmp_path: Path, capsys: pytest.CaptureFix
         (replace(truth, robot=with_payload(truth.robot, payload)), "others.csv", "with.csv"),
         (truth, "references.csv", "without.csv"),
     ):
-        write_files(tmp_path, twin, 5.0)
+        write_files(tmp_path, twin, 2.5)
         run("simulate", joint, "--record", tmp_path / of, "--out", tmp_path / name)
         logged(tmp_path, name, 0.01, 3)
     records = ("--without", tmp_path / "without.csv", "--with", tmp_path / "with.csv")
     capsys.readouterr()
     run("payload", joint, *records, "--json", tmp_path / "found.json", "--quiet")
-    assert "The payload weighs 3.0" in " ".join(capsys.readouterr().out.split())
     answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.payload/1"
+    mass = answer["parameters"]["mass"]
+    assert abs(mass["value"] - 3.0) < 4 * mass["std"] < 0.02
+    assert f"The payload weighs {mass['value']:.4f}" in " ".join(capsys.readouterr().out.split())
     with pytest.raises(MethodError, match="gains are found by IDIM, from motor positions and torques"):
         run("payload", joint, *records, "--mass", "3")
 
@@ -231,7 +233,7 @@ def test_what_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["inverse-model", "gravity"])
 def test_controllers_are_judged_beside_the_feed_forward_that_the_file_computes(tmp_path: Path, kind: str) -> None:
-    write_files(tmp_path, two(), 4.0)
+    write_files(tmp_path, two(), 2.0)
     joint, one, page = tmp_path / "robot.toml", tmp_path / "one.csv", tmp_path / "page.html"
     text = joint.read_text(encoding="utf-8").replace("[robot]", f'[robot]\nfeed_forward = "{kind}"', 1)
     text = text.replace("[record.channels]", '[record.channels]\nmotor_position = { column = "q{axis}" }')
@@ -240,6 +242,8 @@ def test_controllers_are_judged_beside_the_feed_forward_that_the_file_computes(t
     run("diagnose", joint, "--record", one, "--json", tmp_path / "said.json")
     said = json.loads((tmp_path / "said.json").read_text(encoding="utf-8"))
     assert said["method"] == "idim" and said["as_declared"] is True
+    if kind == "inverse-model":
+        return  # of the report one is enough: it draws a page
     run("report", joint, "--record", one, "--html", page, "--json", tmp_path / "report.json")
     told = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
     assert told["diagnosis"]["as_declared"] is True
@@ -248,7 +252,7 @@ def test_controllers_are_judged_beside_the_feed_forward_that_the_file_computes(t
 def measured_alone(tmp_path: Path) -> Twin:
     """Write records with motor positions of a twin, and its file with springs and without controllers."""
     twin = two((12.0, 18.0))
-    write_files(tmp_path, twin, 5.0, multisine=0.004)
+    write_files(tmp_path, twin, 3.0, multisine=0.004)
     joint = tmp_path / "robot.toml"
     text = joint.read_text(encoding="utf-8")
     measured = text.replace("[record.channels]", '[record.channels]\nmotor_position = { column = "q{axis}" }')
@@ -271,7 +275,8 @@ def test_the_drive_side_of_flexible_joints(tmp_path: Path, capsys: pytest.Captur
     twin, joint = measured_alone(tmp_path), tmp_path / "robot.toml"
     capsys.readouterr()
     one, two_, found = tmp_path / "one.csv", tmp_path / "two.csv", tmp_path / "found.json"
-    run("identify", joint, "--record", one, "--json", found)
+    near = "method.frequencies={joint1=13.0,joint2=20.0}"
+    run("identify", joint, "--record", one, "--set", near, "--json", found)
     printed = " ".join(capsys.readouterr().out.split())
     assert "drive side of a robot, from motor torques and motor positions, of springs, rotors and links" in printed
     answer = json.loads(found.read_text(encoding="utf-8"))
@@ -279,10 +284,9 @@ def test_the_drive_side_of_flexible_joints(tmp_path: Path, capsys: pytest.Captur
         assert one_joint.spring is not None
         row = answer["parameters"][f"{one_joint.name}.stiffness"]
         assert row["value"] == pytest.approx(one_joint.spring.stiffness, rel=0.02)
-    run("validate", joint, "--set", 'record.file="one.csv"', "--record", two_)
+    run("validate", joint, "--set", 'record.file="one.csv"', "--set", near, "--record", two_)
     assert "nominal model" in capsys.readouterr().out
     capsys.readouterr()
-    near = "method.frequencies={joint1=13.0,joint2=20.0}"
     run("identify", joint, "--record", one, "--set", near, "--set", "method.log_delay=0.0")
     assert "log_delay" not in capsys.readouterr().out
     with pytest.raises(MethodError, match="This robot does not tell all of a payload"):

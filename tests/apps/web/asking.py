@@ -93,7 +93,7 @@ def running(run: Run, line: str, most: float = 60.0) -> None:
     raise AssertionError(f"{run.status}: {run.read_progress()}")
 
 
-WAIT = 60.0  # seconds that a machine which is busy may take
+WAIT = 300.0  # seconds that a machine which is busy may take
 
 
 class Served:

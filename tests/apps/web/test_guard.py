@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from jointid.apps.web.application import build_application
-from tests.apps.web.asking import TOKEN, Asker
+from tests.apps.web.asking import TOKEN, UNITS, Asker
 from tests.apps.web.testclient import TestClient
 
 PAGE = "http://127.0.0.1:8765"
@@ -43,7 +43,10 @@ def test_with_the_token_the_page_is_there(client: TestClient) -> None:
 
 
 def test_no_cookie_is_ever_set(client: TestClient, asker: Asker, log: bytes) -> None:
-    asker.identify(log)
+    asker.send("log.csv", log)
+    asker.post("/channels", UNITS)
+    (asker.folder.path / "log.csv").write_bytes(log)
+    asker.folder.new_run("log.csv", "log.csv", "[joint]", learn=False).update(state="done")
     paths = ["/", "/channels", "/joint", "/runs/1", "/runs/1/joint.toml", "/plot/0.svg", "/static/page.js", "/nothing"]
     answers = [client.get(path) for path in paths] + [client.post("/runs/1/cancel"), client.get(f"{PAGE}/wrong/")]
     assert not any("set-cookie" in one.headers for answer in answers for one in [*answer.history, answer])

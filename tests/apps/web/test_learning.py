@@ -22,6 +22,7 @@ from jointid.records.record import Record
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from tests.geared import RATE, RIGID
+from tests.learned_once import search_once
 
 CONSTANT = 0.5  # N m/A
 LAW = Cascade(position_gain=25.0, velocity_gain=0.04, gain=CONSTANT)
@@ -90,7 +91,8 @@ def test_the_learner_is_told_the_same_gain_by_both(folder: Path, monkeypatch: py
 
 @pytest.mark.slow
 @pytest.mark.parametrize("folder", [IN_AMPERE], indirect=True, ids=["torque constant"])
-def test_behind_a_gear_the_page_learns_what_the_command_does(folder: Path) -> None:
+def test_behind_a_gear_the_page_learns_what_the_command_does(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    search_once(monkeypatch)
     page, command = learned_by_both(folder)
     assert page == command
     assert page.gain == pytest.approx(10 * CONSTANT)

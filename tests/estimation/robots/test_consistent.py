@@ -25,7 +25,7 @@ from jointid.records.signals.filtering import Filtering
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.estimation.robots.twin import COULOMB, ROTORS, VISCOUS, arm, records_of, with_payload
 from tests.models.robots.trees import random_body
-from tests.robots_plants import six, two
+from tests.robots_plants import Twin, six, two
 
 ARM = arm()
 
@@ -71,13 +71,17 @@ def test_a_friction_that_is_declared_another_backwards_is_the_one_found_in_both_
     assert found.coulomb == pytest.approx(COULOMB[0], rel=0.05) and found.coulomb_backwards is None
 
 
-@pytest.mark.parametrize("flexible", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_bodies_fit_an_estimate_from_torques_alone(flexible: bool) -> None:
+@pytest.mark.parametrize(
+    "twin",
+    [two(), *(pytest.param(six(flexible), marks=pytest.mark.slow) for flexible in (False, True))],
+    ids=["two", "six", "six flexible"],
+)
+def test_bodies_fit_an_estimate_from_torques_alone(twin: Twin) -> None:
     """Of a model a third off they predict another record as the estimate does, springs and all."""
-    twin = six(flexible)
-    multisine = 0.004 if flexible else 0.0
-    records, other = (recorded(twin.loop(), twin.records(8.0, seed, multisine=multisine), 0.02)[0] for seed in (1, 4))
-    factors = np.random.default_rng(5).uniform(0.7, 1.3, 6)
+    seconds, multisine = (5.0, 0.004) if any(twin.robot.flexible) else (8.0, 0.0)
+    asked = (twin.records(seconds, seed, multisine=multisine) for seed in (1, 4))
+    records, other = (recorded(twin.loop(), each, 0.02)[0] for each in asked)
+    factors = np.random.default_rng(5).uniform(0.7, 1.3, len(twin.robot))
     links = tuple(replace(link, inertial=k * link.inertial) for link, k in zip(twin.robot.links, factors, strict=True))
     model = replace(twin.robot, links=links)
     estimate = identify_robot_from_torques(replace(twin.loop(), robot=model), records)

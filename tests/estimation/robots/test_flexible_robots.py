@@ -163,7 +163,7 @@ def test_faults_are_said() -> None:
 @pytest.mark.slow
 def test_six_flexible_joints() -> None:
     twin = six(True)
-    found, _ = identified(twin, duration=10.0)
+    found, _ = identified(twin, duration=6.0)
     truth = RobotNumbers.of(twin.robot).springs[:, 0]
     assert found.fit.converged
     assert np.mean(np.abs(deviations(found.fit, twin)) < 2) > 0.9

@@ -118,7 +118,7 @@ def test_what_was_identified_stands_in_it_and_a_hostile_name_does_not_break_it()
 )
 def test_a_spring_in_pieces_gives_our_torque(spring: Spring) -> None:
     joint, law = ji.FlexibleJoint(spring=spring), CONTROLLERS["L19"]
-    reference = REFERENCE[:600]
+    reference = REFERENCE[:400]
     ours = simulated(joint, law, reference, PIECES)
     coarse, fine = (apart(torque_of(joint, PIECES, law, reference, steps=steps), ours) for steps in (4, 16))
     assert fine < 3e-5  # the interpreter steps over the edges of the pieces
@@ -145,9 +145,9 @@ def test_a_smooth_law_gives_our_torque(law: str) -> None:
         joint = replace(whole, ripple=PositionHarmonics(0.02, 2))
     else:
         joint = replace(whole, spring=SPRINGS[law]()) if law in SPRINGS else replace(whole, friction=FRICTIONS[law]())
-    reference = REFERENCE[:600]
+    reference = REFERENCE[:400]
     ours = simulated(joint, CONTROLLERS["L19"], reference, SMOOTH)
-    assert apart(torque_of(joint, SMOOTH, CONTROLLERS["L19"], reference, steps=16), ours) < 1e-4
+    assert apart(torque_of(joint, SMOOTH, CONTROLLERS["L19"], reference, steps=8), ours) < 1e-4
     assert apart(simulated(whole, CONTROLLERS["L19"], reference, SMOOTH), ours) > 0.01
 
 

@@ -43,8 +43,7 @@ class Plant:
 
     def __call__(self, torque: float) -> float:
         self.push(torque)
-        for _ in range(self.steps):
-            mujoco.mj_step(self.model, self.data)
+        mujoco.mj_step(self.model, self.data, self.steps)
         return float(self.data.qpos[0])
 
 
@@ -89,8 +88,9 @@ def test_a_spring_that_becomes_softer_is_none_of_mujoco_s() -> None:
 def test_without_coulomb_friction_only_the_steps_are_between_us() -> None:
     joint, law = ji.FlexibleJoint(), CONTROLLERS["L19"]
     values = TABLE_2 | {"motor_coulomb": 0.0, "load_coulomb": 0.0}
-    ours = simulated(joint, law, REFERENCE, values)
-    coarse, fine = (apart(mjcf_torque(joint, values, law, REFERENCE, timestep=step), ours) for step in (1e-4, 1e-5))
+    reference = REFERENCE[:3000]
+    ours = simulated(joint, law, reference, values)
+    coarse, fine = (apart(mjcf_torque(joint, values, law, reference, timestep=step), ours) for step in (1e-4, 1e-5))
     assert fine < 4e-4  # measured: 3.0e-4, first order in the step
     assert fine < 0.2 * coarse
 

@@ -20,7 +20,7 @@ from tests.robots_plants import two
 
 def test_what_is_refused_is_not_in_the_table() -> None:
     twin = two((9.0, None))
-    loop, driven = twin.loop(), twin.records(4.0, multisine=0.01)
+    loop, driven = twin.loop(), twin.records(2.0, multisine=0.01)
     logged = robot_records(loop, driven, simulate_robot(loop, driven))
     records = tuple(Record(torque=one.torque, reference=one.reference) for one in logged)
     found = identify(loop, records, RobotDIDIM(evaluations=3))

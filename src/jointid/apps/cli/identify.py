@@ -109,7 +109,7 @@ def identify(
         details: print every verdict with all its reasons, the method's tests, effort and settings.
         quiet: say nothing of the progress.
     """
-    from jointid import Windowing, design_stiffness_test, figures
+    from jointid import Windowing, figures
     from jointid.diagnostics.check_loop import add_loop_verdict
 
     outputs = Outputs({"--json": json}, {"--figure": figure})
@@ -134,6 +134,8 @@ def identify(
             estimate = add_loop_verdict(estimate, logged, options.progress, file.declared_numbers)
     deliver(estimate, json, (figure, figures.torque), details=details)
     if logged is not None and estimate.checks.bounds:
+        from jointid import design_stiffness_test
+
         show("\n" + wrapped(str(design_stiffness_test(estimate, logged)), WIDTH, below=2))
     if estimate.fit.interrupted:
         raise KeyboardInterrupt

@@ -26,7 +26,7 @@ _SAMPLE_TIME, _DURATION = 1e-3, 10.0  # s, of a test where no file and no record
 
 def is_robot(path: Path) -> bool:
     """True if a file in TOML is of a robot; of one that cannot be read the joint file's own sentences tell."""
-    from jointid.config.robot_file import is_robot_file
+    from jointid.config.loading import is_robot_file
 
     return is_robot_file(path)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 
 from jointid.common.charts import Cells, Chart
@@ -91,19 +92,18 @@ def pictures_of(
         absent: says why a picture of that name is not there.
     """
     plots: dict[str, str] = {}
+    draw = {name: partial(svg, chart) for name, chart in charts.items()}
     if interactive:
         drawing = Aside(lambda: {name: svg(chart) for name, chart in charts.items()})
         plots = {name: plot(chart) for name, chart in charts.items()}
-        drawn = drawing.result()
-    else:
-        drawn = {name: svg(chart) for name, chart in charts.items()}
+        draw = {name: partial(bytes, image) for name, image in drawing.result().items()}
 
     def picture(name: str) -> list[Block]:
         if name not in charts:
             return [Paragraph(absent(name))]
         chart = charts[name]
         narrow = any(isinstance(item, Cells) for panel in chart.panels for item in panel.items)
-        return [Picture(f"{name}.svg", drawn[name], chart.caption, plots.get(name, ""), not narrow)]
+        return [Picture(f"{name}.svg", draw[name], chart.caption, plots.get(name, ""), not narrow)]
 
     return picture
 

@@ -1,0 +1,53 @@
+"""The share of the slowest layers that one run tests, drawn by the hash of a commit.
+
+``JOINTID_DRAW=<any text>`` draws; without it every test runs. The same text draws the same tests and seeds. Random
+attacks take their seed from it, too.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import os
+import random
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from typing import TypeVar
+
+T = TypeVar("T")
+
+DRAW = os.environ.get("JOINTID_DRAW", "")
+"""What the draw is made from; empty if everything runs."""
+
+SHARES = {"browser": 1 / 3, "docs": 1 / 3, "hostile": 1 / 4}
+"""The share of each layer that a draw keeps, per file and rounded up, so that every file has a test that runs."""
+
+
+def draw_tests(tests: Iterable[tuple[str, str]], draw: str) -> set[str]:
+    """Return the identifiers of the tests that a draw keeps.
+
+    Args:
+        tests: layer and identifier, as pytest writes it, of each test that may be left out.
+        draw: text that the draw is made from.
+    """
+    groups = defaultdict(list)
+    for layer, name in tests:
+        groups[layer, name.partition("::")[0]].append(name)
+    kept: set[str] = set()
+    for (layer, _), names in groups.items():
+        ordered = sorted(names, key=lambda name: hashlib.sha256(f"{draw} {name}".encode()).digest())
+        kept.update(ordered[: math.ceil(SHARES[layer] * len(names))])
+    return kept
+
+
+def draw_some(things: Sequence[T], layer: str) -> list[T]:
+    """Return what a draw keeps of the parts of one test, in their order; all of them without a draw."""
+    if not DRAW:
+        return list(things)
+    kept = random.Random(DRAW).sample(range(len(things)), math.ceil(SHARES[layer] * len(things)))
+    return [things[k] for k in sorted(kept)]
+
+
+def draw_seed(default: int) -> int:
+    """Return the seed of a random attack: the default one, or that of the draw."""
+    return random.Random(DRAW).randrange(10**9) if DRAW else default
