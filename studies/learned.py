@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import math
-import sys
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.text import aligned, number
 from jointid.controller_id.learn import SAME, learn_loop
 from jointid.controller_id.learned_loop import LearnedLoop
 from jointid.controller_id.structure_moves import canonical
@@ -23,7 +19,6 @@ from jointid.records.record import Record, Tap
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.synthesis import simulated_record
-from studies.seeds import judge_seeds, parse_seeds
 
 _PERIOD = 1e-3
 _SAMPLES = 10_000
@@ -67,51 +62,6 @@ class LearnedRun:
     alike: int
     deviations: tuple[float, ...]
     seconds: float
-
-
-@dataclass(frozen=True, slots=True)
-class LearnedTwins:
-    """The results of many loops.
-
-    Attributes:
-        runs: all of them.
-    """
-
-    runs: tuple[LearnedRun, ...]
-
-    @property
-    def right(self) -> float:
-        """Share of the runs that gave the true structure."""
-        return float(np.mean([run.right for run in self.runs]))
-
-    @property
-    def named(self) -> float:
-        """Share of the runs that gave the true structure, or named it among those the record does not tell apart."""
-        return float(np.mean([run.right or run.named for run in self.runs]))
-
-    @property
-    def covered(self) -> float:
-        """Share of all numbers of the right structures that are within 2 standard deviations of the truth."""
-        return float(np.mean([abs(z) <= 2.0 for run in self.runs for z in run.deviations]))
-
-    def __str__(self) -> str:
-        """Return the table, a row for each law, and what all say."""
-        laws = sorted({run.true.split(",")[0] for run in self.runs})
-        rows = [_row(law, [run for run in self.runs if run.true.split(",")[0] == law]) for law in laws]
-        rows.append(_row("", self.runs))
-        header = ("law", "runs", "right, %", "right or named, %", "named alike", "2 sigma hold, %", "seconds")
-        wrong = [f"seed {r.seed}: {r.true} -> {r.found}" for r in self.runs if not (r.right or r.named)]
-        return "\n".join([aligned(header, rows, (False, *(True,) * 6)), "", *wrong])
-
-
-def learn_twins(seeds: Sequence[int] = range(200), out: Path | None = None) -> LearnedTwins:
-    """Learn the controllers of random twins, and compare them with the true ones.
-
-    Args:
-        seeds: of the twins.
-        out: folder in which runs are kept, and found again.
-    """
-    return LearnedTwins(tuple(LearnedRun(**run) for run in judge_seeds("studies.learned:judge", seeds, {}, out=out)))
 
 
 def judge(seed: int) -> LearnedRun:
@@ -164,20 +114,6 @@ def _deviations(made: LoopTwin, true: Structure, learned: LearnedLoop) -> tuple[
         ("velocity_gain" if name == "derivative_gain" and true.cascade else name): v for name, v in made.numbers.items()
     }
     return tuple((value[name] - truth[name]) / std[name] for name in value if name in truth and name != INTEGRAL)
-
-
-def _row(law: str, runs: Sequence[LearnedRun]) -> tuple[str, ...]:
-    found = LearnedTwins(tuple(runs))
-    counted = any(run.deviations for run in runs)
-    return (
-        law or "all",
-        f"{len(runs)}",
-        f"{100 * found.right:.1f}",
-        f"{100 * found.named:.1f}",
-        number(float(np.mean([run.alike for run in runs])), 2),
-        f"{100 * found.covered:.1f}" if counted else "-",
-        number(float(np.median([run.seconds for run in runs])), 2),
-    )
 
 
 def loop_twin(seed: int) -> LoopTwin:
@@ -286,13 +222,3 @@ def _numbers(rng: np.random.Generator, structure: Structure, inertia: float) -> 
     }
     known = (cascade if structure.cascade else others) | beside
     return {name: float(known[name]) for name in structure.names}
-
-
-def _main() -> None:
-    """Show the table of the seeds ``python -m studies.learned [FIRST AFTER_LAST]``, 0 to 199 unless told."""
-    given = parse_seeds(_main.__doc__, 200)
-    sys.stdout.write(f"{learn_twins(given.seeds, given.out)}\n")
-
-
-if __name__ == "__main__":
-    _main()

@@ -4,23 +4,20 @@ Each twin is a drive of another size under a loop that suits it, with a disturba
 from torque and reference, the margins of its loop and of the loop that is then proposed are stated, and set beside
 those of the true joint under the same laws. A margin holds where the true one is no smaller.
 
-`changes` does the same for the smallest change that is told: pairs of records of one axis, of which in half a parameter
-has changed by exactly the stated size, are compared.
+`judge_pair` does the same for the smallest change that is told: pairs of records of one axis, of which in half a
+parameter has changed by exactly the stated size, are compared.
 """
 
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.text import aligned
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM, refined_least_squares
 from jointid.estimation.problems.closed_loop import torque_problem
@@ -34,7 +31,6 @@ from jointid.tuning.margins import NAMES, joint_set
 from jointid.tuning.minimum_detectable_change import compute_minimum_detectable_change
 from jointid.tuning.tune import tune
 from jointid.tuning.tuned import LoopMargins
-from studies.seeds import judge_seeds, parse_seeds
 
 _ROUNDING = 1e-3  # of a margin: how exactly it is computed
 _ENOUGH = 1e-6  # relative: far below a deviation
@@ -97,56 +93,6 @@ class MarginRun:
         return self.true[loop][at] >= self.stated[loop][at] * (1 - _ROUNDING)
 
 
-@dataclass(frozen=True, slots=True)
-class MarginCoverage:
-    """Many twins.
-
-    Attributes:
-        twins: all of them.
-    """
-
-    twins: tuple[MarginRun, ...]
-
-    def share(self, loop: str, name: str | None = None) -> float:
-        """Return in which share of the twins with stated margins one holds, or all of them do."""
-        told = [t for t in self.twins if loop in t.stated]
-        names = NAMES if name is None else (name,)
-        return float(np.mean([all(t.holds(loop, one) for one in names) for t in told]))
-
-    @property
-    def all(self) -> float:
-        """Share of the twins in which every stated margin of every loop holds."""
-        told = [t for t in self.twins if t.stated]
-        return float(np.mean([all(t.holds(loop, one) for loop in t.stated for one in NAMES) for t in told]))
-
-    def __str__(self) -> str:
-        """Return the table."""
-        rows = []
-        for loop in ("present", "proposed"):
-            told = [t for t in self.twins if loop in t.stated]
-            tight = [
-                t.stated[loop][i] / t.true[loop][i] for t in told for i in (0, 4) if math.isfinite(t.true[loop][i])
-            ]
-            cells = [f"{100 * self.share(loop, name):.1f}" for name in (*NAMES, None)] if told else ["-"] * 6
-            rows.append((loop, str(len(told)), *cells, f"{float(np.median(tight)):.3f}" if tight else "-"))
-        header = ("loop", "stated", *NAMES, "all", "stated / true")
-        lines = [
-            aligned(header, rows, (False, *(True,) * 8)),
-            f"every stated margin of both loops: {100 * self.all:.1f} %",
-        ]
-        for t in self.twins:
-            lost = [f"{loop} {one}" for loop in t.stated for one in NAMES if not t.holds(loop, one)]
-            lines += [f"seed {t.seed}: {', '.join(lost)}"] * bool(lost) + [f"seed {t.seed}: {t.refused}"] * bool(
-                t.refused
-            )
-        return "\n".join(lines)
-
-
-def held_margins(seeds: Sequence[int] = range(200), out: Path | None = None) -> MarginCoverage:
-    """Identify random twins, state their margins, and count how often these hold; runs are kept, and found again."""
-    return MarginCoverage(tuple(MarginRun(**run) for run in judge_seeds("studies.margins:judge", seeds, {}, out=out)))
-
-
 def judge(seed: int) -> MarginRun:
     """Identify one twin, and state the margins of its loop and of the proposed one."""
     drive = random_drive(seed)
@@ -170,58 +116,28 @@ def true_margins(drive: RandomDrive, controller: Controller) -> tuple[float, ...
     return tuple(map(float, joint_set(drive.loop.joint, [drive.truth], law).margins(law)[0]))
 
 
-@dataclass(frozen=True, slots=True)
-class ChangeDetection:
-    """Rates of detected changes, by parameter.
-
-    Attributes:
-        false: share of pairs without a change in which one was said. found: share of pairs with one of the stated size.
-        pairs: of each kind.
-    """
-
-    false: dict[str, float]
-    found: dict[str, float]
-    pairs: int
-
-    def __str__(self) -> str:
-        """Return the table."""
-        rows = [(name, f"{100 * self.false[name]:.1f}", f"{100 * self.found[name]:.1f}") for name in self.false]
-        return aligned((f"{self.pairs} pairs each", "false alarms %", "detected %"), rows, (False, True, True))
-
-
 CHANGED = ("stiffness", "motor_inertia", "load_inertia", "damping", "load_viscous", "load_coulomb")
 """Parameters that are changed, one at a time."""
 
 
-def changes(
-    pairs: Sequence[int] = range(200), names: Sequence[str] = CHANGED, out: Path | None = None
-) -> ChangeDetection:
+def judge_pair(seed: int, names: Sequence[str]) -> dict[str, dict[str, bool]]:
     """Compare pairs of records of one axis, without a change and with one of the stated size (1 %, 90 %).
 
-    Args:
-        pairs: their seeds: of so many without a change, and as many with one of each parameter.
-        names: of the parameters, each changed in records of its own.
-        out: folder in which pairs are kept, and found again.
+    Returns:
+        by parameter whether a change is said where there is none ("false"), and where there is one ("found").
     """
-    said = np.array(list(judge_seeds("studies.margins:judge_pair", pairs, {"names": list(names)}, out=out)))
-    false, found = (dict(zip(names, map(float, share), strict=True)) for share in said.mean(axis=0))
-    return ChangeDetection(false, found, len(pairs))
-
-
-def judge_pair(seed: int, names: Sequence[str]) -> tuple[list[bool], list[bool]]:
-    """Return by parameter whether a change is said where there is none, and where there is one of the stated size."""
     drive, seeds = random_drive(0), iter(range(10_000 + 10 * seed, 10_010 + 10 * seed))
     first = drive.identified(drive.record(next(seeds)))
     stated = compute_minimum_detectable_change(first)
-    again, false, found = _again(first, drive.record(next(seeds))), [], []
+    again, false, found = _again(first, drive.record(next(seeds))), dict[str, bool](), dict[str, bool]()
     for name in names:
         told = stated[name]
-        false.append(bool(abs(again[name] - told.value) > told.limit))
+        false[name] = bool(abs(again[name] - told.value) > told.limit)
         # The stated size varies with the record's noise, as it does for whoever relies on it.
         moved = dict(drive.truth) | {name: drive.truth[name] + told.size}
         after = _again(first, drive.record(next(seeds), moved))
-        found.append(bool(abs(after[name] - told.value) > told.limit))
-    return false, found
+        found[name] = bool(abs(after[name] - told.value) > told.limit)
+    return {"false": false, "found": found}
 
 
 def _again(first: Estimate, record: Record) -> dict[str, float]:
@@ -290,13 +206,3 @@ def _drawn(rng: np.random.Generator, seed: int) -> RandomDrive:
     )
     loop = ClosedLoop(FlexibleJoint(kind="revolute"), controller)
     return RandomDrive(loop, {name: float(value) for name, value in truth.items()}, mode, period, reference, known)
-
-
-def _main() -> None:
-    """Show a table of the seeds ``python -m studies.margins [--changes] [FIRST AFTER_LAST]``, 0 to 199 unless told."""
-    given = parse_seeds(_main.__doc__, 200, "changes")
-    sys.stdout.write(f"{(changes if given.changes else held_margins)(given.seeds, out=given.out)}\n")
-
-
-if __name__ == "__main__":
-    _main()

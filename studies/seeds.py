@@ -1,14 +1,14 @@
-"""The seeds of a study as a campaign: on all cores, each result kept as it comes, so that a study may be ended."""
+"""Seeds judged as a campaign: on all cores, each outcome kept as it comes, so that a study may be interrupted."""
 
 from __future__ import annotations
 
 import argparse
 import contextlib
-import itertools
 import json
 import sys
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, is_dataclass
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, is_dataclass
 from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -22,37 +22,67 @@ from jointid.campaigns.run import run_cases
 from jointid.campaigns.store import open_database
 
 
-def judge_seeds(
-    function: str, seeds: Iterable[int], *settings: Mapping[str, Any], out: Path | None = None
-) -> Iterator[Any]:
-    """Yield what a function of a seed gives, for each seed in its order, as JSON has it; nothing where it gives None.
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One seed of a study: a function as "module:name", its seed and its other arguments."""
+
+    function: str
+    seed: int
+    settings: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """The outcome of a task as JSON has it, and the seconds of the processor that it took."""
+
+    outcome: Any
+    seconds: float
+
+
+def judge_tasks(tasks: Sequence[Task], out: Path | None = None) -> list[Judged]:
+    """Judge tasks in parallel.
 
     Args:
-        function: of a seed and the settings, which returns a dataclass, numbers or None, as "studies.mechanics:judge".
-        seeds: each a case of the campaign, with each of the settings.
-        settings: the function's other arguments, as JSON has them; of several all seeds of the first come first.
-        out: folder in which results are kept, and found again; one for this call alone when None.
+        tasks: to be judged; the functions return a dataclass, plain values or None.
+        out: folder in which outcomes are kept and found again; a temporary one when None.
     """
-    asked = itertools.product(map(canonical, settings), list(seeds))
-    cases = [Case(function, "", "", "", changes=(one,), varied=Simulated((), seed=n)) for one, n in asked]
+    cases = [
+        Case(one.function, "", "", "", changes=(canonical(one.settings),), varied=Simulated((), seed=one.seed))
+        for one in tasks
+    ]
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(TemporaryDirectory())) if out is None else out
         folder.mkdir(parents=True, exist_ok=True)
         with open_database(folder) as database:
-            run_cases(lambda: cases, LocalProcesses(), database, name=function, carry=_carry, progress=_say)
+            run_cases(lambda: cases, LocalProcesses(), database, name="studies", carry=_carry, progress=_say)
         rows = {row.content_hash: row for row in read_results(folder).rows}
-    for case in cases:
-        found = json.loads(rows[case.content_hash].sentence)
-        if found is not None:
-            yield found
+    return [Judged(**json.loads(rows[case.content_hash].sentence)) for case in cases]
+
+
+def judge_seeds(
+    function: str, seeds: Iterable[int], *settings: Mapping[str, Any], out: Path | None = None
+) -> Iterator[Any]:
+    """Yield the outcome of each seed in order, as JSON has it, without those that are None.
+
+    Args:
+        function: of a seed and the settings, as "studies.mechanics:judge".
+        seeds: judged with each of the settings.
+        settings: the function's other arguments, as JSON has them; of several all seeds of the first come first.
+        out: folder in which outcomes are kept and found again; a temporary one when None.
+    """
+    numbers = list(seeds)
+    tasks = [Task(function, seed, one) for one in settings for seed in numbers]
+    yield from (one.outcome for one in judge_tasks(tasks, out) if one.outcome is not None)
 
 
 def _carry(case: Case) -> Row:
-    """Return what the function of a case gives, as JSON in the place of a row's sentence."""
+    """Return a case's outcome and its seconds, as JSON in the place of a row's sentence."""
     module, _, name = case.joint.partition(":")
     assert isinstance(case.varied, Simulated)
-    found = getattr(import_module(module), name)(case.varied.seed, **json.loads(case.changes[0]))
-    said = asdict(found) if is_dataclass(found) and not isinstance(found, type) else found
+    function, began = getattr(import_module(module), name), time.process_time()
+    found = function(case.varied.seed, **json.loads(case.changes[0]))
+    outcome = asdict(found) if is_dataclass(found) and not isinstance(found, type) else found
+    said = {"outcome": outcome, "seconds": time.process_time() - began}
     return Row.of(case, Outcome.IDENTIFIED, json.dumps(said, sort_keys=True))  # a margin may be infinite
 
 

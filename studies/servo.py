@@ -6,15 +6,13 @@ feed-forward; the command comes every 2 ms and is filled in by lines, an acceler
 and what is logged, every 2 ms, is the command and the force, in per mille of the rated one. All numbers are ours; the
 axis, its motion and its pulses are those of `twin`.
 
-`accuracy` identifies it many times from force and command alone, and sets the scatter beside what the output
-sensitivities foretell.
+It is identified from force and command alone, and the errors are set beside what the output sensitivities foretell.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -30,7 +28,6 @@ from jointid.simulation.closed_loop import simulate_torque
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.simulated import require_finished
-from studies.seeds import judge_seeds
 
 LOG = 2e-3
 """Seconds between the samples of the log, and between the commands."""
@@ -83,49 +80,21 @@ def servo_twin(*, residual: float = RESIDUAL, seed: int = 1) -> Twin:
     return Twin(logged(clean + sd * white), loop, dict(TABLE_2), sd)
 
 
-@dataclass(frozen=True, slots=True)
-class Accuracy:
-    """How far the estimates of many runs scatter, by parameter, beside what was foretold.
-
-    Attributes:
-        runs: how many.
-        spread: standard deviation over the runs. foretold: by the output sensitivities at the truth. Both relative.
-        bias: mean error over the runs, in those deviations.
-    """
-
-    runs: int
-    spread: Mapping[str, float]
-    foretold: Mapping[str, float]
-    bias: Mapping[str, float]
-
-
-def accuracy(runs: int, seed: int = 1, out: Path | None = None) -> Accuracy:
-    """Identify the servo's twin from force and command many times; runs are kept in a folder, and found again."""
-    found = np.array(list(judge_seeds("studies.servo:judge", range(seed, seed + runs), {}, out=out)))
-    axis = servo_twin(seed=seed)
-    problem = _problem(axis)
-    names = [p.name for p in problem.free_joint]
-    truth = np.array([axis.truth[name] for name in names])
-    spread = found.std(axis=0, ddof=1)
-    return Accuracy(
-        runs,
-        _by_name(names, spread / np.abs(truth)),
-        _by_name(names, _foretold(problem, axis.noise) / np.abs(truth)),
-        _by_name(names, (found.mean(axis=0) - truth) / spread),
-    )
-
-
-def judge(seed: int) -> list[float]:
-    """Return the joint's parameters by least squares that begins at the truth."""
+def judge(seed: int) -> dict[str, float]:
+    """Return the errors of least squares from the truth, in the deviations that the sensitivities foretell."""
     problem = _problem(servo_twin(seed=seed))
-    x, _ = refined_least_squares(problem, _truth(problem), _ENOUGH)
-    return [float(one) for one in x[: len(problem.free_joint)]]
+    truth, names = _truth(problem), [p.name for p in problem.free_joint]
+    x, _ = refined_least_squares(problem, truth, _ENOUGH)
+    return {name: float((x[i] - truth[i]) / _foretold()[i]) for i, name in enumerate(names)}
 
 
-def _foretold(problem: ClosedLoopProblem, noise: float) -> FloatArray:
-    """Return the deviations of the joint's parameters under white noise of that size, and rounding, on the log."""
+@cache
+def _foretold() -> FloatArray:
+    """Return the deviations of the joint's parameters under the twin's white noise, and rounding, on the log."""
+    axis = servo_twin()
+    problem = _problem(axis)
     J = problem.linearised(_truth(problem))[1]
-    whole = float(np.hypot(noise, RATED / 1000 / np.sqrt(12)))
+    whole = float(np.hypot(axis.noise, RATED / 1000 / np.sqrt(12)))
     draws = np.random.default_rng(0).standard_normal((problem.measured.size, _DRAWS))
     answers = np.linalg.pinv(J) @ problem.filtered(whole * draws)
     return np.asarray(answers.std(axis=1)[: len(problem.free_joint)])
@@ -143,7 +112,3 @@ def _truth(problem: ClosedLoopProblem) -> FloatArray:
 
 def _seen(force: FloatArray) -> FloatArray:
     return FILTERING.resolved(LOG, "flexible").decimate(force, LOG)
-
-
-def _by_name(names: list[str], values: FloatArray) -> dict[str, float]:
-    return dict(zip(names, map(float, values), strict=True))

@@ -11,17 +11,13 @@ What could be known of the spring is predicted at the truth, as in `studies.refu
 from __future__ import annotations
 
 import math
-import sys
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
-from jointid.common.text import aligned, number
 from jointid.diagnostics.check_loop import check_loop
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible_search import on_band
@@ -35,7 +31,6 @@ from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from jointid.tuning.margins import joint_set
 from jointid.uncertainty.position_dependent_error import uncertainty
-from studies.seeds import judge_seeds, parse_seeds
 
 PLAIN, INVISIBLE = 0.03, 0.5  # predicted deviations of K12: below, it must be reported; above, it must not
 SLOW = 80.0  # Hz: bounds are counted for modes below it apart
@@ -106,82 +101,6 @@ class BoundRun:
     def deviations(self) -> float:
         """How far a value is off, in its standard deviations; 0 where none is given."""
         return 0.0 if self.value is None or not self.std else (self.value - self.stiffness) / self.std
-
-    def __str__(self) -> str:
-        """Return the run in a line."""
-        said = self.error
-        if self.value is not None:
-            said = f"K12 {100 * (self.value / self.stiffness - 1):+.2f} %, {self.deviations:+.1f} deviations"
-        elif not self.error:
-            bound = "nothing bounded" if self.bound is None else f"bound {self.bound / self.stiffness:.3g} K12"
-            said = f"refused, {bound}{', VIOLATED' if self.violated else ''}"
-        cost = f"{self.simulations} simulations, {self.seconds:.1f} s"
-        alarm = f"; loop: {self.alarm}" if self.alarm else ""
-        held = f"; at a bound: {', '.join(self.held)}" if self.held else ""
-        return (
-            f"seed {self.seed}, {self.mode:.3g} Hz, predicted {100 * self.predicted:.2g} %: {said}; {cost}{alarm}{held}"
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class BoundStudy:
-    """Many plants.
-
-    Attributes:
-        runs: all of them.
-    """
-
-    runs: tuple[BoundRun, ...]
-
-    def __str__(self) -> str:
-        """Return the shares that count."""
-        told = [run for run in self.runs if not run.error]
-        bounded = [run for run in told if run.bound is not None]
-        slow = [run for run in bounded if run.mode < SLOW]
-        plain = [run for run in told if run.predicted < PLAIN]
-        invisible = [run for run in told if run.predicted > INVISIBLE]
-        given = [run for run in told if run.value is not None]
-        refused = [run for run in told if run.refused]
-
-        def share(found: Sequence[bool]) -> str:
-            return f"{sum(found)} of {len(found)} ({100 * sum(found) / max(len(found), 1):.1f} %)"
-
-        rows = [
-            ("plants that were answered", share([not run.error for run in self.runs])),
-            ("refused with a bound", share([run.bound is not None for run in refused])),
-            ("bounds violated", share([run.violated for run in bounded])),
-            (f"bounds violated, modes below {SLOW:.0f} Hz", share([run.violated for run in slow])),
-            ("bound / K12, median", number(_median([run.bound / run.stiffness for run in bounded if run.bound]), 2)),
-            (f"values given where K12 can be known to {100 * PLAIN:.0f} %", share([not run.refused for run in plain])),
-            ("values given where K12 is invisible", share([not run.refused for run in invisible])),
-            ("values off by more than 2 deviations", share([abs(run.deviations) > 2 for run in given])),
-            ("values off by more than 3 deviations", share([abs(run.deviations) > 3 for run in given])),
-            ("false alarms of the loop check", share([bool(run.alarm) for run in given])),
-            ("values with a parameter said to be at its bound", share([bool(run.held) for run in given])),
-            ("simulations of a value, median", number(_median([run.simulations for run in given]), 3)),
-            ("simulations of a refusal, median", number(_median([run.simulations for run in refused]), 3)),
-            ("simulations of a refusal, most", str(max((run.simulations for run in refused), default=0))),
-            ("seconds of a value, median", number(_median([run.seconds for run in given]), 3)),
-        ]
-        return aligned((f"{len(self.runs)} plants", "found"), rows, (False, True))
-
-
-def _median(found: Sequence[float]) -> float:
-    return float(np.median(found)) if found else math.nan
-
-
-def stiffness_bounds(
-    seeds: Sequence[int] = range(200), out: Path | None = None, *, loop_checks: bool = True
-) -> BoundStudy:
-    """Identify random plants, and set what is said of their springs beside the truth.
-
-    Args:
-        seeds: of the plants.
-        out: folder in which runs are kept, and found again.
-        loop_checks: whether the loop is checked, too, where a value is given: it is as declared.
-    """
-    found = judge_seeds("studies.stiffness_bounds:identify_plant", seeds, {"loop_checks": loop_checks}, out=out)
-    return BoundStudy(tuple(BoundRun(**run) for run in found))
 
 
 def identify_plant(seed: int, *, loop_checks: bool = True) -> BoundRun:
@@ -326,14 +245,3 @@ def _controller(rng: np.random.Generator, inertia: float, crossover: float) -> C
         )  # fmt: skip
     integral = rate * rng.uniform(0.05, 0.2) if kind == "P-PI" else 0.0
     return Cascade(position_gain=0.25 * rate, velocity_gain=inertia * rate, integral_gain=integral)
-
-
-def _main() -> None:
-    """Show the shares: ``python -m studies.stiffness_bounds [FIRST AFTER_LAST]``, seeds 0 to 199 unless told."""
-    given = parse_seeds(_main.__doc__, 200)
-    study = stiffness_bounds(given.seeds, given.out)
-    sys.stdout.write("".join(f"{run}\n" for run in study.runs) + f"{study}\n")
-
-
-if __name__ == "__main__":
-    _main()

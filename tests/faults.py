@@ -57,7 +57,7 @@ def setting(name: Loop, brief: bool = False) -> Setting:
     record = record.without("motor_position", "load_position")
     assert record.torque is not None
     assert record.injected is not None
-    sizes = {kind: twin(name, noise=kind).noise for kind in ("white", "disturbance")}  # type: ignore[arg-type]
+    sizes = {kind: twin(name, noise=kind).noise for kind in ("white", "disturbance")}
     peak = float(np.max(np.abs(record.torque.values - record.injected.channel.values)))
     return Setting(name, clean.loop, record, dict(clean.truth), sizes, peak, brief)
 

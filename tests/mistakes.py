@@ -292,7 +292,8 @@ def _constant_twice(made: Axis, seed: int) -> Told:
 
 def _time(factor: float) -> Edit:
     def edit(record: Record, loop: ClosedLoop) -> Told:
-        return replace(record, **{n: replace(c, sample_time=factor * c.sample_time) for n, c in record.items()}), loop
+        timed = {n: replace(c, sample_time=factor * c.sample_time) for n, c in record.items()}
+        return record.with_channels(timed), loop
 
     return edit
 
@@ -366,7 +367,7 @@ def _pair(name: str, causes: set[str], *makes: Any) -> Mistake:
     first, *edits = makes
 
     def make(made: Axis, seed: int) -> Told:
-        told = first(made, seed)
+        told: Told = first(made, seed)
         for edit in edits:
             told = edit(*told)
         return told

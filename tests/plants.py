@@ -135,9 +135,7 @@ def gapped_axis(samples: int = 4000) -> tuple[Case, Record]:
     """An axis with a gap of 0.6 of the largest wind-up, and its record with 2 % of noise on the log."""
     case = prismatic(1)
     cut = {name: replace(channel, values=channel.values[:samples]) for name, channel in case.clean.items()}
-    injected = case.clean.injected
-    assert injected is not None
-    clean = replace(case.clean, **{**cut, "injected": replace(injected, channel=cut["injected"])})
+    clean = case.clean.with_channels(cut)
     loop = with_spring(case.loop, Backlash())
     run = simulate(case.loop, prepare(case.loop, clean), case.truth)
     assert run.load_position is not None

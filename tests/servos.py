@@ -79,8 +79,8 @@ def _tried(rng: np.random.Generator, moving: bool, force: bool) -> Servo | None:
     logged, velocity = whole.torque.values, np.diff(whole.motor_position.values) / period
     if np.abs(logged).max() > 8 * torque:
         return None
-    early = np.arange(velocity.size) * period
-    early = (early > 2.0) & (early < (4.0 if moving else 6.0))
+    at = np.arange(velocity.size) * period
+    early = (at > 2.0) & (at < (4.0 if moving else 6.0))
     if moving:
         chosen = early & (np.abs(velocity) > 0.2 * speeds[0])
     else:

@@ -66,21 +66,21 @@ def test_joints_whose_stiffness_falls_are_named_and_no_others() -> None:
     assert named(fleet(2, 60)) == []
 
 
-@pytest.mark.statistical
+@pytest.mark.slow
 @pytest.mark.parametrize(("scatter", "tail"), [(1.3, np.inf), (2.0, np.inf), (1.3, 4.0)])
 def test_of_twenty_fleets_without_drift_at_most_one_has_an_alarm(scatter: float, tail: float) -> None:
     alarms = [bool(named(fleet(seed, scatter=scatter, tail=tail))) for seed in range(20)]
     assert sum(alarms) <= 1
 
 
-@pytest.mark.statistical
+@pytest.mark.slow
 def test_of_twenty_fleets_the_three_that_fall_are_named() -> None:
     three = [(f"axis {n:03}", "stiffness") for n in range(3)]
     right = [named(fleet(100 + seed, falling=3)) == three for seed in range(20)]
     assert sum(right) >= 19
 
 
-@pytest.mark.statistical
+@pytest.mark.slow
 @pytest.mark.parametrize("stated", [0.1, 1.0, 3.0])
 def test_the_chance_of_an_alarm_is_not_more_than_it_says(stated: float) -> None:
     """Deviations that are stated too small do not make alarms, and those that are too large make fewer."""
@@ -179,7 +179,7 @@ def test_a_folder_that_is_none_of_a_campaign_is_a_sentence(tmp_path: Path) -> No
         report_of(tmp_path, 2.0)
 
 
-@pytest.mark.statistical
+@pytest.mark.slow
 @pytest.mark.parametrize(("stated", "unlike"), [(0.9, 0.5), (0.5, 1.0)])
 def test_runs_whose_stated_deviations_differ_raise_no_alarm(stated: float, unlike: float) -> None:
     """One whose deviation is stated much too small would otherwise weigh nearly all, and fit itself."""

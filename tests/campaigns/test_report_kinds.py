@@ -58,7 +58,7 @@ def test_the_scatter_of_repeated_runs_is_set_beside_what_is_stated(scale: float,
     assert "Distribution" in flat(report(rows))
 
 
-@pytest.mark.statistical
+@pytest.mark.slow
 def test_the_interval_of_the_scatter_holds_it_as_often_as_it_says() -> None:
     dice, held = np.random.default_rng(1), 0
     for _ in range(2000):

@@ -54,7 +54,7 @@ def test_right_intervals_hold_the_truth_as_often_as_they_say() -> None:
     assert found.verdict[1] is True
 
 
-@pytest.mark.statistical
+@pytest.mark.slow
 def test_too_narrow_intervals_and_a_bias_are_named() -> None:
     found = report(runs(200, scale=1.6))
     assert found.against_truth[0].verdict == "held too seldom"
@@ -93,7 +93,7 @@ def test_a_simulated_run_knows_its_truth(place: Path) -> None:
     assert table_of([row])["inertia truth [kg]"] == [TRUTH["inertia"]]
 
 
-@pytest.mark.statistical
+@pytest.mark.slow
 def test_a_campaign_without_a_fault_is_called_faulty_once_in_a_hundred_at_most() -> None:
     of_seven = dict.fromkeys("abcdef", 0.0)
     told = [report(runs(60, seed, **of_seven)).against_truth for seed in range(300)]

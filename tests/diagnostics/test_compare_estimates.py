@@ -165,7 +165,7 @@ def test_the_command_prints_the_table_and_writes_the_answer(tmp_path: Path, caps
     assert "no estimate" in capsys.readouterr().err
 
 
-@pytest.mark.statistical
+@pytest.mark.slow
 def test_seldom_is_anything_called_changed_where_nothing_did(tmp_path: Path) -> None:
     files = [ji.read_report(of_rigid(seed, tmp_path)) for seed in range(60)]
     alarms = [bool(ji.compare_estimates(files[i], files[i + 1]).changed) for i in range(0, 60, 2)]

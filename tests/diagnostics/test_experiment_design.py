@@ -103,7 +103,7 @@ def test_a_load_encoder_separates_the_viscous_frictions(advice: Advice) -> None:
     assert "5e-08 m" in load.description
 
 
-@pytest.mark.statistical
+@pytest.mark.slow
 def test_a_load_encoder_does_what_is_predicted_of_it(advice: Advice) -> None:
     """IDIM by instruments reads both encoders; the deviation of 20 runs is itself known to 16 %."""
     axes = [twin("L19", seed=seed) for seed in range(20)]

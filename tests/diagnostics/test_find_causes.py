@@ -32,17 +32,12 @@ from studies.healthy import drive
 from tests.mistakes import (
     MISTAKES,
     MORE,
-    PAIRS,
     AxisName,
     Mistake,
     axis,
     cut,
-    is_misled,
-    mistakes_of,
-    more_mistakes_of,
     pulsed,
     tell,
-    varied,
     without_mistake,
     without_positions,
 )
@@ -125,15 +120,6 @@ def test_healthy_twin_has_no_cause(loop: str) -> None:
     assert find_causes(made.record, made.loop).explanations == ()
 
 
-@pytest.mark.statistical
-@pytest.mark.parametrize("name", ["direct", "lift"])
-def test_healthy_drives_of_other_sizes_have_no_cause(name: AxisName) -> None:
-    """Twice otherwise made, under other gains; `tests.cause_table` has the other axes."""
-    for seed in (1, 2):
-        record, loop = without_mistake(varied(axis(name), seed), seed)
-        assert find_causes(record, loop).explanations == ()
-
-
 @pytest.mark.slow
 def test_a_factor_that_is_found_near_a_known_one_is_that_one() -> None:
     """A ripple moves the factor of an angle in degrees; the factor 57.3 leaves as little."""
@@ -171,37 +157,6 @@ def test_two_mistakes_at_once_are_not_told_as_one() -> None:
     causes = find_causes(record.with_channels(timed), loop)
     assert causes.explanations == ()
     assert "none of the usual causes" in causes.message.words
-
-
-@pytest.mark.statistical
-@pytest.mark.parametrize("name", ["rigid", "flexible"])
-def test_twenty_mistakes(name: AxisName) -> None:
-    """At least 18 of 21 are named, or are among three at most; where they are not, nothing wrong is said.
-
-    A period that is forgotten need not be where it moves nothing.
-
-    `tests.cause_table` has the other axes, a minute or more each.
-    """
-    mistakes = mistakes_of(axis(name))
-    assert len(mistakes) == 21
-    told = {mistake.name: tell(*mistake.make(axis(name), 1)) for mistake in mistakes}
-    assert all(len(named) <= 3 for named, _ in told.values())
-    right = [m.name for m in mistakes if m.right & set(told[m.name][0])]
-    wrong = [m.name for m in mistakes if told[m.name][0] and not m.right & set(told[m.name][0])]
-    assert wrong == []
-    assert len(right) >= 18
-
-
-@pytest.mark.statistical
-@pytest.mark.parametrize("pair", PAIRS[::4], ids=lambda pair: pair.name)
-def test_of_two_mistakes_none_is_told_as_a_third_one(pair: Mistake) -> None:
-    """One of them is named, or that more than one thing may be wrong.
-
-    `tests.cause_table` has all pairs, up to a minute or more each.
-    """
-    record, loop = pair.make(axis("rigid"), 1)
-    named, said = tell(without_positions(record), loop)
-    assert not is_misled(pair, named, said), said
 
 
 def test_a_sample_time_is_told_beside_the_two_gains_that_make_the_same_record() -> None:
@@ -344,21 +299,6 @@ def test_a_torque_of_nothing_keeps_the_sentence_that_says_so() -> None:
     with pytest.raises(RecordError, match=r"The torque is 0 .* in every sample") as raised:
         identify(dead, loop)
     assert explain_failure(raised.value, dead, loop) is raised.value
-
-
-@pytest.mark.statistical
-@pytest.mark.parametrize("name", ["rigid", "screw", "fast"])
-def test_further_mistakes_are_named_and_a_smooth_friction_is_not_blamed_on_gains(name: AxisName) -> None:
-    """Half a second of a lively motion may be enough; then nothing is to be named."""
-    for mistake in more_mistakes_of(axis(name)):
-        named, words = tell(*mistake.make(axis(name), 1))
-        if not named or "friction" in mistake.name:
-            assert "friction" in mistake.name or "half a second" in mistake.name, words
-            assert set(named) <= mistake.right, words
-        else:
-            assert mistake.right & set(named), words
-            assert len(named) <= 3
-            assert mistake.said in words
 
 
 @pytest.mark.parametrize("name", ["rigid", "direct", "screw"])

@@ -159,7 +159,7 @@ def test_bands_see_a_gain_that_falls_with_frequency() -> None:
     assert band_deviations(J, J, error)[0] > 5 * by_rows
 
 
-@pytest.mark.statistical
+@pytest.mark.slow
 def test_white_noise_on_the_log_is_no_endogeneity() -> None:
     probabilities = []
     for seed in range(1, 6):
@@ -187,7 +187,7 @@ def test_a_disturbance_in_the_loop_is_noticed() -> None:
     assert abs(verdict.x[at] / truth - 1) < abs(solution.x[at] / truth - 1)
 
 
-@pytest.mark.statistical
+@pytest.mark.slow
 def test_a_disturbance_in_the_loop_is_noticed_and_mended() -> None:
     plain, mended = [], []
     for seed in range(1, 6):
@@ -205,7 +205,7 @@ def test_a_disturbance_in_the_loop_is_noticed_and_mended() -> None:
     assert np.all(np.abs(np.mean(mended, axis=0)) < 0.003)
 
 
-@pytest.mark.statistical
+@pytest.mark.slow
 def test_pulses_keep_a_coloured_disturbance_from_biasing_the_answer() -> None:
     found = []
     for seed in range(8):
@@ -217,7 +217,7 @@ def test_pulses_keep_a_coloured_disturbance_from_biasing_the_answer() -> None:
     assert np.all(np.abs(np.mean(found, axis=0)[chosen] / truth[chosen] - 1) < 0.01)
 
 
-@pytest.mark.statistical
+@pytest.mark.slow
 def test_without_pulses_every_answer_says_that_it_is_biased_or_cannot_be_tested() -> None:
     plain = []
     for seed in range(6):

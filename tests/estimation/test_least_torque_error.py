@@ -39,25 +39,6 @@ def test_an_axis_that_moves_is_seen_to_move() -> None:
         assert line.value == pytest.approx(case.velocity, rel=0.05)
 
 
-@pytest.mark.statistical
-def test_many_servos_have_one_answer_each_and_begin_as_they_do() -> None:
-    """Of 20 that stand when the log begins none is said to move; of 10 that move none to stand; J's interval holds."""
-    moved, apart, missed = 0, 0, 0
-    for seed in range(20):
-        case = servo(seed)
-        found = [identified(case, start) for start in STARTS]
-        errors = [estimate.fit.filtered_error for estimate in found]
-        moved += any(estimate["initial_velocity"].free for estimate in found)
-        apart += max(errors) > 1.002 * min(errors)
-        line = found[int(np.argmin(errors))]["inertia"]
-        assert line.value is not None
-        assert line.stderr is not None
-        missed += abs(line.value - case.truth["inertia"]) > 2 * line.stderr
-    stood = sum(not identified(servo(seed, moving=True), "inversion")["initial_velocity"].free for seed in range(10))
-    assert (moved, apart, stood) == (0, 0, 0)
-    assert missed <= 2
-
-
 def test_a_direction_that_is_never_taken_is_refused() -> None:
     """Of an axis that turns one way only the friction of the other way is not seen."""
     period = 1e-3

@@ -143,7 +143,7 @@ def test_idim_respects_delay_and_averaging() -> None:
     assert errors(same.values, TRUTH) < 3e-3
 
 
-@pytest.mark.statistical
+@pytest.mark.slow
 def test_the_intervals_cover_the_truth_for_white_noise_on_the_log() -> None:
     """A smoke test of the scale of the deviations, 60 seeds; the statistics proper come with the solver."""
     clean = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)

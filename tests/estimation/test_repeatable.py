@@ -123,7 +123,7 @@ def test_the_widening_does_not_spoil_the_coverage_of_noise() -> None:
     assert np.mean([one.repeatable.significant for one in found]) <= 0.08
 
 
-@pytest.mark.statistical
+@pytest.mark.slow
 def test_the_widening_covers_what_repeats() -> None:
     robust, widened, found = of_many("place", 120, 6)
     assert np.all(widened >= 0.90)

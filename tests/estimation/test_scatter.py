@@ -26,7 +26,7 @@ def drawn(random: np.random.Generator, records: int, between: float = 0.0) -> Ag
     return agreement(found, UNITS)
 
 
-@pytest.mark.statistical
+@pytest.mark.slow
 @pytest.mark.parametrize("records", [2, 5])
 def test_records_that_agree_are_called_otherwise_as_often_as_said(records: int) -> None:
     random = np.random.default_rng(4)

@@ -73,7 +73,7 @@ def test_neither_a_true_model_nor_a_parameter_at_its_bound_widens_anything(lack:
     assert widened_to_second(known, Z, J, error, np.array(inside)) is known
 
 
-@pytest.mark.statistical
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["torque_noise", "disturbance"])
 def test_a_right_model_leaves_a_step_of_the_size_that_noise_makes(kind: str) -> None:
     """Of a simulated axis, under white noise on the log and under a coloured force in the loop."""

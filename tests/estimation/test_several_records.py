@@ -4,73 +4,41 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cache
-from typing import Literal
 
 import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
 from jointid.estimation.identify import identify
-from jointid.estimation.identify_several import SOLVER, by_itself, starts, whitened
-from jointid.estimation.methods.flexible import FlexibleDIDIM
+from jointid.estimation.identify_several import by_itself, starts, whitened
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.problems.base import INITIAL_STATE
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.problems.several_records import SeveralRecords, several
+from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import ClosedLoop, RigidJoint
-from jointid.paper.twin import Twin, twin
 from jointid.records.record import InjectionPoint, Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.synthesis import simulated_record
-from jointid.solvers.solve import solve
+from studies.added_mass import FRICTION, KILOGRAMS, QUICK, Noise, heavier, twins
 from tests.estimation.conftest import CONTROLLER
 from tests.text import unwrapped
 
-Noise = Literal["disturbance", "white", "none"]
-
-KILOGRAMS = 10.0
-FRICTION = ("motor_viscous", "motor_coulomb", "load_viscous", "load_coulomb")
-QUICK = FlexibleDIDIM(frequency=30.0)
 RIGID = ClosedLoop(RigidJoint(), CONTROLLER)
 BRIEF = trapezoids((0.083, 0.125), 0.83, 0.2, 1e-3, duration=8.4)
 
 
-@cache
-def twins(noise: Noise) -> Twin:
-    return twin(noise=noise)
-
-
-def heavier(truth: Mapping[str, float]) -> dict[str, float]:
-    """The twin with 10 kg on the load, and nothing else changed; Table 4 changes all of it a little."""
-    return {**truth, "load_inertia": truth["load_inertia"] + KILOGRAMS}
-
-
-def logged(
-    loop: ClosedLoop, values: Mapping[str, float], noise: Noise = "none", seed: int = 0, whole: bool = False
-) -> Record:
-    """A run of a twin with the noise of the paper's 8 %, as its drive logs it: two of its speeds, or the whole."""
-    axis = twins(noise)
-    reference, known = BRIEF, pulses(BRIEF.size, 1e-3, height=150.0, width=0.02, every=0.4, seed=0)
-    if whole:
-        assert axis.record.reference is not None and axis.record.injected is not None
-        reference, known = axis.record.reference.values, axis.record.injected.channel.values
-    random = axis.noise * np.random.default_rng(seed).standard_normal(reference.size)
+def logged(loop: ClosedLoop, values: Mapping[str, float], noise: Noise = "none", seed: int = 0) -> Record:
+    """A run of a twin with the noise of the paper's 8 % on its log, at two of its speeds."""
+    random = twins(noise).noise * np.random.default_rng(seed).standard_normal(BRIEF.size)
+    known = pulses(BRIEF.size, 1e-3, height=150.0, width=0.02, every=0.4, seed=0)
     record = simulated_record(
-        loop, reference, values, sample_time=1e-3, injected=known,
-        disturbance=random if noise == "disturbance" else None, torque_noise=random if noise == "white" else None,
+        loop, BRIEF, values, sample_time=1e-3, injected=known, torque_noise=random if noise == "white" else None,
         name=f"run {seed}",
     )  # fmt: skip
     return record.without("motor_position", "load_position")
-
-
-def problem_of(record: Record, loop: ClosedLoop) -> ClosedLoopProblem:
-    state = (INITIAL_STATE[0], INITIAL_STATE[1].fixed(0.0))
-    return torque_problem(record, loop, Filtering(), loop.joint.parameters, state)
 
 
 # Noise-free: the truth
@@ -260,73 +228,6 @@ def test_simulations_are_those_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     found = identify(records, RIGID)
     assert found.fit.simulations == len(calls)
     assert axis.noise > 0
-
-
-# Statistics; their seeds are fixed once and never retuned
-
-RUNS = 24  # of 100, which docs/methods.md tells of
-
-
-def differences(noise: Noise, seed: int) -> tuple[float, float]:
-    """How much the load's inertia differs, by fits of each record alone, and of both with all else shared.
-
-    From the truth, where the search of every run ends; every fit is run to its end.
-    """
-    axis = twins(noise)
-    truths = [dict(axis.truth), heavier(axis.truth)]
-    problems = [
-        problem_of(logged(axis.loop, t, noise, 2 * seed + k, whole=True), axis.loop) for k, t in enumerate(truths)
-    ]
-    alone = [by_itself(problem, values) for problem, values in zip(problems, truths, strict=True)]
-    apart = alone[1].values["load_inertia"] - alone[0].values["load_inertia"]
-    alone = [whitened(one) for one in alone]
-    criterion = several(problems, [("load_inertia",)] * 2).weighing([one.weights for one in alone])
-    end = solve(criterion, SOLVER, criterion.vector([one.end.x for one in alone]))
-    found = dict(zip([p.name for p in criterion.free], end.x, strict=True))
-    return apart, float(found["load_inertia@2"] - found["load_inertia@1"])
-
-
-@pytest.mark.statistical
-@pytest.mark.parametrize(("noise", "apart"), [("white", 0.161), ("disturbance", 0.22)])
-def test_ten_kilograms_more_by_records_apart_and_together(noise: Noise, apart: float) -> None:
-    """Apart: what the sensitivities foretell, which for white noise no estimator betters. Together: 0.07 kg."""
-    found = np.array(in_threads(lambda seed: differences(noise, seed), range(7000, 7000 + RUNS)))
-    assert np.all(np.abs(found.mean(axis=0) - KILOGRAMS) <= 0.05)
-    spread, chance = found.std(axis=0, ddof=1), 2 / np.sqrt(2 * RUNS)  # two deviations of a deviation
-    assert spread[0] == pytest.approx(apart, rel=chance)
-    assert spread[1] <= 0.07 * (1 + chance)
-
-
-def gain_of(noise: Noise, seed: int) -> tuple[float, float, bool]:
-    axis, gain = twins(noise), 1.03
-    truths = [
-        dict(axis.truth),
-        heavier(axis.truth) | {"motor_coulomb": 11.0, "load_coulomb": 12.0, "load_viscous": 130.0},
-    ]
-    records = [
-        logged(axis.loop, {n: v / gain for n, v in t.items()}, noise, 2 * seed + k, whole=True)
-        for k, t in enumerate(truths)
-    ]
-    found = identify(
-        records,
-        axis.loop,
-        several=SeveralRecords(added_inertia=[0.0, KILOGRAMS], own=[(), FRICTION], free=["drive_gain"]),
-        method=QUICK,
-    )
-    told = found["drive_gain"]
-    return (float(told.value or 0.0) / gain - 1, float(told.stderr or 0.0) / gain, found.checks.agreement.differs)
-
-
-@pytest.mark.statistical
-@pytest.mark.parametrize("noise", ["disturbance", "white"])
-def test_the_gain_of_a_drive_by_a_known_mass(noise: Noise) -> None:
-    """A drive whose torque is 3 % more than its log says, two records, 10 kg on the load, friction free in each."""
-    found = np.array(in_threads(lambda seed: gain_of(noise, seed), range(8000, 8000 + RUNS)))
-    error, std, differs = found.T
-    assert abs(error.mean()) <= 0.002 + 2 * 0.007 / np.sqrt(RUNS)
-    assert error.std(ddof=1) <= 0.007 * (1 + 2 / np.sqrt(2 * RUNS))
-    assert abs(np.mean(np.abs(error) <= 2 * std) - 0.95) <= 0.03 + 2 * np.sqrt(0.95 * 0.05 / RUNS)
-    assert differs.mean() <= 0.15  # records that agree are seldom said not to
 
 
 # The real axis

@@ -34,8 +34,7 @@ from jointid.records.record import Record, Tap
 from jointid.uncertainty.position_dependent_error import cells
 from studies.healthy import drive
 from tests.estimation.conftest import CONTROLLER
-from tests.fault_table import NOTHING, first_named
-from tests.faults import FAULTS, Fault, Loop, Noise, line_7, on, problem, setting, solved
+from tests.faults import FAULTS, Fault, line_7, on, problem, setting, solved
 from tests.text import unwrapped
 
 SIZES = {
@@ -402,26 +401,6 @@ def test_what_forces_in_the_loop_show_by_themselves_is_no_fault(monkeypatch: pyt
     assert check_loop(estimate, axis.record).as_declared
     monkeypatch.setattr("jointid.diagnostics.check_loop.find_force", lambda *_: None)
     assert check_loop(estimate, axis.record).findings[0].test.p_value < 1e-3
-
-
-@pytest.mark.statistical
-def test_clean_records_raise_no_more_false_alarms_than_allowed() -> None:
-    """All tests together, on 400 records of both loops with either noise."""
-    alarms = 0
-    for name in ("L19", "L30"):
-        for noise in ("white", "disturbance"):
-            alarms += sum(first_named(name, None, noise, seed) != NOTHING for seed in range(100))  # type: ignore[arg-type]
-    assert alarms <= 0.05 * 400
-
-
-@pytest.mark.statistical
-@pytest.mark.parametrize(("name", "noise"), [("L19", "disturbance"), ("L30", "white")])
-@pytest.mark.parametrize("fault", FAULTS)
-def test_the_fault_that_is_there_is_the_one_named_first(name: Loop, noise: Noise, fault: str) -> None:
-    """Of 200 runs each the table is in the docs; here 20, but of those so near the limit that 20 do not decide."""
-    runs = 200 if (name, fault) in (("L19", "stribeck"), ("L30", "position_gain")) else 20
-    found = [first_named(name, fault, noise, seed) for seed in range(1, runs + 1)]
-    assert found.count(fault) >= 0.8 * len(found), found
 
 
 @pytest.mark.slow

@@ -22,7 +22,6 @@ from jointid.records.record import Record, Tap
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation import excitation
 from jointid.simulation.synthesis import simulated_record
-from studies.foretold import compare
 
 LOOP = ClosedLoop(RigidJoint("revolute"), ji.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0))
 TRUTH = {"inertia": 0.04, "viscous": 0.05, "coulomb": 0.1, "offset": 0.02}
@@ -124,17 +123,6 @@ def test_what_cannot_be_foretold_is_said() -> None:
     with pytest.raises(MethodError):
         foretell(fast, TRUTH, planned_record(LOOP, REFERENCE, T), Noise(log=1.0))
     assert math.isfinite(foretell(LOOP, TRUTH, planned_record(LOOP, REFERENCE, T), Noise(log=1.0)).std["inertia"])
-
-
-@pytest.mark.statistical
-@pytest.mark.parametrize(
-    ("loop", "noise", "tap"),
-    [("L19", "disturbance", "command"), ("L19", "disturbance", "measured"), ("L30", "white", "command")],
-)
-def test_the_twin_scatters_as_foretold(loop: str, noise: str, tap: str) -> None:
-    """80 runs tell a deviation to 8 %, and the runs with noise that it is foretold from to 5 %."""
-    found = compare(loop, noise, tap, 80)  # type: ignore[arg-type]
-    assert all(0.7 < ratio < 1.4 for ratio in found.ratio.values()), found.ratio
 
 
 def test_the_pulsed_record_of_a_real_axis_is_foretold_from_the_other(data_dir: Path) -> None:

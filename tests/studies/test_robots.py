@@ -65,11 +65,3 @@ def test_nothing_but_the_geometry_is_given_away(flexible: bool) -> None:
     assert not robot.has_masses
     assert not np.any(robot.of_joints("viscous"))
     assert robot.flexible == made.loop.robot.flexible
-
-
-@pytest.mark.statistical
-@pytest.mark.parametrize(("flexible", "count"), [(False, 20), (True, 8)])
-def test_two_deviations_hold_the_truth_of_random_robots(flexible: bool, count: int) -> None:
-    found = [one for one in (judge(seed, flexible) for seed in range(count)) if one is not None]
-    assert all(one.at_noise for one in found)
-    assert 0.91 < np.mean(np.abs(np.concatenate([one.z for one in found])) < 2) < 0.985

@@ -103,16 +103,6 @@ def test_noise_floor_and_intervals() -> None:
     assert np.mean(inside) > 0.85
 
 
-@pytest.mark.statistical
-def test_two_deviations_cover_the_truth() -> None:
-    twin = six()
-    loop, inside = twin.loop(), []
-    for seed in range(12):
-        records, _ = recorded(loop, twin.records(10.0, seed=seed + 1), 0.03, seed)
-        inside.append(np.abs(deviations(identify_rigid_robot(loop, records), twin)) < 2)
-    assert 0.91 < np.mean(inside) < 0.99
-
-
 def test_positions_in_the_records_are_not_read() -> None:
     twin = two()
     loop = twin.loop()

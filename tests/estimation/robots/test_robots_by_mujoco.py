@@ -68,7 +68,7 @@ def test_springs_are_identified_from_torques_by_mujoco() -> None:
         assert abs(spring.stiffness - stiffness) < 3 * spring.deviation
 
 
-@pytest.mark.statistical
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("twin", "multisine", "step"),
     [(six(), 0.0, 2.5e-4), (two((12.0, 18.0)), 0.004, 2e-5)],

@@ -109,7 +109,7 @@ def test_a_payload_is_weighed_from_torques_and_references_alone() -> None:
     assert np.mean(inside) > 0.8
 
 
-@pytest.mark.statistical
+@pytest.mark.slow
 def test_two_deviations_hold_the_payload_from_torques() -> None:
     found = [by_torques(seed, noise=0.03) for seed in range(20, 32, 2)]
     ways = [way.properties for one in found for way in (one.payload, one.difference)]

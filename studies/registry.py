@@ -1,0 +1,425 @@
+"""All studies: what each judges, over which seeds, and the shares that the documentation claims of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, Literal
+
+from jointid.paper.published import SYMBOLS
+from jointid.paper.twin import TABLE_2
+from jointid.tuning.margins import NAMES
+from studies.foretold import SUMS
+from studies.loop_faults import NOTHING
+from studies.margins import CHANGED, MarginRun
+from studies.random_plants import PlantRun
+from studies.refusals import FACTORS, INVISIBLE, PLAIN, StiffnessRun
+from studies.robots import Found
+from studies.stiffness_bounds import BoundRun
+from studies.study import Share, Study
+from tests.faults import FAULTS
+from tests.faults import PAIRS as FAULT_PAIRS
+from tests.mistakes import PAIRS, axis, mistakes_of, more_mistakes_of
+
+LEAST = {"motor_inertia": 0.207, "load_inertia": 0.114, "stiffness": 3003.0}
+"""Deviations that no unbiased estimator betters on the twin's loop L19, under white noise for 8 % of the torque."""
+
+
+def _symbol(name: str) -> str:
+    return SYMBOLS.get(name, name)
+
+
+def _within(name: str, limit: float = 2.0, key: str = "") -> Callable[[Any], bool]:
+    """Return whether a number of an outcome, or of a part of it, is within a limit of 0."""
+    return lambda outcome: abs((outcome[key] if key else outcome)[name]) <= limit
+
+
+def _above(name: str, key: str = "") -> Callable[[Any], bool]:
+    return lambda outcome: bool((outcome[key] if key else outcome)[name] > 0)
+
+
+def _inside(deviation: str, name: str) -> Callable[[Any], bool]:
+    return lambda outcome: abs(outcome["error"][name]) <= 2 * outcome[deviation][name]
+
+
+def _is(key: str, expected: object = True) -> Callable[[Any], bool]:
+    return lambda outcome: bool(outcome[key] == expected)
+
+
+def _intervals(low: float, high: float, key: str = "") -> tuple[Share, ...]:
+    """Return for each parameter the share within two deviations, and that above the truth, which shows a bias."""
+    return tuple(
+        one
+        for name in TABLE_2
+        for one in (
+            Share(f"{_symbol(name)} within 2 sigma", _within(name, key=key), low, high),
+            Share(f"{_symbol(name)} above the truth", _above(name, key), 0.4, 0.6),
+        )
+    )
+
+
+def _coverage(loop: Literal["L19", "L30"], noise: Literal["white", "disturbance"], seeds: range) -> Study:
+    white = noise == "white"
+    shares = []
+    for name in TABLE_2:
+        # The offset is told by the mean alone: few degrees of freedom know its noise, and of two estimates of that the
+        # larger counts.
+        high = 0.998 if name == "offset" else 0.99
+        shares.append(Share(f"{_symbol(name)} in the reported 2 sigma", _inside("sensitivities", name), 0.93, high))
+        shares.append(Share(f"{_symbol(name)} above the truth", _above(name, "error"), 0.4, 0.6))
+    shares += [
+        Share("Fv1 + Fv2 in the reported 2 sigma", lambda run: abs(run["sum_error"]) <= 2, 0.93, 0.985),
+        Share("Fv1 and Fv2 said to be known by their sum", _is("inseparable"), 0.98),
+        Share("their correlation is -0.93 or stronger", lambda run: run["correlation"] <= -0.93, 0.99),
+        Share("residual said to repeat with the motion", _is("repeats"), at_most=0.08),
+    ]
+    if white:
+        shares += [
+            Share(f"{_symbol(name)} in the paper's 2 sigma", _inside("inverse_model", name), at_most=high)
+            for name, high in (("motor_viscous", 0.5), ("load_viscous", 0.5))
+        ]
+        shares += [
+            Share(f"{_symbol(name)} within 2 of the least deviations", _least(name, best), 0.92)
+            for name, best in LEAST.items()
+        ]
+        shares.append(Share("residual said to be coloured", _is("white", False), at_most=0.08))
+    else:
+        shares.append(Share("residual said to be coloured", _is("white", False), 0.98))
+    words = "white noise on the log" if white else "a white force in the loop"
+    return Study(
+        f"coverage-{loop}-{'log' if white else 'force'}".lower(),
+        f"Intervals of the twin (loop {loop}) under {words} for 8 % of the torque.",
+        "studies.coverage:judge",
+        seeds,
+        tuple(shares),
+        ({"loop": loop, "noise": noise},),
+    )
+
+
+def _least(name: str, best: float) -> Callable[[Any], bool]:
+    return lambda run: abs(run["error"][name]) <= 2 * best
+
+
+def _margins(loop: str) -> Callable[[Any], bool | None]:
+    def holds(outcome: Any) -> bool | None:
+        run = MarginRun(**outcome)
+        return all(run.holds(loop, name) for name in NAMES) if loop in run.stated else None
+
+    return holds
+
+
+def _stiffness(of: Callable[[StiffnessRun], bool | None]) -> Callable[[Any], bool | None]:
+    return lambda outcome: of(StiffnessRun(**outcome))
+
+
+def _bounds(of: Callable[[BoundRun], bool | None]) -> Callable[[Any], bool | None]:
+    return lambda outcome: of(BoundRun(**outcome))
+
+
+def _robot(of: Callable[[Found], bool | None]) -> Callable[[Any], bool | None]:
+    return lambda outcome: of(Found(**outcome))
+
+
+def _mostly_within(z: Iterable[float]) -> bool:
+    """Return whether at least 85 % of the parameters of a robot lie within two deviations."""
+    inside = [abs(one) < 2 for one in z]
+    return sum(inside) >= 0.85 * len(inside)
+
+
+def _robots(kind: str, flexible: bool, seeds: range) -> Study:
+    return Study(
+        f"robots-{kind}",
+        f"Random robots of {kind} joints, from torques and references, without a start.",
+        "studies.robots:judge",
+        seeds,
+        (
+            Share("the search ends at the noise", _robot(lambda run: run.at_noise), 0.95),
+            Share(
+                "85 % of the parameters or more within 2 sigma",
+                _robot(lambda run: _mostly_within(run.z) if run.at_noise else None),
+                0.93,
+            ),
+        ),
+        ({"flexible": flexible},),
+    )
+
+
+def _mistakes() -> tuple[Mapping[str, Any], ...]:
+    """Return the mistakes that are made, one at a time on two axes, and more or two at a time on some."""
+    one = [(name, mistake) for name in ("rigid", "flexible") for mistake in mistakes_of(axis(name))]
+    more = [(name, mistake) for name in ("rigid", "screw", "fast") for mistake in more_mistakes_of(axis(name))]
+    two = [("rigid", mistake) for mistake in PAIRS[::4]]
+    return tuple({"name": name, "mistake": mistake.name} for name, mistake in (*one, *more, *two))
+
+
+def _is_named(outcome: Any) -> bool:
+    return bool({*outcome["right"]} & {*outcome["named"]}) and outcome["worded"]
+
+
+def _foretold() -> tuple[Share, ...]:
+    sums = [f"{what} {sign}" for what in SUMS for sign in ("sum", "difference")]
+    return tuple(Share(f"{_symbol(name)} within 2 sigma", _within(name), 0.9, 0.99) for name in (*TABLE_2, *sums))
+
+
+def _changes(name: str) -> tuple[Share, Share]:
+    return (
+        Share(f"{_symbol(name)}: a change is said where there is none", lambda run: run["false"][name], at_most=0.02),
+        Share(f"{_symbol(name)}: a change of the stated size is told", lambda run: run["found"][name], 0.85),
+    )
+
+
+def _fault(fault: str) -> Share:
+    named_first = _is("named", fault)
+    return Share(f"{fault} is named first", lambda run: named_first(run) if run["fault"] == fault else None, 0.8)
+
+
+def _all_within_3(outcome: Any) -> bool | None:
+    z = outcome["deviations"]
+    return all(abs(one) <= 3 for one in z) if z else None
+
+
+STUDIES: tuple[Study, ...] = (
+    _coverage("L19", "white", range(1, 601)),
+    _coverage("L19", "disturbance", range(1, 301)),
+    _coverage("L30", "disturbance", range(1, 301)),
+    Study(
+        "servo",
+        "The twin's axis under a servo drive of today, in deviations that the sensitivities foretell.",
+        "studies.servo:judge",
+        range(1, 81),
+        _intervals(0.9, 0.995),
+    ),
+    Study(
+        "foretold",
+        "Deviations that are foretold of a planned test, beside the errors once it is made.",
+        "studies.foretold:judge",
+        range(60),
+        _foretold(),
+        (
+            {"loop": "L19", "noise": "disturbance", "tap": "command"},
+            {"loop": "L19", "noise": "disturbance", "tap": "measured"},
+            {"loop": "L30", "noise": "white", "tap": "command"},
+        ),
+    ),
+    Study(
+        "refusals",
+        "The twin with its spring made up to 10,000 times stiffer: a stiffness, or a bound of it.",
+        "studies.refusals:judge",
+        range(1, 3),
+        (
+            Share("what is said of the stiffness is true", _stiffness(lambda run: run.holds), 0.93),
+            Share(
+                "a value where K12 can be known to 3 %",
+                _stiffness(lambda run: run.value is not None if run.predicted < PLAIN else None),
+                0.98,
+            ),
+            Share(
+                "no value where 2 sigma would be as large as K12",
+                _stiffness(lambda run: run.value is None if run.predicted > INVISIBLE else None),
+                0.98,
+            ),
+            Share(
+                "a bound where the value is refused",
+                _stiffness(lambda run: run.bound is not None if run.value is None else None),
+                0.95,
+            ),
+        ),
+        tuple({"factor": factor, "noise": noise} for factor in FACTORS for noise in ("disturbance", "white")),
+    ),
+    Study(
+        "bounds",
+        "Random drives of unknown load friction and damping: a stiffness, or a bound of it.",
+        "studies.stiffness_bounds:identify_plant",
+        range(20),
+        (
+            Share("the drive is answered", _bounds(lambda run: not run.error), 0.97),
+            Share(
+                "the spring is at least as stiff as its bound",
+                _bounds(lambda run: None if run.bound is None else not run.violated),
+                0.9,
+            ),
+            Share(
+                "a value where K12 can be known to 3 %",
+                _bounds(lambda run: not run.refused if run.predicted < PLAIN and not run.error else None),
+                0.94,
+            ),
+            Share(
+                "a refusal within 300 simulations",
+                _bounds(lambda run: run.simulations <= 300 if run.refused else None),
+                0.5,
+            ),
+        ),
+        ({"loop_checks": False},),
+    ),
+    Study(
+        "margins",
+        "Margins that are stated of random flexible drives, beside those of the true joint.",
+        "studies.margins:judge",
+        range(20),
+        (
+            Share("margins are stated", lambda run: bool(run["stated"]), 0.95),
+            Share("all of the present loop hold", _margins("present"), 0.95),
+            Share("all of the proposed loop hold", _margins("proposed"), 0.95),
+        ),
+    ),
+    Study(
+        "changes",
+        "Pairs of records of one axis, without a change and with one of the stated size (1 %, 90 %).",
+        "studies.margins:judge_pair",
+        range(20),
+        tuple(share for name in CHANGED for share in _changes(name)),
+        ({"names": list(CHANGED)},),
+    ),
+    Study(
+        "false-alarms",
+        "The twin with nothing wrong, on both loops with either noise.",
+        "studies.loop_faults:name_first",
+        range(25),
+        (Share("nothing is named", lambda named: named == NOTHING, 0.95),),
+        tuple(
+            {"loop": loop, "noise": noise, "fault": NOTHING}
+            for loop in ("L19", "L30")
+            for noise in ("white", "disturbance")
+        ),
+    ),
+    Study(
+        "faults",
+        "The twin with one thing wrong in loop or log.",
+        "studies.loop_faults:judge_fault",
+        range(1, 4),
+        tuple(map(_fault, FAULTS)),
+        tuple(
+            {"loop": loop, "noise": noise, "fault": fault}
+            for fault in FAULTS
+            for loop, noise in (("L19", "disturbance"), ("L30", "white"))
+        ),
+    ),
+    Study(
+        "two-faults",
+        "The twin with two things wrong in loop or log.",
+        "studies.loop_faults:judge_pair",
+        range(1, 2),
+        (
+            Share("one of them is named first", lambda run: bool({*run["named"][:1]} & {*run["faults"]}), 0.95),
+            Share("both are named, and nothing else", lambda run: sorted(run["named"]) == sorted(run["faults"]), 0.8),
+        ),
+        tuple({"pair": pair} for pair in FAULT_PAIRS),
+    ),
+    Study(
+        "mistakes",
+        "Mistakes that a user makes in telling of his drive.",
+        "studies.named_causes:judge",
+        (1,),
+        (
+            Share("a wrong cause alone is not named", lambda run: not run["misled"], 0.99),
+            Share("three causes are named at most", lambda run: len(run["named"]) <= 3, 0.99),
+            Share("the right cause is among those named", _is_named, 0.8),
+        ),
+        _mistakes(),
+    ),
+    Study(
+        "healthy-causes",
+        "Axes of other sizes and gains on which nothing is wrong.",
+        "studies.named_causes:judge_healthy",
+        range(1, 4),
+        (Share("no cause is named", lambda count: count == 0, 0.95),),
+        ({"name": "direct"}, {"name": "lift"}),
+    ),
+    Study(
+        "learned",
+        "Controllers of random loops, learned from noisy records.",
+        "studies.learned:judge",
+        range(6),
+        (
+            Share("the structure is right, or named among those alike", lambda run: run["right"] or run["named"], 0.95),
+            Share("all numbers within 3 sigma", _all_within_3, 0.93),
+        ),
+    ),
+    Study(
+        "added-mass",
+        "The twin with 10 kg more on its load, in two records.",
+        "studies.added_mass:judge_difference",
+        range(7000, 7020),
+        (
+            Share("apart, within 2 x 0.19 kg", lambda run: abs(run["apart"]) <= 0.38, 0.92),
+            Share("together, within 2 x 0.07 kg", lambda run: abs(run["together"]) <= 0.14, 0.92),
+            Share("together, above the truth", lambda run: run["together"] > 0, 0.3, 0.7),
+        ),
+        ({"noise": "white"}, {"noise": "disturbance"}),
+    ),
+    Study(
+        "drive-gain",
+        "A drive whose torque is 3 % more than its log says, from a known mass.",
+        "studies.added_mass:judge_gain",
+        range(8000, 8015),
+        (
+            Share("the gain within 2 sigma", lambda run: abs(run["z"]) <= 2, 0.92),
+            Share("the gain within 1.4 %", lambda run: abs(run["error"]) <= 0.014, 0.92),
+            Share("the records are said to disagree", _is("differs"), at_most=0.15),
+        ),
+        ({"noise": "disturbance"}, {"noise": "white"}),
+    ),
+    Study(
+        "random-plants",
+        "Random flexible drives of any size, identified from nothing.",
+        "studies.random_plants:judge",
+        range(20),
+        (
+            Share("the search ends at the noise", lambda run: PlantRun(**run).at_noise, 0.97),
+            Share("within 150 simulations", lambda run: run["simulations"] <= 150, 0.5),
+            Share("within 250 simulations", lambda run: run["simulations"] <= 250, 0.95),
+        ),
+        ({"family": "prismatic"}, {"family": "rotary"}),
+    ),
+    Study(
+        "random-starts",
+        "Random flexible drives, from starts within a factor of ten.",
+        "studies.random_plants:judge",
+        range(10),
+        (Share("the search ends at the noise", lambda run: PlantRun(**run).at_noise, 0.95),),
+        ({"family": "prismatic", "spread": 10.0}, {"family": "rotary", "spread": 10.0}),
+    ),
+    Study(
+        "freed-loop",
+        "The twin under a loop with three wrong numbers, which are identified with the joint.",
+        "studies.loop_faults:judge_freed",
+        range(10_000, 10_100),
+        (
+            *_intervals(0.92, 0.98, "z"),
+            *(
+                Share(f"{_symbol(name)} within 1 %", _within(name, 0.01, "relative"), 0.92)
+                for name in ("motor_inertia", "load_inertia", "stiffness")
+            ),
+        ),
+        ({"noise": "white"}, {"noise": "disturbance"}),
+    ),
+    Study(
+        "wrong-loop",
+        "The same loop, taken as declared, and an offset that is not declared.",
+        "studies.loop_faults:is_flagged",
+        range(10_000, 10_005),
+        (Share("something is named", lambda flagged: flagged, 0.98),),
+        ({"noise": "white"}, {"noise": "disturbance"}),
+    ),
+    Study(
+        "resting-servos",
+        "Random rigid servos that stand when their log begins.",
+        "studies.resting:judge",
+        range(12),
+        (
+            Share("neither answer says that it moves", lambda run: not any(run["moves"]), 0.97),
+            Share("both starts end at the same error", lambda run: run["apart"] <= 1.002, 0.97),
+            Share("the inertia within 2 sigma", lambda run: abs(run["z"]) <= 2, 0.9),
+        ),
+        ({"moving": False},),
+    ),
+    Study(
+        "moving-servos",
+        "Random rigid servos that move when their log begins.",
+        "studies.resting:judge",
+        range(10),
+        (Share("the answer says that it moves", lambda run: all(run["moves"]), 0.97),),
+        ({"moving": True},),
+    ),
+    _robots("rigid", False, range(12)),
+    _robots("flexible", True, range(12)),
+)

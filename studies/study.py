@@ -1,0 +1,69 @@
+"""A study: a judge over many seeds, and shares of its outcomes with the bounds that the documentation claims."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from studies.seeds import Task
+
+HELD, FAILED, UNCOUNTED = "1", "0", "-"
+_PART, _LEAST = 10, 5  # a tenth is drawn, and of a small study at least so many tasks
+
+
+@dataclass(frozen=True, slots=True)
+class Share:
+    """A share of a study's outcomes, and the bounds that the documentation claims for it.
+
+    Attributes:
+        label: of the row in the documentation.
+        holds: whether an outcome has the property; None where the outcome does not count.
+        at_least, at_most: bounds of the share in the long run.
+    """
+
+    label: str
+    holds: Callable[[Any], bool | None]
+    at_least: float = 0.0
+    at_most: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Study:
+    """A study.
+
+    Attributes:
+        name: on the command line and in the documentation.
+        shows: what it shows, in a line.
+        judge: function of a seed and the settings, as "module:name"; it returns what JSON holds, or a dataclass of it.
+        seeds: judged with each of the settings.
+        shares: of the outcomes; an outcome of None counts in none of them.
+        settings: other arguments of the judge.
+    """
+
+    name: str
+    shows: str
+    judge: str
+    seeds: Sequence[int]
+    shares: tuple[Share, ...]
+    settings: tuple[Mapping[str, Any], ...] = ({},)
+
+    def tasks(self, seeds: Sequence[int] | None = None) -> list[Task]:
+        """Return a task for each seed and setting, all seeds of the first setting first."""
+        return [Task(self.judge, seed, one) for one in self.settings for seed in seeds or self.seeds]
+
+    def draw(self, word: str) -> list[int]:
+        """Return the places of the tasks that a word draws: a tenth of all, without replacement."""
+        count = len(self.settings) * len(self.seeds)
+        size = min(count, max(-(-count // _PART), _LEAST))
+        return sorted(random.Random(f"{word} {self.name}").sample(range(count), size))  # noqa: S311
+
+    def count(self, outcomes: Sequence[Any]) -> dict[str, str]:
+        """Return for each share one letter an outcome: whether it holds, fails or does not count."""
+        return {share.label: "".join(_letter(share, one) for one in outcomes) for share in self.shares}
+
+
+def _letter(share: Share, outcome: Any) -> str:
+    holds = None if outcome is None else share.holds(outcome)
+    return UNCOUNTED if holds is None else HELD if holds else FAILED
