@@ -9,7 +9,6 @@ from typing import Literal
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
 from jointid.estimation.identify import identify
 from jointid.estimation.identify_several import SOLVER, by_itself, whitened
 from jointid.estimation.methods.flexible import FlexibleDIDIM
@@ -42,30 +41,15 @@ def heavier(truth: Mapping[str, float]) -> dict[str, float]:
     return {**truth, "load_inertia": truth["load_inertia"] + KILOGRAMS}
 
 
-def logged(
-    loop: ClosedLoop,
-    values: Mapping[str, float],
-    noise: Noise = "none",
-    seed: int = 0,
-    motion: tuple[FloatArray, FloatArray] | None = None,
-) -> Record:
-    """Return a run of a twin with the noise of the paper's 8 %, as its drive logs it.
-
-    Args:
-        loop: of the twin.
-        values: of its joint.
-        noise: where it acts.
-        seed: of the noise.
-        motion: reference and pulses; those of the twin when None.
-    """
+def logged(loop: ClosedLoop, values: Mapping[str, float], noise: Noise = "none", seed: int = 0) -> Record:
+    """Return a run of a twin with the noise of the paper's 8 %, as its drive logs it."""
     axis = twins(noise)
-    if motion is None:
-        assert axis.record.reference is not None and axis.record.injected is not None
-        motion = axis.record.reference.values, axis.record.injected.channel.values
-    reference, known = motion
-    random = axis.noise * np.random.default_rng(seed).standard_normal(reference.size)
+    reference, injected = axis.record.reference, axis.record.injected
+    assert reference is not None
+    assert injected is not None
+    random = axis.noise * np.random.default_rng(seed).standard_normal(len(reference))
     record = simulated_record(
-        loop, reference, values, sample_time=1e-3, injected=known,
+        loop, reference.values, values, sample_time=1e-3, injected=injected.channel.values,
         disturbance=random if noise == "disturbance" else None, torque_noise=random if noise == "white" else None,
         name=f"run {seed}",
     )  # fmt: skip

@@ -23,7 +23,6 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.synthesis import simulated_record
 from studies.added_mass import FRICTION, KILOGRAMS, QUICK, Noise, heavier, twins
-from studies.added_mass import logged as log_twin
 from tests.estimation.conftest import CONTROLLER
 from tests.text import unwrapped
 
@@ -32,10 +31,14 @@ BRIEF = trapezoids((0.083, 0.125), 0.83, 0.2, 1e-3, duration=8.4)
 
 
 def logged(loop: ClosedLoop, values: Mapping[str, float], noise: Noise = "none", seed: int = 0) -> Record:
-    """A run of a twin in two of its speeds, as its drive logs it."""
-    return log_twin(
-        loop, values, noise, seed, (BRIEF, pulses(BRIEF.size, 1e-3, height=150.0, width=0.02, every=0.4, seed=0))
-    )
+    """A run of a twin with the noise of the paper's 8 % on its log, at two of its speeds."""
+    random = twins(noise).noise * np.random.default_rng(seed).standard_normal(BRIEF.size)
+    known = pulses(BRIEF.size, 1e-3, height=150.0, width=0.02, every=0.4, seed=0)
+    record = simulated_record(
+        loop, BRIEF, values, sample_time=1e-3, injected=known, torque_noise=random if noise == "white" else None,
+        name=f"run {seed}",
+    )  # fmt: skip
+    return record.without("motor_position", "load_position")
 
 
 # Noise-free: the truth
