@@ -73,12 +73,13 @@ def compare(
         studies: how many are checked in one run.
     """
     level = compute_level(study, studies)
-    return [_compare(study, one, stored[one.label], places, found[one.label], level) for one in study.shares]
+    tested = (one for one in study.shares if one.tested)
+    return [_compare(study, one, stored[one.label], places, found[one.label], level) for one in tested]
 
 
 def compute_level(study: Study, studies: int) -> float:
     """Return the level of each of a study's tests, two for a share, where so many studies are checked."""
-    return LEVEL / studies / (2 * len(study.shares))
+    return LEVEL / studies / (2 * sum(share.tested for share in study.shares))
 
 
 def _compare(study: Study, share: Share, stored: str, places: Sequence[int], found: str, level: float) -> Compared:
@@ -99,6 +100,8 @@ def compute_chance(drawn: Counts, others: Counts, share: Share) -> FloatArray:
     """Return the probability of drawn outcomes as unlike the others, on the sides that the claim bounds."""
     from scipy.stats import hypergeom
 
+    if drawn[1] == 0 or others[1] == 0:  # nothing to compare
+        return np.ones(np.shape(drawn[0]))
     law = hypergeom(drawn[1] + others[1], drawn[0] + others[0], drawn[1])
     return _on_bounded_sides(np.asarray(law.cdf(drawn[0])), np.asarray(law.sf(drawn[0] - 1)), share)
 

@@ -10,7 +10,7 @@ from typing import Any
 from studies.seeds import Task
 
 HELD, FAILED, UNCOUNTED = "1", "0", "-"
-_PART, _LEAST = 10, 5  # a tenth is drawn, and of a small study at least so many tasks
+_PART, _LEAST = 10, 8  # a tenth is drawn, and of a small study at least so many tasks
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,12 +21,14 @@ class Share:
         label: of the row in the documentation.
         holds: whether an outcome has the property; None where the outcome does not count.
         at_least, at_most: bounds of the share in the long run.
+        tested: whether a check compares it; if not, it only details another share of too few tasks to be compared.
     """
 
     label: str
     holds: Callable[[Any], bool | None]
     at_least: float = 0.0
     at_most: float = 1.0
+    tested: bool = True
 
 
 @dataclass(frozen=True, slots=True)

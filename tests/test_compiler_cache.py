@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import subprocess
 import sys
@@ -68,6 +69,49 @@ def test_a_stamp_changes_with_what_is_compiled_and_with_nothing_else(was: str, b
     assert stamp_of(SOURCE) != stamp_of(SOURCE, {"fastmath": True})
 
 
+FULL = """
+import sys, warnings
+from jointid.common import compiler_cache
+def refuse(*_):
+    raise OSError(28, "full")
+if sys.argv[1:]:
+    compiler_cache._CheckedFile._save_data = refuse
+warnings.simplefilter("ignore")
+from cached import kernel
+print(kernel(1.0))
+"""
+
+
+def test_former_code_never_runs_under_a_new_stamp(tmp_path: Path) -> None:
+    """A disk that fills after the index is written leaves the data of the former code beside it."""
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+
+    def run(source: str, *full: str) -> str:
+        (tmp_path / "cached.py").write_text(source)
+        command = [sys.executable, "-B", "-c", FULL, *full]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+
+    assert run(SOURCE) == "3.0\n"
+    edited = SOURCE.replace("+ 1.0", "+ 100.0")
+    assert run(edited, "full") == "102.0\n"
+    assert run(edited) == "102.0\n"
+
+
+def test_who_cannot_compile_gives_its_turn_away() -> None:
+    from numba import TypingError
+
+    from jointid.common.compiled import compiled
+
+    @compiled
+    def impossible(x: Any) -> Any:
+        return x.nothing
+
+    with pytest.raises(TypingError):
+        impossible(1.0)
+    assert impossible._cache._turn._file < 0  # type: ignore[attr-defined]
+
+
+@pytest.mark.skipif(importlib.util.find_spec("fcntl") is None, reason="there are no file locks here")
 def test_of_two_processes_one_compiles(tmp_path: Path) -> None:
     (tmp_path / "cached.py").write_text(SOURCE)
     environment = {**os.environ, "PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}

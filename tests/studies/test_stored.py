@@ -93,7 +93,7 @@ def only_squares(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_check_passes_a_right_program(only_squares: None, capsys: pytest.CaptureFixture[str]) -> None:
     assert command.main(["check", "--draw", "abc"]) == 0
     said = capsys.readouterr().out
-    assert "squares: 5 of 20 tasks" in said
+    assert "squares: 8 of 20 tasks" in said
     assert "repeat: python -m studies check --draw abc" in said
     assert "all shares are as stored" in said
 
@@ -104,7 +104,7 @@ def test_the_check_fails_a_spoiled_one(
     monkeypatch.setattr(command, "STUDIES", (replace(STUDY, judge="tests.studies.test_stored:spoiled"),))
     assert command.main(["check", "--draw", "abc"]) == 1
     said = capsys.readouterr().out
-    assert "the square is small: 0 of 5; the others 15 of 15" in said
+    assert "the square is small: 0 of 8; the others 12 of 12" in said
     assert "another outcome than the stored one: seed" in said
     assert "FAILED" in said
 

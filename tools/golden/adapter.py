@@ -161,7 +161,7 @@ def refused(run: Callable[[], Any]) -> Json:
 
 def ready() -> None:
     """Load the compiled simulation, or compile it, so that no case's time has it."""
-    warm_up()
+    warm_up(wait=True)
 
 
 # The command line

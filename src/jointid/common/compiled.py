@@ -37,14 +37,28 @@ def compiled(function: F) -> F:
     kernel: Any = _njit(function)
     if kernel is not function:  # it is where Numba is told not to compile
         try:
-            kernel._cache = KernelCache(function, kernel.targetoptions)
+            kernel._cache = kept = KernelCache(function, kernel.targetoptions)
         except RuntimeError:  # there is no such folder
             warn_of_no_place()
+        else:
+            kernel.compile = _ending_turn(kernel.compile, kept)
     return cast("F", kernel)
 
 
+def _ending_turn(compile_form: Callable[[Any], Any], kept: KernelCache) -> Callable[[Any], Any]:
+    """Return what compiles, so that whoever waits for the kernel goes on where that fails, too."""
+
+    def compile_and_end(sig: Any) -> Any:
+        try:
+            return compile_form(sig)
+        finally:
+            kept.end_turn()
+
+    return compile_and_end
+
+
 def is_cached(kernel: object) -> bool:
-    """Whether a kernel is in the cache, or no other process could put it there."""
+    """Whether a kernel is in the cache, or has no cache."""
     held = getattr(kernel, "_cache", None)
     return not isinstance(held, KernelCache) or held.holds_any()
 

@@ -83,7 +83,11 @@ class KernelCache(FunctionCache):
         except Exception as error:
             _warn_of_place(self.cache_path, getattr(error, "strerror", None) or type(error).__name__)
         finally:
-            self._turn.end()
+            self.end_turn()
+
+    def end_turn(self) -> None:
+        """Let another process compile the kernel: this one has, or could not."""
+        self._turn.end()
 
 
 class _Turn:
@@ -119,6 +123,9 @@ class _Turn:
     def end(self) -> None:
         """Give the turn to the next process."""
         if self._file >= 0:
+            import fcntl
+
+            fcntl.flock(self._file, fcntl.LOCK_UN)  # a process that was forked meanwhile holds the file, too
             os.close(self._file)
             self._file = -1
 
@@ -129,11 +136,14 @@ def _stamp(function: FunctionType, options: dict[str, Any]) -> str:
     told: list[str] = [repr(sorted(options.items()))]
 
     def describe(value: Any) -> None:
+        if hasattr(value, "py_func"):  # a kernel
+            told.append(repr(sorted(value.targetoptions.items())))
         value = getattr(value, "py_func", getattr(value, "_defn", value))  # of a kernel, of an intrinsic of Numba's
         if isinstance(value, FunctionType):
             if id(value) not in seen:
                 seen.add(id(value))
-                describe_code(value.__code__, value.__globals__)
+                told.append(repr(value.__defaults__))
+                describe_code(value.__code__, value.__globals__, value.__doc__)
         elif isinstance(value, np.ndarray):
             told.append(f"{value.dtype}{value.shape}{value.tobytes()!r}")
         elif isinstance(value, type):
@@ -141,12 +151,12 @@ def _stamp(function: FunctionType, options: dict[str, Any]) -> str:
         elif isinstance(value, (bool, int, float, str, tuple, np.generic)):
             told.append(repr(value))
 
-    def describe_code(code: CodeType, names: dict[str, Any]) -> None:
+    def describe_code(code: CodeType, names: dict[str, Any], documentation: str | None = None) -> None:
         told.append(f"{code.co_name}{code.co_code!r}{code.co_names}{code.co_varnames}")
         for constant in code.co_consts:
             if isinstance(constant, CodeType):
                 describe_code(constant, names)
-            elif not isinstance(constant, str):  # kernels have no strings but their docstrings
+            elif constant != documentation:
                 told.append(repr(constant))
         for name in code.co_names:
             describe(names.get(name))
@@ -156,7 +166,10 @@ def _stamp(function: FunctionType, options: dict[str, Any]) -> str:
 
 
 class _CheckedFile(IndexDataCacheFile):
-    """The files of one kernel: what is compiled stands behind its checksum, and a damaged index is an empty one."""
+    """The files of one kernel: what is compiled stands behind its checksum, and a damaged index is an empty one.
+
+    The index is written before the data. Where only that succeeds, the data are of former code, as their stamp shows.
+    """
 
     def _load_index(self) -> dict[Any, str]:
         try:
@@ -172,13 +185,17 @@ class _CheckedFile(IndexDataCacheFile):
         kept = super()._load_data(name)
         if not isinstance(kept, bytes):  # of an earlier version, without a checksum
             return None
-        if hashlib.sha256(kept[_DIGEST:]).digest() != kept[:_DIGEST]:
+        digest, content = kept[:_DIGEST], kept[_DIGEST:]
+        if hashlib.sha256(content).digest() != digest:
             raise ValueError("the checksum does not fit")
-        return pickle.loads(kept[_DIGEST:])  # noqa: S301 - the user's own folder, as Python's compiled modules are
+        stamp = str(self._source_stamp).encode()
+        if not content.startswith(stamp):
+            return None
+        return pickle.loads(content[len(stamp) :])  # noqa: S301 - the user's own folder, as Python's compiled modules are
 
     def _save_data(self, name: str, data: Any) -> None:
-        made = dumps(data)
-        super()._save_data(name, hashlib.sha256(made).digest() + made)
+        content = str(self._source_stamp).encode() + dumps(data)
+        super()._save_data(name, hashlib.sha256(content).digest() + content)
 
 
 @cache  # said once

@@ -41,7 +41,7 @@ class Aside(Generic[Result]):
 
     def __init__(self, call: Callable[[], Result]) -> None:
         """Start it."""
-        self._call, self._answer = call, None
+        self._call, self._answer, self._process = call, None, None
         alone = (os.cpu_count() or 1) < 2 or multiprocessing.current_process().daemon
         if sys.platform != "linux" or alone:
             return
@@ -51,11 +51,16 @@ class Aside(Generic[Result]):
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", DeprecationWarning)  # threads that only draw a bar are no hindrance
-                process = context.Process(target=_send, args=(call, sender), daemon=True)
-                process.start()
+                self._process = context.Process(target=_send, args=(call, sender), daemon=True)
+                self._process.start()
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
         sender.close()
+
+    @property
+    def is_apart(self) -> bool:
+        """Whether it runs in a process of its own."""
+        return self._process is not None
 
     def is_done(self, within: float = 0.0) -> bool:
         """Whether its result is there, or is within so many seconds; never where it runs once that is asked for."""
@@ -67,11 +72,12 @@ class Aside(Generic[Result]):
         Raises:
             JointidError: the call did.
         """
-        if self._answer is not None:
+        if self._answer is not None and self._process is not None:
             try:
                 good, found = self._answer.recv()
             except EOFError:  # it was killed, or had a fault of ours, which shows here
                 return self._call()
+            self._process.join()  # its processor time counts as that of a child
             if not good:
                 raise found
             result: Result = found

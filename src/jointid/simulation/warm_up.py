@@ -24,18 +24,21 @@ from jointid.simulation.sensitivities import simulate_sensitivities
 _SAMPLES = 10
 
 
-def warm_up(*, derivatives: bool = True) -> None:
+def warm_up(*, derivatives: bool = True, wait: bool = False) -> None:
     """Compile the simulation of a joint, or load it from the cache.
 
     Args:
-        derivatives: begin with what an identification needs, too, in another process. Nothing waits for it here; who
-            needs a kernel that is not yet there waits for that one.
+        derivatives: also compile what an identification needs, in another process where there is a second core.
+        wait: return once all is compiled. Otherwise the other process may still compile; who needs a kernel that is
+            not yet there waits for that one.
     """
     from jointid.simulation.kernels import drive_sensitivities, stepped_drive
 
-    if derivatives and not (is_cached(drive_sensitivities.follow) and is_cached(stepped_drive.run)):
-        Aside(_compile_derivatives)
+    needed = derivatives and not (is_cached(drive_sensitivities.follow) and is_cached(stepped_drive.run))
+    beside = Aside(_compile_derivatives) if needed else None
     compile_drive()
+    if beside is not None and (wait or not beside.is_apart):
+        beside.result()
 
 
 def _compile_derivatives() -> None:

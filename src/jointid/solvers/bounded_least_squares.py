@@ -3,7 +3,7 @@
 Every step of the former is the minimum of the damped linear problem inside the bounds (SciPy's bounded-variable least
 squares on the small triangular factor). A trust region reflects at a bound: where a Coulomb friction belongs on its
 bound of 0, as where a real friction law is not that of the model, it creeps towards it for a hundred evaluations; the
-steps take ten. The trust region has a stop that knows rounding.
+steps take ten. Both have a stop that knows rounding.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class LevenbergMarquardt:
         before = counted.evaluations
         error, J = counted.linearised(x)
         trace, damping, used = [Step(x, float(np.linalg.norm(error)), counted.evaluations)], _DAMPING, 1
-        little = False
+        message = ""
         status, reach, share, idle, refused = None if J.any() else Status.NOT_EVALUABLE, self.reach, 1.0, 0, 0
         while status is None and used < self.evaluations and trace[-1].norm > self.enough:
             norm = trace[-1].norm
@@ -72,7 +72,10 @@ class LevenbergMarquardt:
             cut = reach is not None and bool(np.any(np.abs(step) >= _CUT * reach))
             worthless = self.worth > 0.0 and damping <= _DAMPING and not cut
             if worthless and _gain(norm, error + J @ step) <= self.worth:
-                status, little = Status.COST, True
+                status = Status.COST
+                message = (
+                    f"converged: another step promises to lower the criterion by less than {100 * self.worth:.2g} %"
+                )
                 break
             after, slopes = counted.linearised(x + step)
             used += 1
@@ -91,7 +94,8 @@ class LevenbergMarquardt:
             elif gained <= 0.0:
                 # At the minimum only rounding decides whether the criterion rises; a harder damping changes nothing.
                 limit = self.tolerance if refused < _PATIENCE else max(self.tolerance, _RESOLVED)
-                status = Status.COST if _gain(norm, error + J @ _whole_step(error, J, bounds, x)) <= limit else None
+                if _arrived(bounds, x, error, J, limit / _THERE):
+                    status, message = Status.COST, "converged: steps change the criterion by no more than rounding"
             if status is None and damping >= _MOST:
                 status = Status.NO_DESCENT
             # Steps with a reach, long or short, that all change nothing have come to the end.
@@ -105,22 +109,15 @@ class LevenbergMarquardt:
             damping = max(damping * _EASIER, _LEAST) if gained > 0.0 else damping * _HARDER
         enough = status is not Status.NOT_EVALUABLE and trace[-1].norm <= self.enough
         status = Status.COST if enough else status or Status.EVALUATION_LIMIT
-        message = explain(status, used, self.tolerance)
         if enough:
             message = "converged: what is left is no more than the problem itself may err"
-        elif little:
-            message = f"converged: another step promises to lower the criterion by less than {100 * self.worth:.2g} %"
+        message = message or explain(status, used, self.tolerance)
         return Solution(x, error, J, status, message, tuple(trace), counted.evaluations - before)
 
 
 def _gain(norm: float, after: FloatArray) -> float:
     """Relative decrease of the criterion from a residual's norm to another residual."""
     return 1.0 - (float(np.linalg.norm(after)) / norm) ** 2 if norm else 0.0
-
-
-def _whole_step(error: FloatArray, J: FloatArray, bounds: Bounds, x: FloatArray) -> FloatArray:
-    """Minimum of the linear model within the bounds, with the least damping."""
-    return damped_step(error, J, bounds.around(x), _LEAST, bounds.upper - bounds.lower)
 
 
 def damped_step(error: FloatArray, J: FloatArray, room: Bounds, damping: float, widths: FloatArray) -> FloatArray:

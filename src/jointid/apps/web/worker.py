@@ -93,7 +93,7 @@ def prepare(_: Path) -> None:
     """Compile the simulation where this machine has not yet, so that an identification finds it compiled."""
     from jointid.simulation.warm_up import warm_up
 
-    warm_up()
+    warm_up(wait=True)
 
 
 def identify(folder: Path) -> None:
