@@ -37,10 +37,12 @@ settings.register_profile("jointid", deadline=None, derandomize=IN_CI)
 settings.load_profile("jointid")
 
 
-def pytest_configure(config: pytest.Config) -> None:
+@pytest.hookimpl(tryfirst=True)
+def pytest_sessionstart(session: pytest.Session) -> None:
     """Compile the kernels once, before workers start that would wait for each other."""
-    alone = hasattr(config, "workerinput") or not getattr(config.option, "numprocesses", None)
-    if not alone and not config.option.collectonly:
+    options = session.config.option
+    alone = hasattr(session.config, "workerinput") or not getattr(options, "numprocesses", None)
+    if not alone and not options.collectonly:
         from jointid.simulation.warm_up import main
 
         main()
