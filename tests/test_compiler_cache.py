@@ -1,4 +1,4 @@
-"""The stamp of a compiled kernel, and who compiles it where several processes need it."""
+"""The stamp of a compiled kernel, and the lock on its compilation."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def test_former_code_never_runs_under_a_new_stamp(tmp_path: Path) -> None:
     assert run(edited) == "102.0\n"
 
 
-def test_who_cannot_compile_gives_its_turn_away() -> None:
+def test_a_compilation_that_fails_releases_its_lock() -> None:
     from numba import TypingError
 
     from jointid.common.compiled import compiled
@@ -108,7 +108,7 @@ def test_who_cannot_compile_gives_its_turn_away() -> None:
 
     with pytest.raises(TypingError):
         impossible(1.0)
-    assert impossible._cache._turn._file < 0  # type: ignore[attr-defined]
+    assert impossible._cache.lock._file < 0  # type: ignore[attr-defined]
 
 
 @pytest.mark.skipif(importlib.util.find_spec("fcntl") is None, reason="there are no file locks here")
@@ -125,14 +125,14 @@ def test_of_two_processes_one_compiles(tmp_path: Path) -> None:
     assert sorted(misses) == [0, 1]
 
 
-def test_who_compiles_and_ends_without_a_word_keeps_nobody_waiting(tmp_path: Path) -> None:
-    """A lock is the process's own, and ends with it."""
-    from jointid.common.compiler_cache import _Turn
+def test_a_killed_process_releases_its_lock(tmp_path: Path) -> None:
+    """The operating system does it."""
+    from jointid.common.compiler_cache import _CompileLock
 
     path = tmp_path / "kernel.lock"
     program = (
-        "import sys; from pathlib import Path; from jointid.common.compiler_cache import _Turn\n"
-        "turn = _Turn(Path(sys.argv[1])); turn.wait(); print('held', flush=True); input()"
+        "import sys; from pathlib import Path; from jointid.common.compiler_cache import _CompileLock\n"
+        "lock = _CompileLock(Path(sys.argv[1])); lock.acquire(); print('held', flush=True); input()"
     )
     holder = subprocess.Popen(
         [sys.executable, "-c", program, str(path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
@@ -142,5 +142,5 @@ def test_who_compiles_and_ends_without_a_word_keeps_nobody_waiting(tmp_path: Pat
     holder.kill()
     holder.communicate()
     began = time.monotonic()
-    _Turn(path).wait()
+    _CompileLock(path).acquire()
     assert time.monotonic() - began < 60.0

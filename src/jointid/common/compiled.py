@@ -41,20 +41,20 @@ def compiled(function: F) -> F:
         except RuntimeError:  # there is no such folder
             warn_of_no_place()
         else:
-            kernel.compile = _ending_turn(kernel.compile, kept)
+            kernel.compile = _releasing_lock(kernel.compile, kept)
     return cast("F", kernel)
 
 
-def _ending_turn(compile_form: Callable[[Any], Any], kept: KernelCache) -> Callable[[Any], Any]:
-    """Return what compiles, so that whoever waits for the kernel goes on where that fails, too."""
+def _releasing_lock(compile_form: Callable[[Any], Any], kept: KernelCache) -> Callable[[Any], Any]:
+    """Wrap a kernel's compilation so that it releases its lock, also if it fails."""
 
-    def compile_and_end(sig: Any) -> Any:
+    def compile_and_release(sig: Any) -> Any:
         try:
             return compile_form(sig)
         finally:
-            kept.end_turn()
+            kept.lock.release()
 
-    return compile_and_end
+    return compile_and_release
 
 
 def is_cached(kernel: object) -> bool:
@@ -66,8 +66,8 @@ def is_cached(kernel: object) -> bool:
 def inlined(function: F) -> F:
     """Compile as part of every caller: Numba passes an array to a real call as seven values, and counts references.
 
-    Python cannot call what comes of it, except where Numba is told not to compile: the wrappers that it would take cost
-    a fifth of the time to compile.
+    Python code cannot call the function, unless compilation is disabled: the wrappers for it would take a fifth of the
+    time to compile.
     """
     return _njit(function, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
@@ -115,7 +115,7 @@ def _njit(function: F, **options: bool) -> F:
 def assign(to: FloatArray, values: FloatArray) -> None:
     """Copy a vector into another of the same length.
 
-    A slice on the left does the same, but brings the text of its error along, which takes a second to compile.
+    Assignment to a slice does the same, but the text of its error message takes a second to compile.
     """
     for i in range(values.size):
         to[i] = values[i]

@@ -43,10 +43,10 @@ class KernelCache(FunctionCache):
         # Numba's names have the line of the function: that moves with every edit above it.
         base = re.sub(r"-\d+(?=\.py\d)", "", self._impl.filename_base)
         self._cache_file = _CheckedFile(self._cache_path, base, None)
-        self._turn = _Turn(Path(self._cache_path) / f"{base}.lock")
+        self.lock = _CompileLock(Path(self._cache_path) / f"{base}.lock")
 
     def holds_any(self) -> bool:
-        """Whether there is any compiled form of the kernel that its stamp allows."""
+        """Whether the cache holds a compiled form with the kernel's present stamp."""
         self._require_stamp()
         try:
             return bool(self._cache_file._load_index())
@@ -54,13 +54,12 @@ class KernelCache(FunctionCache):
             return False
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return a compiled kernel, None where there is none that can be trusted and this process is to compile it."""
+        """Return a compiled kernel; None where there is none that can be trusted, so that this process compiles it."""
         self._require_stamp()
         found = self._load(sig, target_context)
-        if found is None and self._turn.wait():
-            found = self._load(sig, target_context)
-            if found is not None:
-                self._turn.end()
+        if found is None:
+            self.lock.acquire()
+            found = self._load(sig, target_context)  # another process may have compiled it meanwhile
         return found
 
     def _require_stamp(self) -> None:
@@ -82,22 +81,16 @@ class KernelCache(FunctionCache):
             super().save_overload(sig, data)
         except Exception as error:
             _warn_of_place(self.cache_path, getattr(error, "strerror", None) or type(error).__name__)
-        finally:
-            self.end_turn()
-
-    def end_turn(self) -> None:
-        """Let another process compile the kernel: this one has, or could not."""
-        self._turn.end()
 
 
-class _Turn:
-    """The right to compile one kernel, held by one process at a time; without file locks every process has it."""
+class _CompileLock:
+    """A file lock on the compilation of one kernel; without file locks every process compiles."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._file = path, -1
 
-    def wait(self) -> bool:
-        """Take the turn; return whether another process had it meanwhile, and may have left the kernel."""
+    def acquire(self) -> None:
+        """Take the lock; give up after two minutes, or where there are no file locks."""
         try:
             import fcntl
 
@@ -105,33 +98,30 @@ class _Turn:
                 self._path.parent.mkdir(parents=True, exist_ok=True)
                 self._file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
         except (ImportError, OSError):  # Windows, or a folder that cannot be written
-            return False
+            return
         began = time.monotonic()
-        waited = False
         while time.monotonic() - began < _PATIENCE:
             try:
                 fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                waited = True
                 time.sleep(_PAUSE)
             except OSError:  # a file system without locks
-                return waited
+                return
             else:
-                return waited
-        return waited
+                return
 
-    def end(self) -> None:
-        """Give the turn to the next process."""
+    def release(self) -> None:
+        """Release the lock, if it is held."""
         if self._file >= 0:
             import fcntl
 
-            fcntl.flock(self._file, fcntl.LOCK_UN)  # a process that was forked meanwhile holds the file, too
+            fcntl.flock(self._file, fcntl.LOCK_UN)  # a process that was forked meanwhile has the file open, too
             os.close(self._file)
             self._file = -1
 
 
 def _stamp(function: FunctionType, options: dict[str, Any]) -> str:
-    """Return a digest of a function's code, of all functions that it calls, and of the constants that it reads."""
+    """Digest of a function's code, of all functions that it calls, and of the constants that it reads."""
     seen: set[int] = set()
     told: list[str] = [repr(sorted(options.items()))]
 
@@ -168,7 +158,7 @@ def _stamp(function: FunctionType, options: dict[str, Any]) -> str:
 class _CheckedFile(IndexDataCacheFile):
     """The files of one kernel: what is compiled stands behind its checksum, and a damaged index is an empty one.
 
-    The index is written before the data. Where only that succeeds, the data are of former code, as their stamp shows.
+    Numba writes the index before the data. If writing the data fails, the stamp in the former data tells them apart.
     """
 
     def _load_index(self) -> dict[Any, str]:

@@ -29,8 +29,8 @@ def warm_up(*, derivatives: bool = True, wait: bool = False) -> None:
 
     Args:
         derivatives: also compile what an identification needs, in another process where there is a second core.
-        wait: return once all is compiled. Otherwise the other process may still compile; who needs a kernel that is
-            not yet there waits for that one.
+        wait: return once all is compiled. Otherwise the other process may still compile; a call that needs one of
+            its kernels waits for it.
     """
     from jointid.simulation.kernels import drive_sensitivities, stepped_drive
 
@@ -53,7 +53,7 @@ def compile_drive() -> None:
 
 
 def compile_derivatives() -> None:
-    """Compile the derivatives of such a simulation: a call with no period, which needs no simulation before it."""
+    """Compile the derivatives of such a simulation by a call without a period, which needs no simulation."""
     from jointid.simulation.kernels import drive, drive_sensitivities
 
     lanes = drive_sensitivities.LANES
@@ -71,9 +71,8 @@ def compile_smooth_laws() -> None:
     """Compile the simulation and the derivatives of smooth laws."""
     joint = FlexibleJoint(friction=PreslidingFriction())
     loop = ClosedLoop(joint, Cascade(position_gain=1.0, velocity_gain=1.0))
-    values = dict.fromkeys((parameter.name for parameter in joint.parameters), 1.0) | {
-        "offset": 0.0
-    }  # it stays at rest
+    values = dict.fromkeys((parameter.name for parameter in joint.parameters), 1.0)
+    values["offset"] = 0.0  # else it would leave the range of its reference, and there would be no derivatives
     simulate_sensitivities(loop, prepare(loop, _at_rest(sample_time=1e-3)), values, ["motor_inertia"])
 
 
@@ -107,7 +106,7 @@ PARTS: Mapping[str, Callable[[], None]] = MappingProxyType(
         "robot": compile_robot,
     }
 )
-"""What is compiled apart."""
+"""What compiles independently of each other."""
 
 
 def _at_rest(unit: str = "m", sample_time: float = 1.0) -> Record:
