@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -109,6 +110,29 @@ def test_a_compilation_that_fails_releases_its_lock() -> None:
     with pytest.raises(TypingError):
         impossible(1.0)
     assert impossible._cache.lock._file < 0  # type: ignore[attr-defined]
+
+
+@pytest.mark.skipif(importlib.util.find_spec("fcntl") is None, reason="there are no file locks here")
+def test_threads_release_a_lock_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thread that finds the kernel compiled does not close the file that another thread is about to close."""
+    import fcntl
+
+    from jointid.common.compiled import compiled
+
+    @compiled
+    def doubled(x: float) -> float:
+        return 2.0 * x
+
+    flock = fcntl.flock
+
+    def release_slowly(file: int, operation: int) -> None:
+        flock(file, operation)
+        if operation == fcntl.LOCK_UN:
+            time.sleep(0.1)
+
+    monkeypatch.setattr(fcntl, "flock", release_slowly)
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(doubled, [1.0] * 4)) == [2.0] * 4
 
 
 @pytest.mark.skipif(importlib.util.find_spec("fcntl") is None, reason="there are no file locks here")

@@ -12,6 +12,7 @@ from typing import Any, TypeAlias, TypeVar, cast
 import numba
 import numpy as np
 from numba import types
+from numba.core.compiler_lock import global_compiler_lock
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
@@ -46,13 +47,17 @@ def compiled(function: F) -> F:
 
 
 def _releasing_lock(compile_form: Callable[[Any], Any], kept: KernelCache) -> Callable[[Any], Any]:
-    """Wrap a kernel's compilation so that it releases its lock, also if it fails."""
+    """Wrap a kernel's compilation so that it releases its lock, also if it fails.
+
+    Numba's own lock covers the release too: another thread that needs the kernel waits, and releases nothing twice.
+    """
 
     def compile_and_release(sig: Any) -> Any:
-        try:
-            return compile_form(sig)
-        finally:
-            kept.lock.release()
+        with global_compiler_lock:
+            try:
+                return compile_form(sig)
+            finally:
+                kept.lock.release()
 
     return compile_and_release
 
