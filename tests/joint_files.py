@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
-from jointid.common.errors import JointFileError
+from jointid.common.errors import Fault, JointFileError
 from jointid.config import json_schema, loads
 
 
-def faults(text: str) -> tuple[str, ...]:
+def faults(text: str) -> tuple[Fault, ...]:
     """Return the sentences with which a joint file is refused."""
     with pytest.raises(JointFileError) as caught:
         loads(text)

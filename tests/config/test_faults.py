@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from jointid.common.errors import JointFileError
+from jointid.common.messages import dot_path
 from jointid.config import (
     load,
     loads,
@@ -766,3 +767,23 @@ def test_nothing_is_missed_that_is_there_with_its_name_misspelt(right: str, wron
 def test_a_unit_that_is_nearly_known_is_told_the_one_that_may_be_meant() -> None:
     (found,) = faults(SMALLEST + 'delay = "1 Ms"\n')
     assert found == 'controller.delay is "1 Ms"; "Ms" is no unit that is known; write "ms" if that is meant.'
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "code"),
+    [
+        (SMALLEST + "position_gian = 3", ("controller", "position_gian"), "unknown"),
+        (SMALLEST + "limit = 0", ("controller", "limit"), "value"),
+        (SMALLEST.replace("position_gain = 100.0\n", ""), ("controller", "position_gain"), "missing"),
+        (SMALLEST + "torque_filters = [{ D = 1.0 }]", ("controller", "torque_filters", 0, "D"), "unknown"),
+        (SMALLEST.replace('"r"', '"r", unit = "deg"'), ("record", "channels", "reference", "unit"), "unit"),
+        (JOINT + CHANNELS + '[method]\nname = "didim"', ("controller",), "missing"),
+        (SMALLEST + "[parameters]\ninertia = { start = 3, lower = 4 }", ("parameters", "inertia", "start"), ""),
+        (SMALLEST + '[[records]]\nfile = "a.csv"\nown = ["mass"]', ("records", 0, "own"), "unknown"),
+    ],
+)
+def test_a_fault_has_its_place_and_code_as_data(text: str, place: tuple[int | str, ...], code: str) -> None:
+    (fault,) = faults(text)
+    assert fault.place == place
+    assert fault.code == (code or "contradiction")
+    assert fault.startswith(dot_path(place))

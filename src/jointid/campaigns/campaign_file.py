@@ -22,7 +22,7 @@ from jointid.common.errors import JointFileError
 from jointid.common.text import listed as in_a_row
 from jointid.config import loads
 from jointid.config.loading import parse_toml, read_text
-from jointid.config.table import sentences
+from jointid.config.table import faults_of
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ def load_campaign(path: Path) -> Campaign:
     try:
         table = CampaignTable.model_validate(corrected)
     except ValidationError as error:
-        raise JointFileError([*faults, *sentences(error)]) from None
+        raise JointFileError([*faults, *faults_of(error)]) from None
     if faults:
         raise JointFileError(faults)
     campaign = Campaign(table.name or path.stem, table, path.parent)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from importlib import import_module
-from typing import Any
+from typing import Any, Self
 
 from jointid.common.text import printable
 
@@ -18,19 +18,38 @@ class JointidError(Exception):
         super().__init__(printable(message))
 
 
+class Fault(str):
+    """Sentence on a fault of a file, with its place and a code for programs.
+
+    Attributes:
+        place: keys and indices that lead to the fault; empty if it is of the whole file.
+        code: kind of fault, such as "missing" or "unknown".
+    """
+
+    place: tuple[int | str, ...]
+    code: str
+
+    def __new__(cls, sentence: str, place: tuple[int | str, ...] = (), code: str = "") -> Self:
+        """Create a fault from its sentence."""
+        made = super().__new__(cls, sentence)
+        made.place, made.code = place, code
+        return made
+
+
 class FaultsError(JointidError):
     """An error that reports all the faults found at once, one sentence each."""
 
     def __init__(self, faults: str | Iterable[str]) -> None:
         each = (faults,) if isinstance(faults, str) else tuple(faults)
-        self.faults: tuple[str, ...] = tuple(_sentence(fault) for fault in each)
+        self.faults: tuple[Fault, ...] = tuple(map(_fault, each))
         super().__init__("\n".join(self.faults))
 
 
-def _sentence(fault: str) -> str:
+def _fault(fault: str) -> Fault:
     """Return a fault on one line, of a length that can be read."""
     said = printable(fault).replace("\n", "\\n")
-    return said if len(said) <= _LONGEST else f"{said[: _LONGEST // 2]} ... {said[-_LONGEST // 2 :]}"
+    said = said if len(said) <= _LONGEST else f"{said[: _LONGEST // 2]} ... {said[-_LONGEST // 2 :]}"
+    return Fault(said, fault.place, fault.code) if isinstance(fault, Fault) else Fault(said)
 
 
 class RecordError(FaultsError):

@@ -1,7 +1,4 @@
-"""How the tables of a joint file fit together: units to the joint, channels to the method, parameters to the model.
-
-Each part has the function that says what is at fault and the one that makes use of what is not.
-"""
+"""Consistency of the tables of a joint file: units, channels of the method, parameters of the model."""
 
 from __future__ import annotations
 
@@ -9,17 +6,24 @@ import math
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 from jointid.common import messages, units
+from jointid.common.errors import Fault
 from jointid.common.parameters import TORQUE_UNIT, Parameter
 from jointid.common.settings import settings_of
 from jointid.common.units import Kind
-from jointid.config.draft import KINDS, Draft, table_at
 from jointid.config.quantities import Stated, misfit
-from jointid.config.schema import GravityTable, JointTable, MethodTable, ParameterTable, keys_of
+from jointid.config.schema import (
+    KINDS,
+    FileTable,
+    GravityTable,
+    JointTable,
+    MethodTable,
+    ParameterTable,
+    keys_of,
+)
 from jointid.config.schema_record import ChannelTable
-from jointid.config.table import refusal
+from jointid.config.table import Place, fault_at, refusal
 from jointid.estimation.methods.registry import METHODS, MODELS, method_of, methods
 from jointid.estimation.problems.base import surrounding
 from jointid.models.controllers import Controller, numbers_of, with_numbers
@@ -43,13 +47,24 @@ _BESIDE_FRICTION = (
 )
 
 
-def choose_method(draft: Draft, name: str | None, model: str) -> str | None:
+def faults_between(file: FileTable) -> Iterator[Fault]:
+    """Yield what is wrong between the tables of a joint file."""
+    yield from _joint_faults(file)
+    yield from _transmission_faults(file)
+    yield from _channel_faults(file)
+    yield from _method_faults(file)
+    yield from _parameter_faults(file)
+    yield from _record_faults(file)
+    yield from _limit_faults(file)
+
+
+def choose_method(file: FileTable, name: str | None, model: str) -> str | None:
     """Return the method: the one named, or the first whose needs are met, or None.
 
     DIDIM comes first, even where there is a motor position, which it does not read.
 
     Args:
-        draft: whose channels and controller there are.
+        file: whose channels and controller there are.
         name: of the method, if the file names one.
         model: of the joint; IDIM of a flexible one needs the load's position too.
     """
@@ -57,15 +72,9 @@ def choose_method(draft: Draft, name: str | None, model: str) -> str | None:
         return name
     for default in _defaults():
         method = method_of(default, model)
-        if (draft.controlled or not method.needs_controller) and set(method.channels(model)) <= set(draft.named):
+        if (file.controlled or not method.needs_controller) and set(method.channels(model)) <= set(file.channel_names):
             return default
     return None
-
-
-def named_method(raw: Mapping[str, Any]) -> str | None:
-    """Return the method that a joint file names, or that it has where it names none; None if that is not known."""
-    draft = Draft.of(raw)
-    return choose_method(draft, table_at(raw, "method").get("name"), draft.model or "rigid")
 
 
 def needed_channels(method: str, controller: Controller | None, model: str) -> tuple[str, ...]:
@@ -79,34 +88,47 @@ def _defaults() -> tuple[str, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def method_faults(draft: Draft, table: MethodTable) -> Iterator[str]:
+def _law(file: FileTable) -> Controller | None:
+    return None if file.controller is None else file.controller.controller()
+
+
+def _method_faults(file: FileTable) -> Iterator[Fault]:
     """Yield what the method lacks, and settings that are not its own."""
-    of_model = draft.model or "rigid"  # whose channels every model needs
+    if file.is_wrong("method"):
+        return
+    table = file.method
+    of_model = file.model or "rigid"  # whose channels every model needs
 
     def lacking(method: str) -> list[str]:
-        needed = needed_channels(method, draft.controller, of_model)
-        missing = [f"record.channels.{name}" for name in needed if name not in draft.named]
-        uncontrolled = method_of(method, of_model).needs_controller and not draft.controlled
+        needed = needed_channels(method, _law(file), of_model)
+        missing = [f"record.channels.{name}" for name in needed if name not in file.channel_names]
+        uncontrolled = method_of(method, of_model).needs_controller and not file.controlled
         return [*missing, "controller"] if uncontrolled else missing
 
-    name = choose_method(draft, table.name, of_model)
+    name = choose_method(file, table.name, of_model)
     if name is None:
-        yield _no_method({method: lacking(method) for method in _defaults()}, draft, of_model)
+        rest = _no_method({method: lacking(method) for method in _defaults()}, file, of_model)
+        yield fault_at(("method", "name"), rest, "missing")
     else:
         other = next(default for default in _defaults() if default != name)
         if of_model not in method_of(name, of_model).models:
             remedy = f'use method.name = "{other}", or set joint.model = {messages.either(_models_of(name))}'
-            yield f'method.name is "{name}", which is not for a {of_model} joint: {remedy}.'
+            yield fault_at(("method", "name"), f' is "{name}", which is not for a {of_model} joint: {remedy}.')
         for key in lacking(name):
-            yield (
-                f"{key} is missing, but {method_of(name, of_model).called(of_model)} needs it: add it, "
-                f'or use method.name = "{other}", which needs only {_needs(other, of_model)}.'
+            needing = method_of(name, of_model).called(of_model)
+            yield fault_at(
+                tuple(key.split(".")),
+                f" is missing, but {needing} needs it: add it, "
+                f'or use method.name = "{other}", which needs only {_needs(other, of_model)}.',
+                "missing",
             )
         if "estimator" in keys_of(method_of(name, of_model)) and table.estimator == "iv":
             for key in [key for key in lacking("didim") if key not in lacking(name)]:
-                yield f'{key} is missing, but method.estimator = "iv" simulates the loop: add it, or use another.'
-    for key, sentence in _not_its_own(table, name, draft.model):
-        yield f"method.{key}{sentence}"
+                rest = ' is missing, but method.estimator = "iv" simulates the loop: add it, or use another.'
+                yield fault_at(tuple(key.split(".")), rest, "missing")
+    for key, sentence in _not_its_own(table, name, file.model):
+        yield fault_at(("method", key), sentence)
+    yield from _free_faults(("method", "free"), table.free, file)
 
 
 def _models_of(name: str, key: str | None = None) -> tuple[str, ...]:
@@ -121,12 +143,12 @@ def _needs(method: str, model: str) -> str:
     return f"{', '.join(most)} and {last}"
 
 
-def _no_method(lacking: Mapping[str, list[str]], draft: Draft, model: str) -> str:
-    """Return the sentence on a file that has what no method needs."""
+def _no_method(lacking: Mapping[str, list[str]], file: FileTable, model: str) -> str:
+    """Return the rest of the sentence on a file that has what no method needs."""
     lacks = [f"{method_of(method, model).called(model)} lacks {' and '.join(keys)}" for method, keys in lacking.items()]
-    rigid = choose_method(draft, None, "rigid") is not None
+    rigid = choose_method(file, None, "rigid") is not None
     remedy = "add what one of them lacks" + (', or set joint.model = "rigid"' if rigid else "")
-    return f"method.name is missing, and no method can be chosen: {', '.join(lacks)}; {remedy}."
+    return f" is missing, and no method can be chosen: {', '.join(lacks)}; {remedy}."
 
 
 def _not_its_own(table: MethodTable, name: str | None, model: str | None) -> Iterator[tuple[str, str]]:
@@ -150,21 +172,27 @@ def _not_its_own(table: MethodTable, name: str | None, model: str | None) -> Ite
             yield key, messages.beside_preset(value, str(table.preset))
 
 
-def record_faults(draft: Draft) -> Iterator[str]:
+def _record_faults(file: FileTable) -> Iterator[Fault]:
     """Yield names of own parameters that the model does not have, and numbers that the controller cannot have."""
-    known = None if draft.parts is None else [parameter.name for parameter in draft.parts.parameters]
-    for place, run in draft.runs.items():
-        path = messages.dot_path(["records", place])
+    joint, controller = known_joint(file), _law(file)
+    known = None if joint is None else [parameter.name for parameter in joint.parameters]
+    for number, run in enumerate(file.records):
+        place = ("records", number)
         for name in run.own:
             if known is not None and name not in known:
-                yield (
-                    f'{path}.own names "{name}", which is no parameter of this model; expected some of '
-                    f"{', '.join(known)}: {messages.suggest(name, known, 'leave it out')}"
+                yield fault_at(
+                    (*place, "own"),
+                    f' names "{name}", which is no parameter of this model; expected some of '
+                    f"{', '.join(known)}: {messages.suggest(name, known, 'leave it out')}",
+                    "unknown",
                 )
-        if run.controller and not draft.controlled:
-            yield f"{path}.controller changes a controller that the file does not have: add [controller]."
-        elif draft.controller is not None and (refused := _no_change(draft.controller, run.controller)):
-            yield f"{path}.controller{refused}"
+        if run.controller and not file.controlled:
+            yield fault_at(
+                (*place, "controller"), " changes a controller that the file does not have: add [controller]."
+            )
+        elif controller is not None and (refused := _no_change(controller, run.controller)):
+            yield fault_at((*place, "controller"), refused)
+    yield from _free_faults(("together", "free"), file.together.free, file)
 
 
 def _no_change(controller: Controller, numbers: Mapping[str, float]) -> str | None:
@@ -176,27 +204,54 @@ def _no_change(controller: Controller, numbers: Mapping[str, float]) -> str | No
     return refusal(lambda: with_numbers(controller, numbers))
 
 
-def free_faults(key: str, names: Collection[str], controller: Controller | None) -> Iterator[str]:
+def _free_faults(place: Place, names: Collection[str], file: FileTable) -> Iterator[Fault]:
     """Yield names of what nothing around the joint is called, or what cannot be freed of this controller."""
+    controller = _law(file)
     if controller is None:
         return
     for name in names:
         if refused := refusal(partial(surrounding, name, controller)):
-            yield f"{key}{refused}"
+            yield fault_at(place, refused, "refused")
 
 
-def parameter_faults(draft: Draft) -> Iterator[str]:
+def _joint_faults(file: FileTable) -> Iterator[Fault]:
+    """Yield a drive, a gravity or a ripple that this joint cannot have."""
+    if not file.is_wrong("drive") and (refused := refusal(lambda: file.joint.drive(file.drive.build()))):
+        yield fault_at(("drive",), refused)
+    if not file.is_wrong("joint"):
+        yield from (fault_at((table,), rest, "refused") for table, rest in _refusals(file))
+
+
+def _refusals(file: FileTable) -> Iterator[tuple[str, str]]:
+    """Yield the table and why the joint cannot have it, beside a gravity that it can have."""
+    if refused := refusal(lambda: file.joint.joint(None, gravity=file.gravity)):
+        yield "gravity", refused
+    elif refused := refusal(lambda: file.joint.joint(None, gravity=file.gravity, ripple=file.ripple)):
+        yield "ripple", refused
+
+
+def known_joint(file: FileTable) -> Joint | None:
+    """Return the joint with its gravity and ripple; None if one of these tables is wrong."""
+    if any(map(file.is_wrong, ("joint", "gravity", "ripple"))) or any(_refusals(file)):
+        return None
+    return file.joint.joint(None, gravity=file.gravity, ripple=file.ripple)
+
+
+def _parameter_faults(file: FileTable) -> Iterator[Fault]:
     """Yield parameters that the model does not have, and values that they cannot have."""
-    if draft.parts is None or draft.joint is None:
+    joint = known_joint(file)
+    if joint is None:
         return
-    known = {parameter.name: parameter for parameter in draft.parts.parameters}
-    for name, table in draft.parameters.items():
-        path = messages.dot_path(["parameters", name])
+    known = {parameter.name: parameter for parameter in joint.parameters}
+    for name, table in file.parameters.items():
+        place = ("parameters", name)
         if name not in known:
-            yield path + _no_parameter(name, draft.joint, draft.gravity, known)
+            yield fault_at(place, _no_parameter(name, file.joint, file.gravity, known), "unknown")
             continue
-        for key, sentence in _misgiven(known[name], table, draft.joint, draft.gravity):
-            yield path + (f".{key}" if key and name not in draft.bare else "") + sentence
+        # A parameter that is a bare number has no keys.
+        keys = table.model_fields_set - {"value"}
+        for key, rest in _misgiven(known[name], table, file.joint, file.gravity):
+            yield fault_at((*place, key) if key and keys else place, rest)
 
 
 def change_parameter(parameter: Parameter, table: ParameterTable) -> Parameter:
@@ -269,79 +324,88 @@ def _no_parameter(name: str, joint: JointTable, gravity: GravityTable | None, kn
     return f" is not known for {model}; expected one of {', '.join(known)}: {remedy}"
 
 
-def channel_faults(draft: Draft) -> Iterator[str]:
+def _channel_faults(file: FileTable) -> Iterator[Fault]:
     """Yield channels without a column, or with settings or units that are not theirs, and torques that differ."""
     # Behind a transmission that is not right, a motor may move in any way.
-    kinds = KINDS if draft.geared and not draft.transmission else draft.kinds
-    for name, table in draft.channels.items():
-        if table.column is None and draft.drive is not None and draft.drive.traces is None:
-            yield (
-                f"record.channels.{name}.column is missing; expected text in quotes (name of the column in the "
-                "record's file): add it, or give drive.profile."
+    kinds = KINDS if file.geared and not file.transmission else file.kinds
+    drive = file.drive_of_joint
+    for name, table in file.channels.items():
+        if table.column is None and drive is not None and drive.traces is None:
+            yield fault_at(
+                ("record", "channels", name, "column"),
+                " is missing; expected text in quotes (name of the column in the record's file): add it, or give "
+                "drive.profile.",
+                "missing",
             )
-        yield from (f"record.channels.{fault}" for fault in table.build().misplaced_faults(name))
-        yield from _unit_faults(draft, name, table, kinds)
-    if "injected" in draft.channels:
-        pairs = {(_si_unit(draft, "injected", kind), _si_unit(draft, "torque", kind)) for kind in kinds}
+        for fault in table.build().misplaced_faults(name):
+            yield fault_at(("record", "channels", name), fault.removeprefix(name))
+        yield from _unit_faults(file, name, table, kinds)
+    if "injected" in file.channels:
+        pairs = {(_si_unit(file, "injected", kind), _si_unit(file, "torque", kind)) for kind in kinds}
         pair = pairs.pop() if len(pairs) == 1 else (None, None)
         # A force on one side of a screw and a torque on the other are both in SI.
         if None not in pair and len({unit in TORQUE_UNIT.values() or unit for unit in pair}) > 1:
-            yield f"record.channels.injected is in {pair[0]}, but the torque in {pair[1]}: give both in one unit."
+            rest = f" is in {pair[0]}, but the torque in {pair[1]}: give both in one unit."
+            yield fault_at(("record", "channels", "injected"), rest, "unit")
 
 
-def _unit_faults(draft: Draft, name: str, table: ChannelTable, kinds: Collection[Kind]) -> Iterator[str]:
+def _unit_faults(file: FileTable, name: str, table: ChannelTable, kinds: Collection[Kind]) -> Iterator[Fault]:
     """Yield a unit that a joint of none of these kinds can have, or for which a number of the drive is missing."""
-    moving = [_kind_of(draft, name, kind) for kind in kinds]
+    place = ("record", "channels", name)
+    moving = [_kind_of(file, name, kind) for kind in kinds]
     known = tuple(dict.fromkeys(unit for kind in moving for unit in known_units(name, kind)))
     stated = table.build().stated_unit(known)
     if stated is None:
         return
     if named := table.build().doubled_unit(known):
-        yield (
-            f'record.channels.{name}.unit is "{table.unit}", but its column "{table.column}" names the unit "{named}"; '
-            "expected one of them: leave unit out, or rename the column."
+        yield fault_at(
+            (*place, "unit"),
+            f' is "{table.unit}", but its column "{table.column}" names the unit "{named}"; '
+            "expected one of them: leave unit out, or rename the column.",
         )
     if stated not in known:
-        where = "unit is" if table.unit is not None else "column names the unit"
-        yield f'record.channels.{name}.{where} "{stated}"{_misfit(name, stated, known, kinds, moving)}'
-    elif draft.drive is not None and len(set(moving)) == 1:
-        lack = _lacking(draft, name, stated, moving[0])
-        yield from () if lack is None else (f'record.channels.{name} is in "{stated}", {lack}.',)
+        key, says = ("unit", "is") if table.unit is not None else ("column", "names the unit")
+        yield fault_at((*place, key), f' {says} "{stated}"{_misfit(name, stated, known, kinds, moving)}', "unit")
+    elif file.drive_of_joint is not None and len(set(moving)) == 1:
+        lack = _lacking(file, name, stated, moving[0])
+        yield from () if lack is None else (fault_at(place, f' is in "{stated}", {lack}.', "unit"),)
 
 
-def torque_unit(draft: Draft, kind: Kind) -> str | None:
+def torque_unit(file: FileTable, kind: Kind) -> str | None:
     """Return "A" or "V" for a torque in the drive's own units, None for one in N or N m."""
-    unit = _si_unit(draft, "torque", kind)
+    unit = _si_unit(file, "torque", kind)
     return None if unit in TORQUE_UNIT.values() else unit
 
 
-def _si_unit(draft: Draft, channel: str, kind: Kind) -> str | None:
+def _si_unit(file: FileTable, channel: str, kind: Kind) -> str | None:
     """Return the unit in which a channel is logged, made SI; None if it cannot be."""
-    table, moving = draft.channels.get(channel), _kind_of(draft, channel, kind)
+    table, moving = file.channels.get(channel), _kind_of(file, channel, kind)
     known = known_units(channel, moving)
     stated = table.build().stated_unit(known) if table else None
     if stated is None and channel == "injected":
-        torque = _si_unit(draft, "torque", kind)
+        torque = _si_unit(file, "torque", kind)
         return torque if torque is None or torque in known else known[0]
     if stated is None:
         return known[0]
-    if stated not in known or _lacking(draft, channel, stated, moving):
+    if stated not in known or _lacking(file, channel, stated, moving):
         return None
-    return (draft.drive or Drive()).resolve_unit(units.unit(stated), moving).si
+    return (file.drive_of_joint or Drive()).resolve_unit(units.unit(stated), moving).si
 
 
-def _kind_of(draft: Draft, channel: str, kind: Kind) -> Kind:
+def _kind_of(file: FileTable, channel: str, kind: Kind) -> Kind:
     """Return how a channel's side of a joint moves whose load is of that kind: with a lead the motor turns."""
-    table, transmission = draft.channels.get(channel), draft.transmission
-    side = (draft.drive or Drive()).side(channel, None if table is None else table.build())
+    table, transmission = file.channels.get(channel), file.transmission
+    side = (file.drive_of_joint or Drive()).side(channel, None if table is None else table.build())
     return "revolute" if transmission and transmission.lead is not None and side == "motor" else kind
 
 
-def _lacking(draft: Draft, channel: str, unit: str, kind: Kind) -> str | None:
+def _lacking(file: FileTable, channel: str, unit: str, kind: Kind) -> str | None:
     """Return the end of the sentence on a unit for which a number of the drive is missing."""
-    geared = draft.transmission is not None and draft.transmission.geared
+    geared = file.transmission is not None and file.transmission.geared
     try:
-        (draft.drive or Drive()).resolve_unit(units.unit(unit), kind, of_load=channel == "load_position", geared=geared)
+        (file.drive_of_joint or Drive()).resolve_unit(
+            units.unit(unit), kind, of_load=channel == "load_position", geared=geared
+        )
     except units.UnitError as error:
         return str(error)
     return None
@@ -362,35 +426,37 @@ def _misfit(channel: str, unit: str, known: Collection[str], kinds: Collection[K
     return f", a unit of {dimension}; {expected}: give one of them{remedy}."
 
 
-def limit_faults(draft: Draft) -> Iterator[str]:
+def _limit_faults(file: FileTable) -> Iterator[Fault]:
     """Yield limits in units that the side they are of does not have, and one of a spring that is not there."""
-    if draft.limits is None or len(draft.kinds) > 1 or (draft.geared and draft.transmission is None):
+    if len(file.kinds) > 1 or (file.geared and file.transmission is None):
         return
-    gear, (kind,) = draft.transmission, draft.kinds
+    gear, (kind,) = file.transmission, file.kinds
     turning = gear is not None and gear.lead is not None and gear.side == "motor"
     moving: Kind = "revolute" if turning else kind
-    torque = torque_unit(draft, kind) or TORQUE_UNIT[moving]
+    torque = torque_unit(file, kind) or TORQUE_UNIT[moving]
     for one in settings_of(AxisLimits):
-        number = getattr(draft.limits, one.name)
+        number = getattr(file.limits, one.name)
         declared = torque if "torque" in one.name else one.setting.unit
         if isinstance(number, Stated) and (fault := misfit(number.text, declared, moving)):
-            yield f"limits.{one.name}{fault}"
-    if draft.model == "rigid" and draft.limits.windup is not None:
-        yield "limits.windup is that of a spring, and a rigid joint has none: leave it out."
+            yield fault_at(("limits", one.name), fault, "unit")
+    if file.model == "rigid" and file.limits.windup is not None:
+        yield fault_at(("limits", "windup"), " is that of a spring, and a rigid joint has none: leave it out.")
 
 
-def transmission_faults(draft: Draft) -> Iterator[str]:
+def _transmission_faults(file: FileTable) -> Iterator[Fault]:
     """Yield that a load of these kinds has no lead, and sides that are named where there is no transmission."""
-    transmission = draft.transmission
-    if transmission is not None and transmission.lead is not None and "prismatic" not in draft.kinds:
-        yield (
-            f"transmission.lead is {transmission.lead:g}, but the load is revolute; expected a ratio: give that, "
-            'or set joint.kind = "prismatic".'
+    transmission = file.transmission
+    if transmission is not None and transmission.lead is not None and "prismatic" not in file.kinds:
+        yield fault_at(
+            ("transmission", "lead"),
+            f" is {transmission.lead:g}, but the load is revolute; expected a ratio: give that, "
+            'or set joint.kind = "prismatic".',
         )
-    if draft.geared:
+    if file.geared:
         return
-    named = {f"record.channels.{name}": table.side for name, table in draft.channels.items() if table.side}
-    if draft.law and "side" in draft.law.model_fields_set:
-        named["controller"] = draft.law.side
-    for table, side in named.items():
-        yield f'{table}.side is "{side}", but nothing lies between motor and load: add [transmission], or leave it out.'
+    named: dict[Place, str] = {("record", "channels", n): one.side for n, one in file.channels.items() if one.side}
+    if file.controller and "side" in file.controller.model_fields_set:
+        named[("controller",)] = file.controller.side
+    for place, side in named.items():
+        rest = f' is "{side}", but nothing lies between motor and load: add [transmission], or leave it out.'
+        yield fault_at((*place, "side"), rest)

@@ -8,8 +8,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
-from pydantic import ValidationError
-
 from jointid.common import units
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointFileError, MethodError, RecordError
@@ -19,26 +17,18 @@ from jointid.common.units import Kind
 from jointid.config import serialise
 from jointid.config.consistency import (
     change_parameter,
-    channel_faults,
     choose_method,
-    free_faults,
-    limit_faults,
-    method_faults,
+    faults_between,
     needed_channels,
-    parameter_faults,
-    record_faults,
     torque_unit,
-    transmission_faults,
 )
 from jointid.config.controller_gain import controller_gain, unit_faults
-from jointid.config.draft import Draft
 from jointid.config.drive_gains import in_our_words
 from jointid.config.drive_numbers import drive_numbers
 from jointid.config.quantities import Stated, stated_in
 from jointid.config.schema import FileTable, with_gains_meant
 from jointid.config.schema_record import Run, Source, Together
 from jointid.config.swapped_gains import ask_about_gains
-from jointid.config.table import sentences
 from jointid.estimation.identify import identify
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.estimate import Estimate
@@ -122,17 +112,36 @@ class JointFile:
         Raises:
             JointFileError: with one sentence for each fault.
         """
-        file, draft = _check_tables(tables)
+        if crowded := list(_crowded(tables)):  # each of so many would be a sentence
+            raise JointFileError(crowded)
+        corrected, misspelt = FileTable.corrected(tables)
+        file, faults = FileTable.read(in_our_words(corrected))
+        return cls.of_table(file, path, [*misspelt, *faults])
+
+    @classmethod
+    def of_table(cls, file: FileTable, path: Path, faults: Sequence[str] = ()) -> Self:
+        """Return what the tables of a joint file say.
+
+        Args:
+            file: the tables, without those that are wrong.
+            path: of the joint file.
+            faults: of the tables that are wrong.
+
+        Raises:
+            JointFileError: with these faults, and those between the tables.
+        """
+        if faults := [*faults, *unit_faults(file), *faults_between(file)]:
+            raise JointFileError(faults)
         transmission = file.transmission.transmission(file.joint.kind) if file.transmission else None
-        joint = file.joint.joint(torque_unit(draft, file.joint.kind), transmission, file.gravity, file.ripple)
-        method = choose_method(draft, file.method.name, joint.model)
+        joint = file.joint.joint(torque_unit(file, file.joint.kind), transmission, file.gravity, file.ripple)
+        method = choose_method(file, file.method.name, joint.model)
         assert method is not None
         known = {parameter.name: parameter for parameter in joint.parameters}
         return cls(
             joint=joint,
             columns={name: table.build() for name, table in file.record.channels.given().items()},
             method=file.method.method(method, joint.model),
-            controller=file.controller.refer(transmission, controller_gain(draft)) if file.controller else None,
+            controller=file.controller.refer(transmission, controller_gain(file)) if file.controller else None,
             filtering=file.filtering.build(),
             parameters={name: change_parameter(known[name], table) for name, table in file.parameters.items()},
             drive=file.joint.drive(file.drive.build()),
@@ -435,50 +444,6 @@ class JointFile:
             "limits": serialise.settings(self.limits),
         }
         return serialise.as_stated({name: table for name, table in tables.items() if table}, self.stated)
-
-
-def _check_tables(raw: Mapping[str, Any]) -> tuple[FileTable, Draft]:
-    """Return the tables of a joint file, as a whole and one by one.
-
-    A file with faults is checked as far as it goes: every table, channel and parameter that is right in itself still
-    takes part in the checks that need several of them.
-
-    Raises:
-        JointFileError: with one sentence for each fault.
-    """
-    faults = list(_crowded(raw))
-    if faults:  # each of so many would be a sentence
-        raise JointFileError(faults)
-    corrected, faults = FileTable.corrected(raw)
-    meant = in_our_words(corrected)
-    draft = Draft.of(meant)
-    try:
-        file = FileTable.model_validate(meant)
-    except ValidationError as error:
-        faults += sentences(error)
-    faults += _faults_between(draft)
-    if faults:
-        raise JointFileError(faults)
-    return file, draft
-
-
-def _faults_between(draft: Draft) -> Iterator[str]:
-    """Yield what is wrong between the tables."""
-    if draft.drive_refusal:
-        yield f"drive{draft.drive_refusal}"
-    yield from unit_faults(draft)
-    yield from transmission_faults(draft)
-    yield from channel_faults(draft)
-    if draft.method is not None:
-        yield from method_faults(draft, draft.method)
-        yield from free_faults("method.free", draft.method.free, draft.controller)
-    for table, refused in draft.refusals.items():
-        yield f"{table}{refused}"
-    yield from parameter_faults(draft)
-    yield from record_faults(draft)
-    if draft.together is not None:
-        yield from free_faults("together.free", draft.together.free, draft.controller)
-    yield from limit_faults(draft)
 
 
 def _crowded(raw: Mapping[str, Any], where: str = "The joint file") -> Iterator[str]:

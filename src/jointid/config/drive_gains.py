@@ -5,9 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from jointid.common.errors import JointFileError
-from jointid.config.draft import table_at
+from jointid.common.errors import Fault, JointFileError
+from jointid.common.messages import dot_path
 from jointid.records.drives import load_profile, profile_names
+
+
+def table_at(raw: Mapping[str, Any], *path: str) -> Mapping[str, Any]:
+    """Return the raw table at a path, empty if there is none."""
+    for key in path:
+        below = raw.get(key)
+        raw = below if isinstance(below, dict) else {}
+    return raw
 
 
 def in_our_words(raw: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -25,17 +33,19 @@ def in_our_words(raw: Mapping[str, Any]) -> Mapping[str, Any]:
     profile, controller = table_at(raw, "drive").get("profile"), table_at(raw, "controller")
     if profile not in profile_names() or not controller:
         return raw
-    found, faults = dict(controller), list[str]()
+    found, faults = dict(controller), list[Fault]()
     for gain in load_profile(profile).gains:
         if gain.name not in controller:
             continue
-        value, path = found.pop(gain.name), f"controller.{gain.name}"
+        value, place = found.pop(gain.name), ("controller", gain.name)
         number = isinstance(value, int | float) and not isinstance(value, bool)
         if gain.key in found:
-            faults.append(f"{path} is {gain.key}, which stands beside it; expected one of them: leave one out.")
+            rest = f" is {gain.key}, which stands beside it; expected one of them: leave one out."
+            faults.append(Fault(f"{dot_path(place)}{rest}", place))
         elif number and len(gain.units) > 1:
             listed = " or ".join(f'"{value} {unit}"' for unit in gain.units)
-            faults.append(f"{path} is {value}, in a unit that the drive may have set; expected {listed}: add the unit.")
+            rest = f" is {value}, in a unit that the drive may have set; expected {listed}: add the unit."
+            faults.append(Fault(f"{dot_path(place)}{rest}", place, "unit"))
         elif not (number and value == 0 and gain.key.endswith("_time")):
             found[gain.key] = f"{value!r} {gain.units[0]}" if number else value
     if faults:

@@ -21,11 +21,10 @@ from jointid.common.parameters import POSITION_UNIT
 from jointid.common.settings import settings_of
 from jointid.common.text import number
 from jointid.common.transmission import Transmission
-from jointid.config.consistency import named_method
+from jointid.config.consistency import choose_method
 from jointid.config.contents import JointFile
-from jointid.config.draft import table_at
-from jointid.config.drive_gains import keys_of_controller
-from jointid.config.schema import with_gains_meant
+from jointid.config.drive_gains import keys_of_controller, table_at
+from jointid.config.schema import FileTable, with_gains_meant
 from jointid.config.serialise import controller_table
 from jointid.config.toml_text import deepest_key, split_sections
 from jointid.models.controllers import CONTROLLER_UNITS, LAWS, Controller, numbers_of, unit_of_number
@@ -67,39 +66,32 @@ def load(
         JointFileError: the file cannot be read, is no TOML, or has faults; `faults` has a sentence for each.
     """
     path = Path(path)
-    text = read_text(path)
-    return replace(loads(text, path.parent, changes, method=method, filtering=filtering, friction=friction), path=path)
+    choices = {"method": method, "filtering": filtering, "friction": friction}
+    return _joint_file(parse_toml(read_text(path)), path, changes, **choices)
 
 
 def read_text(path: Path) -> str:
     """Return the text of a joint file, or of another file of the user's in TOML.
 
+    No more of it is read than a joint file has, as a device may have no end.
+
     Raises:
-        JointFileError: it cannot be read, or is no text.
+        JointFileError: it cannot be read, is too long, or is no text.
     """
     if "\0" in str(path):
         raise JointFileError(f"{path} is no path: it holds a zero byte; correct it.")
     try:
-        return _read(path)
+        with path.open("rb") as file:
+            raw = file.read(_LARGEST + 1)
+        if len(raw) > _LARGEST:
+            size = max(path.stat().st_size, len(raw))
+            raise JointFileError(f"{path} has {size} bytes (a joint file has at most {_LARGEST}); is it the record?")
+        return raw.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except OSError as error:
-        raise JointFileError(f"{path} cannot be opened ({_reason(error)}); check the path.") from error
+        reason = (error.strerror or type(error).__name__).lower()
+        raise JointFileError(f"{path} cannot be opened ({reason}); check the path.") from error
     except UnicodeDecodeError as error:
         raise JointFileError(f"{path} is not text in UTF-8 (byte {error.start}); save it as UTF-8.") from error
-
-
-def _read(path: Path) -> str:
-    """Return the text of a joint file; no more of it is read than one has, and a device may have no end.
-
-    Raises:
-        JointFileError: it is too long for a joint file.
-        OSError, UnicodeDecodeError: it cannot be opened, or is no text.
-    """
-    with path.open("rb") as file:
-        raw = file.read(_LARGEST + 1)
-    if len(raw) > _LARGEST:
-        size = max(path.stat().st_size, len(raw))
-        raise JointFileError(f"{path} has {size} bytes (a joint file has at most {_LARGEST}); is it the record?")
-    return raw.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
 
 
 def is_robot_file(path: str | os.PathLike[str]) -> bool:
@@ -122,21 +114,19 @@ def load_to_learn(path: str | os.PathLike[str], changes: Iterable[str] = ()) -> 
     Raises:
         JointFileError: see `load`.
     """
-    changes = list(changes)
-    try:
-        tables = apply_changes(parse_toml(_read(Path(path))), changes)
-        said = table_at(tables, "controller")
-    except (OSError, ValueError, JointFileError):  # said by `load`, with the remedy
-        return load(path, changes)
+    path, changes = Path(path), list(changes)
+    raw = parse_toml(read_text(path))
+    tables = apply_changes(raw, changes)
+    said = table_at(tables, "controller")
     if not isinstance(tables.get("controller", {}), dict):
-        return load(path, changes)
+        return _joint_file(raw, path, changes)
     law = said.get("law", "cascade")
     kind: Any = LAWS.get(law) if isinstance(law, str) else None  # mypy does not take a type for something with a hash
     required = [one for one in settings_of(kind) if one.required] if kind else []
     known = with_gains_meant(keys_of_controller(tables))
     stand_ins = [f"controller.{one.name}=1.0" for one in required if one.type is float and one.name not in known]
     law_said = ["controller.law=cascade"] if law == "cascade" else []
-    file = load(path, [*law_said, *stand_ins, *changes])
+    file = _joint_file(raw, path, [*law_said, *stand_ins, *changes])
     return replace(file, said=known.intersection(file.said))
 
 
@@ -159,25 +149,39 @@ def loads(
         filtering: as of `load`.
         friction: as of `load`.
     """
-    tables, changes = parse_toml(text), list(changes)
+    choices = {"method": method, "filtering": filtering, "friction": friction}
+    return _joint_file(parse_toml(text), Path(folder) / "joint.toml", changes, **choices)
+
+
+def _joint_file(
+    tables: Mapping[str, Any],
+    path: Path,
+    changes: Iterable[str] = (),
+    method: str | None = None,
+    filtering: str | None = None,
+    friction: str | None = None,
+) -> JointFile:
+    """Return the joint file of its tables with changes; see `load`."""
     if "robot" in tables:
         raise JointFileError(
             "This is a robot file, as it has the table [robot]; simulate, identify, validate, diagnose, design, report "
             "and export take one, all else takes a joint file."
         )
+    changes = list(changes)
+    changed = apply_changes(tables, changes)
     if method is not None:
         # A change may bring the controller by which the file's own method is known, but not that method's name.
-        changed = apply_changes(tables, changes)
-        if method != named_method(changed | {"method": tables.get("method", {})}):
-            tables["method"] = {"name": method}
+        file, _ = FileTable.read(changed | {"method": tables.get("method", {})})
+        if method != choose_method(file, file.method.name, file.model or "rigid"):
+            tables = {**tables, "method": {"name": method}}
     if filtering is not None:
-        tables["filtering"] = {"preset": filtering}
+        tables = {**tables, "filtering": {"preset": filtering}}
     changed = apply_changes(tables, changes)
     choices = {("method", "name"): method, ("filtering", "preset"): filtering, ("joint", "friction"): friction}
     for key, choice in choices.items():
         if choice is not None:
             _put(changed, list(key), choice)
-    return JointFile.of(changed, Path(folder) / "joint.toml")
+    return JointFile.of(changed, path)
 
 
 def dumps(file: JointFile) -> str:
@@ -421,10 +425,6 @@ def _syntax_fault(text: str, message: str) -> str:
         f"Line {line}, column {column} is not TOML ({reason[:1].lower()}{reason[1:]}); expected [tables] and lines of "
         'key = value, text in "quotes": correct that line.'
     )
-
-
-def _reason(error: OSError) -> str:
-    return (error.strerror or type(error).__name__).lower()
 
 
 def apply_changes(tables: Mapping[str, Any], changes: Iterable[str]) -> dict[str, Any]:

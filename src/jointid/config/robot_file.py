@@ -30,7 +30,7 @@ from jointid.config.loading import apply_changes, parse_toml, read_text
 from jointid.config.robot_model import in_order, load_robot
 from jointid.config.schema import CONSTANT, ControllerTable, FilteringTable, TransmissionTable
 from jointid.config.schema_record import ChannelsTable, DriveTable, RecordTable
-from jointid.config.table import Number, Positive, Table, Text, keys_from, sentences, with_unit
+from jointid.config.table import Number, Positive, Table, Text, faults_of, keys_from, with_unit
 from jointid.estimation.robots.idim import RobotEstimate, RobotIDIM, identify_robot
 from jointid.estimation.robots.torque_estimate import (
     RobotDIDIM,
@@ -204,7 +204,7 @@ class RobotFile:
         try:
             said = RobotFileTable.model_validate(raw)
         except ValidationError as error:
-            raise JointFileError([*faults, *sentences(error)]) from None
+            raise JointFileError([*faults, *faults_of(error)]) from None
         if faults:
             raise JointFileError(faults)
         robot = _robot(said, path.parent)
@@ -447,8 +447,8 @@ def _joint_files(raw: Mapping[str, Any], robot: Robot, path: Path, method: str) 
                 faults.setdefault(fault, []).append(table["name"])
     for file in files:
         if file.joint.transmission is not None and file.joint.transmission.side == "motor":
-            fault = 'transmission.side is "motor"; all numbers of a robot are behind its gears: leave side out.'
-            faults.setdefault(fault, []).append(str(file.name))
+            side = 'transmission.side is "motor"; all numbers of a robot are behind its gears: leave side out.'
+            faults.setdefault(side, []).append(str(file.name))
     for name, joints in _shared_columns(files).items():
         faults.setdefault(f"all read {name}; give each joint a column of its own, as with {{axis}}.", []).extend(joints)
     if faults:

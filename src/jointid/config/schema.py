@@ -6,24 +6,25 @@ becomes; a test holds the two together.
 
 from __future__ import annotations
 
+import copy
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import MISSING, fields, replace
-from typing import Annotated, Any, ClassVar, Literal, TypeAlias, Union
+from typing import Annotated, Any, ClassVar, Literal, Self, TypeAlias, Union, get_args
 
-from pydantic import Field, create_model
+from pydantic import Field, PrivateAttr, ValidationError, create_model
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core.core_schema import NullableSchema, WithDefaultSchema
 
 from jointid.common import messages, units
-from jointid.common.errors import MethodError
+from jointid.common.errors import Fault, JointidError, MethodError
 from jointid.common.messages import Says
 from jointid.common.settings import Declared, settings_of
 from jointid.common.transmission import Side, Transmission
 from jointid.common.units import Kind
 from jointid.config.quantities import Stated
-from jointid.config.schema_record import DriveTable, RecordTable, RunTable, TogetherTable
+from jointid.config.schema_record import ChannelTable, DriveTable, RecordTable, RunTable, TogetherTable
 from jointid.config.table import (
     Bound,
     Flag,
@@ -32,6 +33,7 @@ from jointid.config.table import (
     Natural,
     Number,
     Numbers,
+    Place,
     Positive,
     Size,
     Table,
@@ -39,6 +41,7 @@ from jointid.config.table import (
     Typed,
     accept_by,
     annotation_of,
+    faults_of,
     keys_from,
     keys_of_kinds,
     refusal,
@@ -63,7 +66,10 @@ from jointid.models.ripple import PositionHarmonics
 from jointid.models.springs import SPRINGS, LinearSpring, spring_named
 from jointid.planning.limits import AxisLimits
 from jointid.records.drives import Drive
+from jointid.records.record import CHANNELS
 from jointid.records.signals.filtering import Filtering
+
+KINDS: tuple[Kind, ...] = get_args(Kind)
 
 EFFECTS = ("harmonics", "period", "drift")
 """The keys of [method] that say the effects of a method that has any."""
@@ -591,6 +597,101 @@ class FileTable(Table):
     limits: LimitsTable = Field(
         default_factory=LimitsTable, description="what the axis may do in a test that is planned"
     )
+    _wrong: frozenset[Place] = PrivateAttr(default=frozenset())
+
+    @classmethod
+    def read(cls, raw: Mapping[str, Any]) -> tuple[Self, list[Fault]]:
+        """Return the file without the parts that are wrong, and the faults of these parts.
+
+        The parts that are left can still be checked against each other.
+
+        Args:
+            raw: the tables as `tomllib` reads them; they stay as they are.
+        """
+        kept, wrong, faults = copy.deepcopy(dict(raw)), set[Place](), list[Fault]()
+        while True:
+            try:
+                table = cls.model_validate(kept)
+            except ValidationError as error:
+                found = faults_of(error)
+                faults += [] if wrong else found  # later ones may follow from what is left out
+                for part in {_part(fault.place) for fault in found}:
+                    wrong.add(part)
+                    _leave_out(kept, part)
+            else:
+                table._wrong = frozenset(wrong)
+                return table, faults
+
+    def is_wrong(self, *part: str) -> bool:
+        """Return whether a part is in the file, but left out because it is wrong."""
+        return part in self._wrong
+
+    @property
+    def kinds(self) -> Collection[Kind]:
+        """Kinds that the joint may have: one if [joint] is right."""
+        return KINDS if self.is_wrong("joint") else (self.joint.kind,)
+
+    @property
+    def model(self) -> str | None:
+        """Model of the joint; None if [joint] is wrong."""
+        return None if self.is_wrong("joint") else self.joint.model
+
+    @property
+    def geared(self) -> bool:
+        """Whether there is a transmission, right or wrong."""
+        return self.transmission is not None or self.is_wrong("transmission")
+
+    @property
+    def controlled(self) -> bool:
+        """Whether there is a controller, right or wrong."""
+        return self.controller is not None or self.is_wrong("controller")
+
+    @property
+    def channels(self) -> Mapping[str, ChannelTable]:
+        """Channels that are right."""
+        found: dict[str, ChannelTable] = self.record.channels.given()
+        return found
+
+    @property
+    def drive_of_joint(self) -> Drive | None:
+        """Drive with the torque constant of [joint]; None if it is wrong or contradicts the constant."""
+        try:
+            return None if self.is_wrong("drive") else self.joint.drive(self.drive.build())
+        except JointidError:
+            return None
+
+    @property
+    def channel_names(self) -> Collection[str]:
+        """Names of all channels of the file, and of those that the drive's profile may find."""
+        drive = self.drive_of_joint
+        if drive is None:  # of a drive that is wrong nobody knows which channels its profile finds
+            return CHANNELS
+        wrong = [str(part[2]) for part in self._wrong if len(part) == _OF_CHANNEL]
+        return tuple(dict.fromkeys([*self.channels, *wrong, *(drive.traces.channels if drive.traces else ())]))
+
+
+_OF_CHANNEL = len(("record", "channels", "torque"))
+_STAND_IN: Mapping[str, Any] = {"joint": {"kind": "revolute"}}  # of a table that is needed
+
+
+def _part(place: Place) -> Place:
+    """Return the part of a joint file that is left out for a fault: a table, a channel or a parameter."""
+    match place:
+        case ("record", "channels", *_):
+            return place[:_OF_CHANNEL]
+        case ("record" | "parameters", *_):
+            return place[:2]
+        case _:
+            return place[:1]
+
+
+def _leave_out(tables: Any, part: Place) -> None:
+    *above, key = part
+    for name in above:
+        tables = tables[name]
+    tables.pop(key, None)
+    if not above and key in _STAND_IN:
+        tables[key] = _STAND_IN[str(key)]
 
 
 class _WithoutNull(GenerateJsonSchema):

@@ -31,7 +31,7 @@ from pydantic import (
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from jointid.common import messages
-from jointid.common.errors import JointidError
+from jointid.common.errors import Fault, JointidError
 from jointid.common.messages import Says
 from jointid.common.settings import Declared, settings_of
 from jointid.common.units import units_of
@@ -45,8 +45,19 @@ if TYPE_CHECKING:
 
 _OURS = "joint_file"  # pydantic's type of the errors that are sentences already
 
-Fault: TypeAlias = tuple[tuple[int | str, ...], str]
-"""Where a fault is, below some table, and its sentence without that place at its beginning."""
+Place: TypeAlias = tuple[int | str, ...]
+"""Keys and indices that lead to a value."""
+
+Located: TypeAlias = tuple[Place, str, str]
+"""Place of a fault below some table, its code, and its sentence without the place at its beginning."""
+
+CONTRADICTION = "contradiction"
+"""Code of a fault of values that are right by themselves."""
+
+
+def fault_at(place: Place, rest: str, code: str = CONTRADICTION) -> Fault:
+    """Return a fault whose sentence begins with its place."""
+    return Fault(f"{messages.dot_path(place)}{rest}", place, code)
 
 
 class Table(BaseModel):
@@ -87,19 +98,19 @@ class Table(BaseModel):
         return {key: tuple(value) if isinstance(value, list) else value for key, value in given.items()}
 
     @classmethod
-    def corrected(cls, raw: Mapping[str, Any], *path: str) -> tuple[dict[str, Any], list[str]]:
-        """Return a table and those below it with each misspelt key as it is meant, and a sentence on each of them.
+    def corrected(cls, raw: Mapping[str, Any], *path: str) -> tuple[dict[str, Any], list[Fault]]:
+        """Return a table and those below it with each misspelt key as it is meant, and a fault for each of them.
 
         What is looked for beside it is then not missed as well.
         """
-        found, faults = dict[str, Any](), list[str]()
+        found, faults = dict[str, Any](), list[Fault]()
         for key, value in raw.items():
             meant = key
             if key not in cls.model_fields and key not in cls.ambiguous:
                 near = messages.nearest(key, cls.model_fields)
                 if near is not None and near not in raw and near not in found:
                     meant = near
-                    faults.append(f"{messages.dot_path([*path, key])}{messages.unknown(key, cls.model_fields)}")
+                    faults.append(fault_at((*path, key), messages.unknown(key, cls.model_fields), "unknown"))
             field = cls.model_fields.get(meant)
             below = [] if field is None or get_origin(field.annotation) in (dict, list) else _tables(field)
             found[meant] = value
@@ -130,11 +141,11 @@ class Table(BaseModel):
         raw = {cls.shorthand: data} if short else data
         try:
             table = handler(raw)
-            found: list[Fault] = [((key,) if key else (), sentence) for key, sentence in table.faults()]
+            found: list[Located] = [((key,) if key else (), CONTRADICTION, rest) for key, rest in table.faults()]
         except ValidationError as error:
             given = set(raw) if isinstance(raw, dict) else set[str]()
             faulty = error.errors(include_url=False)
-            absent = [((key,), sentence) for key, sentence in cls.absent(given)] if given else []
+            absent = [((key,), "missing", rest) for key, rest in cls.absent(given)] if given else []
             if given & set(cls.ambiguous):  # which may be what is missing
                 faulty, absent = [one for one in faulty if one["type"] != "missing"], []
             found = [*(cls._fault(one, raw, short) for one in faulty), *absent]
@@ -142,27 +153,29 @@ class Table(BaseModel):
             if not found:
                 return table
         if short:  # its key is not in the file
-            found = [((), sentence) for _, sentence in found]
+            found = [((), code, rest) for _, code, rest in found]
         raise ValidationError.from_exception_data(cls.__name__, [_as_error(*fault) for fault in dict.fromkeys(found)])
 
     @classmethod
-    def _fault(cls, error: ErrorDetails, raw: Any, short: bool) -> Fault:
+    def _fault(cls, error: ErrorDetails, raw: Any, short: bool) -> Located:
         """Return one of pydantic's errors as a fault of ours."""
         if not error["loc"]:
-            return (), messages.no_table(raw)
+            return (), "table", messages.no_table(raw)
         key, *below = error["loc"]
         if error["type"] == _OURS:
             # Pydantic puts the decision into the location, below the key that holds the table.
-            return (key, *(below[1:] if key in cls.decided_by else below)), error["ctx"]["sentence"]
+            place = (key, *(below[1:] if key in cls.decided_by else below))
+            return place, error["ctx"]["code"], error["ctx"]["rest"]
         field = cls.model_fields.get(str(key))
         if field is None:
-            return (key,), cls.ambiguous.get(str(key)) or messages.unknown(str(key), cls.model_fields)
+            rest = cls.ambiguous.get(str(key)) or messages.unknown(str(key), cls.model_fields)
+            return (key,), "unknown", rest
         if error["type"].startswith("union_tag"):
             deciding = cls.decided_by[str(key)]
-            return (key, deciding), _describe_undecided(deciding, field, raw[key])
+            return (key, deciding), "choice", _describe_undecided(deciding, field, raw[key])
         if error["type"] == "missing":
-            return (key,), messages.missing(_expectation(field).expected, field.description or "")
-        return (key,), _describe_unexpected(field, raw[key], short)
+            return (key,), "missing", messages.missing(_expectation(field).expected, field.description or "")
+        return (key,), "value", _describe_unexpected(field, raw[key], short)
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
@@ -173,10 +186,10 @@ class Table(BaseModel):
         return {"anyOf": [handler.resolve_ref_schema(table)["properties"][cls.shorthand], table]}
 
 
-def sentences(error: ValidationError) -> list[str]:
-    """Return the sentences of all that is wrong with a `Table`."""
+def faults_of(error: ValidationError) -> list[Fault]:
+    """Return the faults of a `Table`."""
     found = error.errors(include_url=False, include_input=False)
-    return [f"{messages.dot_path(details['loc'])}{details['ctx']['sentence']}" for details in found]
+    return [fault_at(details["loc"], details["ctx"]["rest"], details["ctx"]["code"]) for details in found]
 
 
 def refusal(make: Callable[[], object]) -> str | None:
@@ -193,18 +206,18 @@ def accept_by(make: Callable[[Any], object]) -> AfterValidator:
 
     def checked(value: object) -> object:
         if refused := refusal(lambda: make(value)):
-            raise _our_error(refused)
+            raise _our_error("refused", refused)
         return value
 
     return AfterValidator(checked)
 
 
-def _our_error(sentence: str) -> PydanticCustomError:
-    return PydanticCustomError(_OURS, "{sentence}", {"sentence": sentence})
+def _our_error(code: str, rest: str) -> PydanticCustomError:
+    return PydanticCustomError(_OURS, "{rest}", {"code": code, "rest": rest})
 
 
-def _as_error(location: tuple[int | str, ...], sentence: str) -> InitErrorDetails:
-    return InitErrorDetails(type=_our_error(sentence), loc=location, input=None)
+def _as_error(place: Place, code: str, rest: str) -> InitErrorDetails:
+    return InitErrorDetails(type=_our_error(code, rest), loc=place, input=None)
 
 
 def _describe_undecided(deciding: str, field: FieldInfo, raw: Mapping[str, object]) -> str:
@@ -438,7 +451,7 @@ def with_unit(number: Any, declared: str) -> Any:
         if not isinstance(value, str) or not is_quantity(value):
             return handler(value)
         if (fault := misfit(value, declared)) is not None:
-            raise _our_error(fault)
+            raise _our_error("unit", fault)
         said = stated(value, declared)
         handler(float(said))
         return said

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import tomllib
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -12,7 +11,7 @@ import tomli_w
 
 from jointid.apps.web.fields import EXTRA, EXTRA_LAW, FIELDS, LAWS, LEARN, NAMES, WITHOUT, Draft, Field, usual
 from jointid.apps.web.guesses import find_unit
-from jointid.common.errors import JointFileError
+from jointid.common.errors import Fault, JointFileError
 from jointid.common.messages import dot_path
 from jointid.config import JointFile, dumps
 
@@ -78,13 +77,17 @@ def make_tables(draft: Draft, file: str) -> dict[str, Any]:
 def require_answers(draft: Draft) -> None:
     """Raise a `JointFileError` for each question of step 2 that decides the units and has no answer."""
     faults = [
-        f"{one.key} is not chosen, and the column's name says none; choose that of its numbers."
+        _unanswered(one.key, "is not chosen, and the column's name says none; choose that of its numbers.")
         for one in _open_units(draft)
     ]
     if not draft.get("joint.kind"):
-        faults.insert(0, "joint.kind is not chosen; say whether it turns or moves straight.")
+        faults.insert(0, _unanswered("joint.kind", "is not chosen; say whether it turns or moves straight."))
     if faults:
         raise JointFileError(faults)
+
+
+def _unanswered(key: str, rest: str) -> Fault:
+    return Fault(f"{key} {rest}", tuple(key.split(".")), "missing")
 
 
 def _open_units(draft: Draft) -> list[Field]:
@@ -140,16 +143,21 @@ def make_order(draft: Draft, file: str) -> tuple[str, bool]:
         JointFileError: with a sentence for each fault.
     """
     if not draft.get("joint.kind"):
-        raise JointFileError("joint.kind is not chosen; say in step 2 whether it turns or moves straight.")
+        raise JointFileError(
+            _unanswered("joint.kind", "is not chosen; say in step 2 whether it turns or moves straight.")
+        )
     if not draft.get(_LAW):
-        raise JointFileError("controller.law is not chosen; choose the law, or say that it is not known.")
+        raise JointFileError(_unanswered(_LAW, "is not chosen; choose the law, or say that it is not known."))
     said = make_tables(draft, file)
     learn = draft[_LAW] == LEARN
     lacking = [name for name in ("torque", "reference", "motor_position") if name not in _channels(said)]
     if learn and lacking:
         raise JointFileError(
-            f"controller.law cannot be learned, because the record has no {' and no '.join(lacking)}; choose that "
-            "column in step 2, or fill in the controller."
+            _unanswered(
+                _LAW,
+                f"cannot be learned, because the record has no {' and no '.join(lacking)}; choose that column in step "
+                "2, or fill in the controller.",
+            )
         )
     return dumps(JointFile.of(said)), learn
 
@@ -161,18 +169,16 @@ def place_faults(error: Exception | None, draft: Draft, names: Collection[str]) 
     shown = {one.key: one for one in FIELDS if one.name in names and one.applies(draft)}
     beside: dict[str, list[str]] = {}
     general = []
-    for sentence in error.faults:
-        place = re.split(r"[ :]", sentence, maxsplit=1)[0]
-        parts = place.split(".")
-        keys = [".".join(parts[:n]) for n in range(len(parts), 0, -1)]
+    for fault in error.faults:
+        keys = [dot_path(fault.place[:n]) for n in range(len(fault.place), 0, -1)]
         found = next((shown[k] for key in keys for k in (key, f"{key}.column", f"{key}.kind") if k in shown), None)
         if found is not None:
-            said = found.number_fault(draft) or sentence.replace(place, found.label, 1)
+            said = found.number_fault(draft) or found.label + fault.removeprefix(keys[0])
             beside.setdefault(found.name, []).append(said)
-        elif place == EXTRA and EXTRA in names:
-            beside.setdefault(EXTRA, []).append(sentence)
+        elif fault.place == (EXTRA,) and EXTRA in names:
+            beside.setdefault(EXTRA, []).append(fault)
         else:
-            general.append(sentence)
+            general.append(fault)
     return Faults(beside, tuple(general))
 
 
@@ -288,7 +294,7 @@ def _merge(made: dict[str, Any], extra: Mapping[str, Any], path: tuple[str, ...]
     Raises:
         JointFileError: both say one thing.
     """
-    faults, joined = list[str](), dict(made)
+    faults, joined = list[Fault](), dict(made)
     for key, value in extra.items():
         here = (*path, key)
         if key not in joined:
@@ -299,7 +305,8 @@ def _merge(made: dict[str, Any], extra: Mapping[str, Any], path: tuple[str, ...]
             except JointFileError as error:
                 faults += error.faults
         else:
-            faults.append(f"{dot_path(here)} stands in the further lines and in its field; remove it from the lines.")
+            rest = " stands in the further lines and in its field; remove it from the lines."
+            faults.append(Fault(f"{dot_path(here)}{rest}", here))
     if faults:
         raise JointFileError(faults)
     return joined
@@ -314,10 +321,13 @@ def _parse(text: str, place: str) -> dict[str, Any]:
     try:
         said = tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
-        raise JointFileError(f"{place} is not TOML ({error}); correct it.") from None
+        raise JointFileError(Fault(f"{place} is not TOML ({error}); correct it.", (place,))) from None
     if several := [written for key, written in _SEVERAL.items() if key in said]:
         raise JointFileError(
-            f"{place} says {' and '.join(several)}, and this page identifies one record, the one that was sent; remove "
-            "that, or use jointid identify for several records."
+            Fault(
+                f"{place} says {' and '.join(several)}, and this page identifies one record, the one that was sent; "
+                "remove that, or use jointid identify for several records.",
+                (place,),
+            )
         )
     return said

@@ -17,7 +17,7 @@ from typing import Any
 
 from jointid.apps.web.folder import FULL, Limits, PageError, Run, read_json, write_json
 from jointid.apps.web.worker import NO_ROOM, REFUSED
-from jointid.common.errors import JointFileError, JointidError
+from jointid.common.errors import Fault, JointFileError, JointidError
 from jointid.common.files import is_full
 
 _LOADING = "loading the simulation; the first time on a machine it is compiled, which takes some 20 s"
@@ -198,7 +198,10 @@ def _raise_fault(code: int, folder: Path) -> None:
     if code == REFUSED:
         with contextlib.suppress(OSError, ValueError):
             said = json.loads((folder / "fault.json").read_text(encoding="utf-8"))
-            raise JointFileError(said["faults"]) if said["of_form"] else PageError("\n".join(said["faults"]))
+            if not said["of_form"]:
+                raise PageError("\n".join(said["faults"]))
+            located = zip(said["faults"], said["places"], strict=True)
+            raise JointFileError([Fault(sentence, tuple(place)) for sentence, place in located])
     if code < 0:
         raise FailedError(
             f"It was ended from outside (signal {-code}), as the system does when memory runs out; use a shorter "

@@ -253,7 +253,8 @@ def main(action: str, folder: Path) -> int:
             if is_full(error):
                 raise
             faults = (_TOO_LARGE,) if isinstance(error, MemoryError) else getattr(error, "faults", (str(error),))
-            fault = {"faults": faults, "of_form": isinstance(error, JointFileError)}
+            places = [getattr(fault, "place", ()) for fault in faults]
+            fault = {"faults": faults, "places": places, "of_form": isinstance(error, JointFileError)}
             write_whole(folder / "fault.json", json.dumps(fault))
             return REFUSED
     except (JointidError, OSError) as error:
