@@ -1,11 +1,6 @@
-"""MATLAB's MAT files: versions 4 to 7, and version 7.3, which is HDF5 within; the first bytes tell which.
+"""MATLAB's MAT files: versions 4 to 7 by SciPy, and version 7.3, which is HDF5; the first bytes tell which.
 
-Of versions 4 to 7 the matrices of real numbers are found here, without trusting any length in the file. SciPy reads
-these files too. Of 300 plain files with one to four bytes changed it (version 1.17) ended the process over 12 and made
-numbers of 58 that are refused here; and in a process of its own it takes 0.3 s for a file that takes 10 ms here. The
-layouts are those of "MAT-File Format" (The MathWorks). Version 4 is a list of headers with their numbers. From version
-5 on, a file is a list of elements, each a tag (type, length) and its data; an array is an element whose data are
-elements.
+A damaged file may end SciPy's reader, so that such a file is read in a process of its own (`reader_process`).
 
 Version 7.3 is HDF5 as MATLAB lays it out. Before the HDF5 stand 512 bytes: a text, the version 0x0200 and "IM". Every
 variable is a dataset, a structure a group, with its class in the attribute MATLAB_class; rows and columns are stored
@@ -16,14 +11,13 @@ as MATLAB's own files have it; the description that comes with MATLAB says only 
 from __future__ import annotations
 
 import io
-import math
 import re
 import struct
-import zlib
+import warnings
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -37,7 +31,6 @@ from jointid.records.formats.table import (
     NotStreamedError,
     Table,
     explain_damage,
-    require_size,
     require_unique_names,
     split_rows,
 )
@@ -49,21 +42,13 @@ _KEYWORD = re.compile(
     "return|spmd|switch|try|while"
 )
 
-_HEADER = 128  # bytes, of versions 5 to 7
-_MARKS = {b"\x00\x01IM": "<", b"\x01\x00MI": ">"}  # version and byte order, at the end of the header
-_TAG = 8  # bytes that begin an element
-_MATRIX, _COMPRESSED = 14, 15  # types of elements
-_NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
-_STRUCTURE, _NUMERIC = 2, range(6, 16)  # classes of arrays
-_COMPLEX = 0x800
-_NUMBERS_4 = ("f8", "f4", "i4", "i2", "u2", "u1")
-
 _NAME_73 = "a MAT file of version 7.3"
 _HEADER_73 = 512  # bytes before the HDF5
 _VERSION_73 = 0x0200
 _NUMERIC_73 = {"double", "single", "logical", *(f"{u}int{bits}" for u in ("", "u") for bits in (8, 16, 32, 64))}
 _ELEMENTS = 10_000  # of an array of structures
 _DEEPEST = 64  # structures within structures
+_NUMBERS = "biuf"  # kinds of NumPy's types that hold real numbers
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,9 +80,8 @@ class Matlab:
         if _is_hdf5(path):
             with open_contents(path, _NAME_73, _scan) as contents:
                 return contents.read(0, contents.rows)
-        raw = path.read_bytes()
         with explain_damage(path, "a MAT file", "save it again with -v7 in MATLAB"):
-            found = list(_find_arrays(path, raw))
+            found = _load_matrices(path)
         scalars = {name: float(array.item()) for name, array in found if array.size == 1}
         pairs = [column for name, array in found if array.size > 1 for column in _split_columns(name, array)]
         require_unique_names(path, [name for name, _ in pairs] + [name for name, array in found if array.size == 1])
@@ -164,126 +148,40 @@ def _quote(names: list[str]) -> str:
     return ", ".join(f'"{name}"' for name in names)
 
 
-def _find_arrays(path: Path, raw: bytes) -> Iterator[tuple[str, FloatArray]]:
-    """Yield the path and the values, shape (rows, columns), of every matrix of real numbers.
-
-    A path is "name", "structure.field" or "structures[0].field". Text, cells, objects, complex, sparse and empty
-    arrays are passed over, and those of more than two dimensions.
+def _load_matrices(path: Path) -> list[tuple[str, FloatArray]]:
+    """Return the path and the values, shape (rows, columns), of every matrix of real numbers.
 
     Raises:
-        ValueError: these are not the bytes of a MAT file, or they are damaged.
+        RecordError: two variables have one name.
+        Exception: the file is damaged; SciPy raises errors of many classes.
     """
-    order = _MARKS.get(raw[_HEADER - 4 : _HEADER])
-    if order is None:
-        yield from _read_version_4(raw)
+    from scipy.io.matlab import MatReadWarning, loadmat
+
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", "Duplicate variable name|Unreadable variable")
+        warnings.filterwarnings("ignore", 'Duplicate variable name "None"')  # SciPy's name of every object of MATLAB
+        try:
+            variables = loadmat(path)
+        except MatReadWarning as warning:
+            raise RecordError(f"{path.name} has two variables of one name; rename one of them.") from warning
+    return [pair for name, value in variables.items() for pair in _find_matrices(name, value)]
+
+
+def _find_matrices(path: str, value: Any) -> Iterator[tuple[str, FloatArray]]:
+    """Yield the matrices of real numbers in a variable: "name", "structure.field" or "structures[0].field".
+
+    Text, cells, objects, complex, sparse and empty arrays, and those of more than two dimensions are passed over.
+    """
+    if type(value) is not np.ndarray or path == "__function_workspace__":  # MATLAB's objects are subclasses
         return
-    for element in _split_elements(memoryview(raw)[_HEADER:], order):
-        array = _decompress(path, element, order) if element.type == _COMPRESSED else element
-        if array.type == _MATRIX:
-            yield from _read_matrix(array.data, order)
-
-
-def _read_version_4(raw: bytes) -> Iterator[tuple[str, FloatArray]]:
-    """Yield the matrices of a file of version 4; its type is machine, 0, precision and kind in decimal digits."""
-    order, at = ("<", 0) if int.from_bytes(raw[:4], "little") < 1000 else (">", 0)
-    while at < len(raw):
-        if len(raw) - at < 20:
-            raise ValueError("a header is cut off")
-        digits, rows, columns, is_complex, length = struct.unpack_from(order + "5i", raw, at)
-        precision, kind = divmod(digits % 1000, 10)
-        if digits // 1000 != (order == ">") or precision >= len(_NUMBERS_4) or min(rows, columns, length) < 0:
-            raise ValueError("no header of a matrix stands where one is expected")
-        number = np.dtype(order + _NUMBERS_4[precision])
-        start, count = at + 20 + length, rows * columns
-        at = start + count * number.itemsize * (2 if is_complex else 1)
-        if at > len(raw):
-            raise ValueError("a matrix is longer than the file")
-        if kind == 0 and count and not is_complex:
-            name = raw[start - length : start].split(b"\0")[0].decode("latin-1")
-            values = np.frombuffer(raw, number, count, start).astype(np.float64)
-            yield name, values.reshape((rows, columns), order="F")
-
-
-class _Element(NamedTuple):
-    type: int
-    data: memoryview
-
-
-def _decompress(path: Path, element: _Element, order: str) -> _Element:
-    """Return the one element in a compressed one, unpacked as far as it says that it goes."""
-    try:
-        head = zlib.decompressobj().decompress(element.data, _TAG)
-        _, size = struct.unpack(order + "II", head)
-        require_size(path, size // 8)
-        unpacking = zlib.decompressobj()
-        data = unpacking.decompress(element.data, _TAG + size + _TAG)
-    except zlib.error as error:
-        raise ValueError("a compressed element is damaged") from error
-    if not unpacking.eof:
-        raise ValueError("a compressed element is longer than it says, or cut off")
-    (inner,) = _split_elements(memoryview(data), order)
-    return inner
-
-
-def _split_elements(data: memoryview, order: str) -> Iterator[_Element]:
-    at = 0
-    while at < len(data):
-        if len(data) - at < 8:
-            raise ValueError("the tag of an element is cut off")
-        kind, size = struct.unpack_from(order + "II", data, at)
-        start = at + 8
-        if kind >> 16:  # data of up to four bytes stand in the tag itself
-            kind, size, start = kind & 0xFFFF, kind >> 16, at + 4
-        end = start + size
-        if end > len(data) or (start == at + 4 and size > 4):
-            raise ValueError("an element is longer than what holds it")
-        yield _Element(kind, data[start:end])
-        at = end if kind == _COMPRESSED else end + (at - end) % 8
-
-
-def _read_matrix(data: memoryview, order: str, path: str | None = None) -> Iterator[tuple[str, FloatArray]]:
-    """Yield the matrices of real numbers in an array; without a `path` it goes by its own name."""
-    if not data:
-        return
-    flags, *parts = _split_elements(data, order)
-    bits, *_ = map(int, _decode_numbers(flags, order))
-    is_structure = bits & 0xFF == _STRUCTURE
-    if not is_structure and (bits & 0xFF not in _NUMERIC or bits & _COMPLEX):
-        return
-    dimensions, name, *content = parts
-    shape = [int(length) for length in _decode_numbers(dimensions, order)]
-    path = bytes(name.data).decode("latin-1") if path is None else path
-    if not path:  # only MATLAB's own workspace of functions has no name
-        return
-    if is_structure:
-        yield from _read_structure(content, order, path, math.prod(shape))
-        return
-    values = _decode_numbers(content[0], order).astype(np.float64, copy=False) if content else np.empty(0)
-    if values.size != math.prod(shape) or min(shape) < 0:
-        raise ValueError(f"{path} has {values.size} values in a shape of {shape}")
-    if values.size and len(shape) == 2:
-        yield path, values.reshape(shape, order="F")
-
-
-def _read_structure(content: list[_Element], order: str, path: str, count: int) -> Iterator[tuple[str, FloatArray]]:
-    """Yield the matrices of real numbers in the fields of `count` structures."""
-    width, names, *values = content
-    length, *_ = map(int, _decode_numbers(width, order))
-    joined = bytes(names.data)
-    starts = range(0, len(joined), length)
-    keys = [joined[at : at + length].split(b"\0")[0].decode("latin-1") for at in starts]
-    if len(values) != count * len(keys) or any(value.type != _MATRIX for value in values):
-        raise ValueError(f"{path} has {len(values)} values for {count} structures of {len(keys)} fields")
-    for index in range(count if keys else 0):
-        prefix = path if count == 1 else f"{path}[{index}]"
-        for key, value in zip(keys, values[index * len(keys) :], strict=False):
-            yield from _read_matrix(value.data, order, f"{prefix}.{key}")
-
-
-def _decode_numbers(element: _Element, order: str) -> np.ndarray[tuple[int], np.dtype[Any]]:
-    if element.type not in _NUMBERS:
-        raise ValueError(f"an element of type {element.type} stands where numbers are expected")
-    return np.frombuffer(element.data, np.dtype(order + _NUMBERS[element.type]))
+    if value.dtype.names is not None:
+        elements = value.ravel(order="F")
+        for index, element in enumerate(elements):
+            prefix = path if elements.size == 1 else f"{path}[{index}]"
+            for field in value.dtype.names:
+                yield from _find_matrices(f"{prefix}.{field}", element[field])
+    elif value.dtype.kind in _NUMBERS and value.ndim == 2 and value.size:
+        yield path, value.astype(np.float64)
 
 
 def _scan(contents: Contents) -> None:
