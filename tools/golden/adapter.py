@@ -9,15 +9,19 @@ Answers leave it as dicts and lists of numbers, booleans and short codes; senten
 from __future__ import annotations
 
 import contextlib
+import csv
 import io
 import json
 import math
 import re
+import subprocess
+import sys
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 from xml.etree import ElementTree as ET
+from zlib import crc32
 
 import numpy as np
 import tomli_w
@@ -54,6 +58,9 @@ EXAMPLES = {
     "twin_rigid": ROOT / "examples" / "twin" / "rigid.toml",
 }
 """The joint files that come with the package."""
+
+MODEL = ROOT / "examples" / "kr300" / "kr300.xml"
+"""The model of a robot that comes with the package."""
 
 VARIANTS: Mapping[str, Json] = {
     "flexible": {"joint": {"model": "flexible"}},
@@ -194,11 +201,64 @@ def _exit_code(words: list[str]) -> int:
 
 def _asked(folder: Path, *words: object) -> Json:
     """Return the JSON answer of a command."""
+    return _asked_and_said(folder, *words)[0]
+
+
+def _asked_and_said(folder: Path, *words: object) -> tuple[Json, str]:
+    """Return the JSON answer of a command, and what it prints."""
     path = folder / "answer.json"
     path.unlink(missing_ok=True)
-    command(*words, "--json", path)
-    answer: Json = json.loads(path.read_text(encoding="utf-8"))
-    return answer
+    said = command(*words, "--json", path)
+    return json.loads(path.read_text(encoding="utf-8")), said
+
+
+def answer(folder: Path, *words: object) -> Json:
+    """Return the text of a command's answer, and a digest of its document."""
+    found, said = _asked_and_said(folder, *words)
+    return {"text": text(said), "document": digest(found)}
+
+
+def digest(document: Json) -> Json:
+    """Return the keys of a document at its top, a checksum of all keys, and its numbers on a scale of magnitudes."""
+    kept = {key: value for key, value in document.items() if key not in _CHANGING}
+    values = np.array(list(_flat(kept)))
+    keys = "\n".join(sorted(set(_paths(kept))))
+    magnitudes = np.sign(values) * np.log1p(np.abs(values) / 1e-12)
+    return {"keys": sorted(kept), "paths": crc32(keys.encode()), "numbers": signal(magnitudes)}
+
+
+_CHANGING = ("jointid", "provenance", "version", "versions", "record_file", "record_date")
+
+
+def _paths(found: Any, above: str = "") -> Iterable[str]:
+    """Return the path of every key, without the places in lists."""
+    if isinstance(found, Mapping):
+        for key, value in found.items():
+            yield f"{above}/{key}"
+            yield from _paths(value, f"{above}/{key}")
+    elif isinstance(found, list | tuple):
+        for value in found:
+            yield from _paths(value, f"{above}/*")
+
+
+_LEFT_OUT = re.compile(r"^(!\[.*|#+ .*|\*[^*]*\*)$")  # figures, headings and captions
+
+
+def text(said: str) -> Json:
+    """Return the first line of an answer, its sentences, and the numbers in its tables; of Markdown their rows."""
+    said = re.split(r"\n## (?:Appendix|Settings and data)\n", said)[0].replace("\u2212", "-")
+    said = re.sub(r"^Written:?\s.*?(?:\n\s*\n|\Z)", "\n", said, flags=re.DOTALL | re.MULTILINE)
+    blocks = [block for block in re.split(r"\n\s*\n", said.strip()) if not _LEFT_OUT.match(" ".join(block.split()))]
+    sentences = [" ".join(block.split()) for block in blocks if block.rstrip().endswith((".", ":"))]
+    tables = [block for block in blocks if not block.rstrip().endswith((".", ":"))]
+    return {
+        "first": " ".join(blocks[0].splitlines()[0].split()),
+        "sentences": sentences,
+        "tables": [
+            block.splitlines()[2:] if block.startswith("|") else numbers(map(float, _NUMBER.findall(block)))
+            for block in tables
+        ],
+    }
 
 
 def demo(folder: Path) -> Json:
@@ -400,6 +460,132 @@ def report(folder: Path, joint: Path, record: Path, *, profiles: bool = True) ->
         "revealing": None if answer["revealing"] is None else _revealing(answer["revealing"]),
         "absent": sorted(answer["absent"]),
     }
+
+
+def report_text(folder: Path, file: Path, *words: object) -> Json:
+    """Write a report as Markdown, and return its text up to the appendix."""
+    place = folder / "markdown"
+    place.mkdir(exist_ok=True)
+    found = answer(folder, "report", file, *words, "--markdown", place, "--quiet")
+    return found | {"page": text((place / "report.md").read_text(encoding="utf-8"))}
+
+
+def page_answer(folder: Path, joint: Path, record: Path) -> Json:
+    """Identify as the page does, in its process, and return what it shows."""
+    (folder / "joint.toml").write_bytes(joint.read_bytes())
+    (folder / record.name).write_bytes(record.read_bytes())
+    (folder / "work.json").write_text(json.dumps({"file": record.name, "learn": False}), encoding="utf-8")
+    ran = [sys.executable, "-m", "jointid.apps.web.worker", "identify", str(folder), str(2**33)]
+    subprocess.run(ran, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, check=True, cwd=ROOT)
+    found = json.loads((folder / "answer.json").read_text(encoding="utf-8"))
+    said = (folder / "answer.txt").read_text(encoding="utf-8")
+    return {"text": text(said), "document": digest(found), "estimate": estimate(found)}
+
+
+# Robots
+
+
+def robot_files(folder: Path, model: str, tables: Json, references: Mapping[str, Any]) -> Path:
+    """Write a robot file with its model and references, (samples, n), of 1 ms; return where it is."""
+    (folder / "robot.xml").write_text(model, encoding="utf-8")
+    channels = {"torque": "tau{axis}", "reference": "r{axis}", "motor_position": "q{axis}"}
+    record = {"sample_time": 1e-3, "channels": {name: {"column": column} for name, column in channels.items()}}
+    path = folder / "robot.toml"
+    path.write_text(tomli_w.dumps({"robot": {"model": "robot.xml"}, "record": record} | tables), encoding="utf-8")
+    for name, columns in references.items():
+        header = ",".join(f"r{k + 1}" for k in range(columns.shape[1]))
+        np.savetxt(folder / name, columns, fmt="%.12g", delimiter=",", header=header, comments="")
+    return path
+
+
+def robot_run(robot: Path, references: str, name: str, *, noise: float, seed: int) -> Json:
+    """Simulate a robot into a record of that name, and add noise to its torques, a share of each one's deviation."""
+    path = robot.parent / name
+    words = "simulate", robot, "--record", robot.parent / references, "--out", path, "--quiet"
+    found = answer(robot.parent, *words)
+    header, *_ = path.read_text(encoding="utf-8").splitlines()
+    table = np.loadtxt(path, delimiter=",", skiprows=1)
+    random = np.random.default_rng(seed)
+    for k, column in enumerate(header.split(",")):
+        found[column] = signal(table[:, k])
+        if column.startswith("tau"):
+            table[:, k] += noise * np.std(table[:, k]) * random.normal(size=len(table))
+    np.savetxt(path, table, fmt="%.12g", delimiter=",", header=header, comments="")
+    return found
+
+
+def _robot_words(robot: Path, settings: Mapping[str, object]) -> list[object]:
+    return [robot, *(word for key, value in settings.items() for word in ("--set", f"{key}={value}")), "--quiet"]
+
+
+def identify_robot(robot: Path, record: str | Path, *, folder: Path | None = None, **method: object) -> Json:
+    """Identify a robot by the command line: its parameters, what is left of each joint's torque, and the text."""
+    settings = {f"method.{name}": value for name, value in method.items()}
+    words = [*_robot_words(robot, settings), "--details", "--record", robot.parent / record]
+    found, said = _asked_and_said(folder or robot.parent, "identify", *words)
+    return _robot(found) | {"text": text(said), "document": digest(found)}
+
+
+def _robot(answer: Json) -> Json:
+    rows = {
+        _name(name): {"value": number(row["value"]), "std": number(row["std"]), "unit": row["unit"]}
+        for name, row in answer["parameters"].items()
+    }
+    left = {key: numbers(answer[key]) for key in ("left", "nominal_left")}
+    return {"parameters": rows, "converged": answer["converged"], **left}
+
+
+def of_robot(verb: str, robot: Path, *words: object, **method: object) -> Json:
+    """Return the answer of another command with a robot file: text, document, and all numbers and truths of it."""
+    settings = {f"method.{name}": value for name, value in method.items()}
+    found, said = _asked_and_said(robot.parent, verb, *_robot_words(robot, settings), *words)
+    kept = {key: value for key, value in found.items() if key not in _CHANGING}
+    return {"text": text(said), "document": digest(found), "numbers": _only_numbers(kept)}
+
+
+def export_robot(robot: Path, record: str, out: str, **method: object) -> Json:
+    """Write bodies that fit a robot's estimate, and return the numbers in the file and what is said of them."""
+    settings = {f"method.{name}": value for name, value in method.items()} | {"record.file": json.dumps(record)}
+    path, (*words, _) = robot.parent / out, _robot_words(robot, settings)
+    said = command("export", *words, "--out", path)
+    return {"said": [line for line in said.splitlines() if not line.startswith("Written")], "file": _within(path)}
+
+
+def report_robot(robot: Path, record: str, held_out: str, **method: object) -> Json:
+    """Report a robot, held against another record, and return the text of its page."""
+    settings = {f"method.{name}": value for name, value in method.items()}
+    words = *_robot_words(robot, settings)[1:-1], "--record", robot.parent / record
+    return report_text(robot.parent, robot, *words, "--held-out", robot.parent / held_out)
+
+
+# Campaigns
+
+
+def campaign(folder: Path, name: str, tables: Json) -> Json:
+    """Run a campaign in one process, and return its rows and its report."""
+    path, results, table = folder / f"{name}.toml", folder / f"{name}_results", folder / f"{name}.csv"
+    path.write_text(tomli_w.dumps(tables), encoding="utf-8")
+    command("campaign", "run", path, "--out", results, "--workers", 1, "--quiet")
+    command("campaign", "export", results, "--out", table)
+    with table.open(encoding="utf-8", newline="") as file:
+        rows = [_campaign_row(row) for row in csv.DictReader(file)]
+    return {"rows": rows, "report": text(command("campaign", "report", results, "--details"))}
+
+
+def _campaign_row(row: Mapping[str, str]) -> Json:
+    words = ("joint", "day", "kind", "seed", "outcome", "sentence", "trust", "converged")
+    values = {
+        _name(key.partition(" ")[0]) + (key.partition(" ")[2] and f" {key.partition(' ')[2]}"): number(float(value))
+        for key, value in row.items()
+        if key.endswith("]") and value
+    }
+    return {word: code(row[word]) for word in words} | {"values": values, "simulations": row["simulations"]}
+
+
+def write_joint(path: Path, tables: Json) -> Path:
+    """Write a joint file."""
+    path.write_text(tomli_w.dumps(tables), encoding="utf-8")
+    return path
 
 
 # Joint files

@@ -1141,3 +1141,184 @@ def refusals(at: Workspace) -> Any:
         "version": ask.exit_code("--version"),
         "inspect": ask.exit_code("data", "inspect", at.twin()),
     }
+
+
+# Robots
+
+_LINK1 = 'pos="0 0 0.2" mass="4" fullinertia="0.06 0.06 0.01 0 0 0"'
+_LINK2 = 'pos="0.03 0 0.15" mass="2" fullinertia="0.02 0.02 0.004 0 0 0"'
+_TWO_LINKS = f"""<mujoco><compiler angle="radian"/><option gravity="0 0 -9.81"/><worldbody>
+<body name="link1" pos="0 0 0.3"><inertial {_LINK1}/><joint name="joint1" type="hinge" axis="0 1 0"/>
+<body name="link2" pos="0 0 0.4"><inertial {_LINK2}/><joint name="joint2" type="hinge" axis="0 1 0"/>
+</body></body></worldbody></mujoco>"""
+"""Two links that turn about horizontal axes, one on the other."""
+
+
+def _motion(home: list[float], travel: list[float], seed: int, multisine: float = 0.0) -> Any:
+    """Return 4 s of harmonics, begun at rest, and a multisine of that size on top."""
+    random, t = np.random.default_rng(seed), np.arange(4000) * 1e-3
+    slow, fast = 2 * np.pi * 0.1 * np.arange(1, 9), 2 * np.pi * (3.0 + 1.35 * np.arange(24))
+    x, columns = np.clip(t / 0.6, 0, 1), []
+    begun = x**3 * (10 - 15 * x + 6 * x * x)
+    for centre, size in zip(home, travel, strict=True):
+        wave = np.sin(np.outer(t, slow)) @ (random.uniform(-1, 1, slow.size) / slow)
+        ripple = np.sin(np.outer(t, fast) + random.uniform(0, 2 * np.pi, fast.size)) @ (fast[0] / fast)
+        columns.append(centre + begun * (size * wave / np.max(np.abs(wave)) + multisine * ripple / np.std(ripple)))
+    return np.column_stack(columns)
+
+
+def _two_joints(*, springs: bool = False) -> list[dict[str, Any]]:
+    """Return the tables of two joints under PD laws, rigid or of 9 and 16 Hz."""
+    rows = ((0.8, 3.0, 4.0, 2416.0, 115.4, 2558.0, 2.7), (0.3, 1.2, 1.5, 1010.0, 36.2, 3032.0, 1.81))
+    made = []
+    for k, (rotor, viscous, coulomb, kp, kd, stiffness, damping) in enumerate(rows, 1):
+        share = 0.6 if springs else 1.0
+        row: dict[str, Any] = {"name": f"joint{k}", "rotor_inertia": rotor, "viscous": share * viscous}
+        row |= {"coulomb": share * coulomb, "limits": {"lower": -2.0, "upper": 2.0, "speed": 3.0, "torque": 60.0}}
+        row["controller"] = {"law": "pd", "position_gain": kp, "derivative_gain": kd}
+        if springs:
+            row["spring"] = {
+                "stiffness": stiffness,
+                "damping": damping,
+                "viscous": 0.4 * viscous,
+                "coulomb": 0.4 * coulomb,
+            }
+        made.append(row)
+    return made
+
+
+def _robot(at: Workspace, name: str, *, springs: bool = False) -> tuple[Path, Any]:
+    """Return a robot file beside the records one.csv and two.csv, and what was simulated."""
+    home, travel = [0.4, -0.3], [0.9, 1.2]
+    multisine = 0.01 if springs else 0.0
+    references = {f"r{seed}.csv": _motion(home, travel, seed, multisine) for seed in (1, 4)}
+    joints = {"joints": _two_joints(springs=springs)} | ({"filtering": {"cutoff": 40.0}} if springs else {})
+    robot = ask.robot_files(at.folder(name), _TWO_LINKS, joints, references)
+    runs = [
+        ask.robot_run(robot, f"r{seed}.csv", record, noise=0.003 if springs else 0.01, seed=seed)
+        for seed, record in ((1, "one.csv"), (4, "two.csv"))
+    ]
+    return robot, runs
+
+
+@case
+def robot_simulations(at: Workspace) -> Any:
+    """A rigid and a flexible robot under their controllers."""
+    return {
+        "rigid": _robot(at, "robot_rigid")[1],
+        "flexible": _robot(at, "robot_flexible", springs=True)[1],
+    }
+
+
+@case
+def robot_idim(at: Workspace) -> Any:
+    """A robot's base parameters by each estimator."""
+    robot, _ = _robot(at, "robot_idim")
+    return {
+        name: ask.identify_robot(robot, "one.csv", name="idim", estimator=name)
+        for name in ("weighted", "ols", "robust", "iv")
+    }
+
+
+@case
+def robot_didim(at: Workspace) -> Any:
+    """A robot of rigid joints from torques and references."""
+    robot, _ = _robot(at, "robot_didim")
+    return ask.identify_robot(robot, "one.csv", name="didim")
+
+
+@case
+def robot_flexible(at: Workspace) -> Any:
+    """A robot of flexible joints from torques and references."""
+    robot, _ = _robot(at, "robot_flexible_didim", springs=True)
+    return ask.identify_robot(robot, "one.csv", name="didim")
+
+
+@case
+def robot_drive_side(at: Workspace) -> Any:
+    """A robot of flexible joints from torques and motor positions."""
+    robot, _ = _robot(at, "robot_drive_side", springs=True)
+    return ask.identify_robot(robot, "one.csv", name="drive_side")
+
+
+_BY = ("idim", "didim")
+
+
+@case
+def robot_validation(at: Workspace) -> Any:
+    """Estimates of a robot held against another record."""
+    robot, _ = _robot(at, "robot_validation")
+    given = "--record", robot.parent / "two.csv"
+    own = robot.parent / "own.toml"
+    own.write_text(robot.read_text("utf-8").replace("[record]\n", '[record]\nfile = "one.csv"\n'), "utf-8")
+    return {name: ask.of_robot("validate", own, *given, name=name) for name in _BY}
+
+
+@case
+def robot_diagnosis(at: Workspace) -> Any:
+    """What a record tells of a robot, and whether its loops are as declared; of one gain that is wrong, too."""
+    robot, _ = _robot(at, "robot_diagnosis")
+    given = "--record", robot.parent / "one.csv"
+    wrong = robot.parent / "wrong.toml"
+    wrong.write_text(robot.read_text("utf-8").replace("1010.0", "1300.0"), "utf-8")
+    return {name: ask.of_robot("diagnose", robot, *given, name=name) for name in _BY} | {
+        "wrong_gain": ask.of_robot("diagnose", wrong, *given, name="idim")
+    }
+
+
+@case
+def robot_export(at: Workspace) -> Any:
+    """Bodies that fit a robot's estimates."""
+    robot, _ = _robot(at, "robot_export")
+    return {
+        f"{name}_{out}": ask.export_robot(robot, "one.csv", out, name=name)
+        for name, out in (("idim", "a.xml"), ("didim", "b.xml"), ("didim", "c.urdf"))
+    }
+
+
+@case
+def robot_report(at: Workspace) -> Any:
+    """The text of a robot's report."""
+    robot, _ = _robot(at, "robot_report")
+    return ask.report_robot(robot, "one.csv", "two.csv", name="didim")
+
+
+@case
+def robot_design(at: Workspace) -> Any:
+    """What a motion that is given would tell of a robot, by either method."""
+    robot, _ = _robot(at, "robot_design")
+    return {name: ask.of_robot("design", robot, "--motion", robot.parent / "r4.csv", name=name) for name in _BY}
+
+
+def _kr300_robot(at: Workspace, name: str) -> Path:
+    """Return a robot file of the KR300's model beside empty.csv and loaded.csv, of a payload on its last link."""
+    model = ask.MODEL.read_text(encoding="utf-8")
+    before, last, after = model.rpartition("<inertial ")
+    body = 'pos="0.25 0.02 -0.03" mass="62.4" fullinertia="0.9 1.1 0.8 0.01 0.02 -0.03" '
+    loaded = before + last + body + after[after.index("/>") :]
+    joints = []
+    for k, inertia in enumerate((1500.0, 2500.0, 900.0, 150.0, 130.0, 50.0), 1):
+        law = {"law": "pd", "position_gain": 1421.0 * inertia, "derivative_gain": 67.9 * inertia}
+        joints.append({"name": f"A{k}", "viscous": inertia / 3, "coulomb": inertia / 4, "controller": law})
+    motions = {"r1.csv": _motion([0.0, -1.0, 1.0, 0.3, 0.6, 0.0], [0.8, 0.5, 0.6, 0.9, 0.8, 1.2], 1)}
+    for content, record in ((loaded, "loaded.csv"), (model, "empty.csv")):
+        robot = ask.robot_files(at.folder(name), content, {"joints": joints}, motions)
+        ask.robot_run(robot, "r1.csv", record, noise=0.005, seed=len(record))
+    return robot
+
+
+@case
+def robot_payload(at: Workspace) -> Any:
+    """A payload from two records, by either method, and the gains of the drives from one whose mass is known."""
+    robot = _kr300_robot(at, "robot_payload")
+    given = "--without", robot.parent / "empty.csv", "--with", robot.parent / "loaded.csv"
+    return {name: ask.of_robot("payload", robot, *given, name=name) for name in _BY} | {
+        "gains": ask.of_robot("payload", robot, *given, "--mass", 50.0, name="idim")
+    }
+
+
+@case
+def robot_of_six_joints(at: Workspace) -> Any:
+    """The KR300's own record, identified by IDIM."""
+    robot = ask.MODEL.with_name("robot.toml")
+    return ask.identify_robot(robot, at.kr300, folder=at.folder("kr300_robot"), name="idim")
