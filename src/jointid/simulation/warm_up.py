@@ -93,8 +93,8 @@ def compile_robot() -> None:
     run = run_robot(prepare_robot(loop, (_at_rest("rad", 1e-3),) * 2), RobotNumbers.of(robot), keep=True)
     differentiate_torques(run, all_places(run.numbers))
     still = np.zeros((_SAMPLES, 2))
-    inverse_dynamics_of(*robot.tree, robot.gravity, robot.inertials, still, still, still)
-    mass_matrix(*robot.tree, robot.inertials, still[0], np.zeros((2, 2)))
+    inverse_dynamics_of(robot.tree, robot.inertials, still, still, still)
+    mass_matrix(robot.tree, robot.inertials, still[0], np.zeros((2, 2)))
     base_parameters(replace(robot, joints=(joints[0], RobotJoint("two", 0.1))))
 
 
