@@ -58,12 +58,19 @@ def compile_derivatives() -> None:
 
     lanes = drive_sensitivities.LANES
     none, law = np.zeros(0), drive.NO_FEEDBACK
+    counts = np.zeros(4, dtype=np.int64)
+    loop = drive.SampledLoop(np.ones(1), counts[:1], law, np.zeros((1, 0)), none)
+    trace = drive.Trace(
+        none, none, np.zeros((0, 1)), np.zeros((0, 4)), np.zeros(0, dtype=np.int16), np.zeros((0, 2)),
+        np.zeros((0, drive.TAPE)), counts,
+    )  # fmt: skip
+    columns = drive_sensitivities.Columns(
+        np.zeros((0, 1, 0)), 0, np.zeros(lanes), np.zeros((1, lanes)), np.zeros((4, lanes)), np.zeros((0, lanes))
+    )
+    slopes = drive_sensitivities.Slopes(np.zeros((lanes, 0)), np.zeros((lanes, 0)), np.zeros((0, 4, lanes)))
     drive_sensitivities.follow(
-        np.ones(1), np.zeros(1, dtype=np.int64), np.zeros((0, 4)), np.zeros(0, dtype=np.int16),
-        np.zeros((0, drive.TAPE)), 0, none, none, 0.0, np.zeros((0, 1)), law, np.ones(14), np.zeros((14, lanes)),
-        np.zeros((0, 1, 0)), 0, np.zeros(lanes), np.zeros((1, lanes)), np.zeros((4, lanes)), np.zeros((0, lanes)),
-        np.zeros((lanes, 0)), np.zeros((lanes, 0)), np.zeros((0, 4, lanes)), drive.NO_GRAVITY, np.zeros((3, lanes)),
-        drive.NO_SEGMENTS, np.zeros((0, drive.SEGMENT, lanes)),
+        loop, 0.0, trace, 0, np.ones(14), np.zeros((14, lanes)), columns, slopes, drive.NO_GRAVITY,
+        np.zeros((3, lanes)), drive.NO_SEGMENTS, np.zeros((0, drive.SEGMENT, lanes)),
     )  # fmt: skip
 
 
