@@ -257,7 +257,13 @@ def judge(seed: int, flexible: bool, estimator: str = "", drive_side: bool = Fal
         return None
     robot = made.loop.robot
     about = Found(
-        seed, len(robot), int(robot.tree[1].sum()), sum(robot.flexible), made.noise.shape[0], made.level, made.coloured
+        seed,
+        len(robot),
+        int(robot.tree.kinds.sum()),
+        sum(robot.flexible),
+        made.noise.shape[0],
+        made.level,
+        made.coloured,
     )
     began, shown, refused = time.process_time(), 0, tuple[str, ...]()
     try:

@@ -9,6 +9,7 @@ import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -16,6 +17,8 @@ import pytest
 from jointid.common.compiler_cache import _stamp
 
 SOURCE = '''
+from __future__ import annotations
+from typing import NamedTuple
 from jointid.common.compiled import compiled, inlined
 
 FACTOR = 2.0
@@ -25,8 +28,15 @@ def scaled(x):
     """Scale a number."""
     return FACTOR * x
 
+class Inner(NamedTuple):
+    a: float
+    b: float
+
+class Outer(NamedTuple):
+    inner: Inner
+
 @compiled
-def kernel(x):
+def kernel(x, outer: Outer | None = None):
     """Do it."""
     return scaled(x) + 1.0
 
@@ -48,7 +58,9 @@ print(sum(kernel.stats.cache_misses.values()))
 
 
 def stamp_of(source: str, options: dict[str, Any] | None = None) -> str:
-    names: dict[str, Any] = {"compiled": lambda function: function, "inlined": lambda function: function}
+    sys.modules["stamped"] = module = ModuleType("stamped")
+    names: dict[str, Any] = vars(module)
+    names |= {"compiled": lambda function: function, "inlined": lambda function: function}
     exec(source.replace("from jointid.common.compiled import compiled, inlined", ""), names)
     return _stamp(names["kernel"], options or {})
 
@@ -59,6 +71,7 @@ def stamp_of(source: str, options: dict[str, Any] | None = None) -> str:
         ("+ 1.0", "+ 1.5", True),
         ("FACTOR * x", "FACTOR + x", True),
         ("FACTOR = 2.0", "FACTOR = 3.0", True),
+        ("    a: float\n    b: float", "    b: float\n    a: float", True),
         ("Scale a number", "Multiply", False),
         ("def other(x):\n    return x", "def other(x):\n    return -x", False),
         ("FACTOR = 2.0", "\n\nFACTOR = 2.0", False),

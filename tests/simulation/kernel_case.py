@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from jointid.models.smooth import SmoothLaws
 from jointid.simulation.kernels import drive as kernels
 from jointid.simulation.kernels import stepped_drive
 from tests.simulation.oracle import Law, Plant
@@ -69,10 +70,10 @@ def run(
     before: float,
     x0: np.ndarray,
     far: float = math.inf,
-    beyond: np.ndarray | None = None,
+    laws: SmoothLaws | None = None,
     places: np.ndarray | None = None,
 ) -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
-    """Return status, torque (n,), states at the controller's instants (n, 4) and counts; in steps where `beyond` is."""
+    """Return status, torque (n,), states at the controller's instants (n, 4) and counts; in steps if laws are given."""
     late = delay / T
     whole = math.floor(late + 1e-9)
     fraction = late - whole
@@ -96,46 +97,24 @@ def run(
         0,
         0,
     )
-    loop = (
+    loop = kernels.SampledLoop(
         np.array(lengths),
         np.array(lags),
-        np.array(law.z0, dtype=float).reshape(nz).copy(),
         feedback,
         np.ascontiguousarray(w, dtype=float)[np.newaxis],
         np.ascontiguousarray(post, dtype=float),
-        float(before),
-        x,
     )
-    if beyond is not None:
-        pushed = np.empty((len(states), 2))
+    z = np.array(law.z0, dtype=float).reshape(nz).copy()
+    modes, pushed = np.empty(len(states), dtype=np.int16), np.empty((len(states), 2))
+    tape = np.empty((0, kernels.TAPE if laws is None else stepped_drive.STEP_TAPE))
+    trace = kernels.Trace(u, np.empty(0), np.empty((0, 1)), states, modes, pushed, tape, counts)
+    if laws is not None:
+        places = np.zeros((0, 5)) if places is None else places
         status = stepped_drive.run(
-            drive(plant),
-            beyond,
-            np.zeros((0, 5)) if places is None else places,
-            *loop,
-            float(np.sign(x[1])),
-            far,
-            u,
-            np.empty(0),
-            np.empty((0, 1)),
-            states,
-            pushed,
-            np.empty((0, stepped_drive.STEP_TAPE)),
-            counts,
+            drive(plant), laws, places, loop, float(before), z, x, float(np.sign(x[1])), far, trace
         )
-        return status, u, states[:: len(lengths)], counts
-    status = kernels.run(
-        drive(plant),
-        *loop,
-        far,
-        u,
-        np.empty(0),
-        np.empty((0, 1)),
-        states,
-        np.empty(len(states), dtype=np.int16),
-        np.empty((0, kernels.TAPE)),
-        counts,
-        np.array([*plant.gravity, float(plant.inertia2 is not None)]) if any(plant.gravity) else kernels.NO_GRAVITY,
-        segments(plant),
-    )
+    else:
+        load = float(plant.inertia2 is not None)
+        gravity = np.array([*plant.gravity, load]) if any(plant.gravity) else kernels.NO_GRAVITY
+        status = kernels.run(drive(plant), loop, float(before), z, x, far, trace, gravity, segments(plant))
     return status, u, states[:: len(lengths)], counts

@@ -13,9 +13,8 @@ from scipy.integrate import solve_ivp
 
 from jointid.common.arrays import FloatArray
 from jointid.models.robots.dynamics import inverse_dynamics, mass_matrix
+from jointid.models.robots.robot import Tree
 from jointid.simulation.robot_numbers import RobotNumbers
-
-Tree = tuple[FloatArray, ...]
 
 
 def simulate_pd(
@@ -45,7 +44,7 @@ def simulate_pd(
     still = np.zeros(numbers.rotors.size)
     rise, below = numbers.masses[:, 6], np.where(numbers.masses[:, 7] > 0.0, numbers.masses[:, 7], 1.0)
     coulomb = numbers.masses[:, 2] + rise  # at rest
-    joints = tree[6] if tree[6].size else np.eye(n)
+    joints = tree.joints if tree.joints.size else np.eye(n)
     q, v = start.copy(), np.zeros(size) if speeds is None else speeds.copy()
     modes = np.sign(v)
     later = np.array([references[every[j], j] for j in range(n)])
@@ -57,8 +56,8 @@ def simulate_pd(
 
     def forces(q: FloatArray, v: FloatArray, torque: FloatArray) -> tuple[FloatArray, FloatArray]:
         M, bias, links = np.zeros((size, size)), np.empty(n), np.empty((n, n))
-        inverse_dynamics(*tree[:6], numbers.inertials, joints @ q[:n], joints @ v[:n], still, bias)
-        mass_matrix(*tree[:5], numbers.inertials, joints @ q[:n], links)
+        inverse_dynamics(tree, numbers.inertials, joints @ q[:n], joints @ v[:n], still, bias)
+        mass_matrix(tree, numbers.inertials, joints @ q[:n], links)
         M[:n, :n] = joints.T @ links @ joints
         M[np.diag_indices(size)] += numbers.masses[:, 0]
         viscous = numbers.masses[:, 1] + np.where(v < 0, numbers.masses[:, 5], numbers.masses[:, 4])

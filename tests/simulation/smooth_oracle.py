@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from jointid.models.smooth import SmoothFriction, SmoothLaws, SmoothSpring, smooth_laws
 from tests.simulation.oracle import Law, Plant, split_delay
 
 
@@ -31,10 +32,11 @@ class Smooth:
     ripple: tuple[tuple[int, float, float, float], ...] = ()  # mass, rad per position, of the cosine and the sine
 
     @property
-    def row(self) -> np.ndarray:
+    def laws(self) -> SmoothLaws:
         """As the kernel takes it."""
-        numbers = [self.cubic, self.slider, self.slips, *self.presliding, self.per_torque, *self.drift]
-        return np.array([*numbers, *self.swings, *self.fade])
+        motor, load = (SmoothFriction(self.presliding[i], self.drift[i], self.fade[i]) for i in (0, 1))
+        spring = SmoothSpring(self.cubic, self.slider, self.slips, *self.swings)
+        return smooth_laws(motor, load._replace(per_torque=self.per_torque), spring)
 
     @property
     def places(self) -> np.ndarray:

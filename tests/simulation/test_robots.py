@@ -13,6 +13,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.models.controllers import PD, PID, Cascade, Controller
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
+from jointid.models.robots.equations import ROOM
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
 from jointid.records.record import Channel, Record
 from jointid.simulation.closed_loop import Initial, simulate
@@ -255,10 +256,12 @@ def test_masses_that_stand_still_are_decided_together() -> None:
         M, force, coulomb = root @ root.T + 0.05 * np.eye(n), 3 * rng.normal(size=n), rng.uniform(0.2, 3.0, n)
         masses = np.zeros((n, 8))
         modes, a, held = rng.choice([-1.0, 0.0, 1.0], n), np.empty(n), np.empty(n)
-        assert robot_loop.settle(
-            M, np.empty((n, n)), force, coulomb, np.zeros(n), np.arange(n), masses, np.zeros(n), modes,
-            np.empty(n, np.int64), a, held,
+        bodies = robot_loop.Bodies(np.zeros((n, 10)), np.arange(n), masses, np.zeros((n, 2)))
+        room = robot_loop.Room(
+            np.zeros(n), np.empty((n, ROOM)), M, np.empty((n, n)), np.empty(n), force, coulomb, np.empty(n, np.int64),
+            np.empty((2, n)),
         )  # fmt: skip
+        assert robot_loop.settle(bodies, room, np.zeros(n), np.zeros(n), modes, a, held)
         assert a == pytest.approx(brute_force(M, force, coulomb), abs=1e-9)
         rested, slid = rested + int(np.sum(modes == 0)), slid + int(np.sum(modes != 0))
     assert rested > 100

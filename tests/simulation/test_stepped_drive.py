@@ -64,7 +64,7 @@ def test_agrees_with_a_reference_that_locates_every_event(seed: int, name: str) 
     _, _, own, _ = run(plant, law, w[:150], post[:150], T, delay, before, x0)
     more = _law(name, plant, own, _PERIODS * T)
     w, post = w[:_PERIODS], post[:_PERIODS]
-    status, u, x, counts = run(plant, law, w, post, T, delay, before, x0, beyond=more.row, places=more.places)
+    status, u, x, counts = run(plant, law, w, post, T, delay, before, x0, laws=more.laws, places=more.places)
     expected_u, expected_x = reference(plant, more, law, w, post, T, delay, before, x0)
     assert status == 0
     assert counts[0] > 5 or seed != EVENTFUL
@@ -234,7 +234,7 @@ def test_a_mass_under_presliding_friction_creeps_until_its_spring_carries_it() -
     nothing = np.zeros(0)
     law = Law(np.zeros((0, 0)), nothing, nothing, nothing, 0.0, np.inf, nothing)
     w, more = np.zeros(5000), Smooth(presliding=(1e-3, 0.0))
-    _, _, x, _ = run(plant, law, w, w, 1e-3, 0.0, 0.0, np.zeros(2), beyond=more.row)
+    _, _, x, _ = run(plant, law, w, w, 1e-3, 0.0, 0.0, np.zeros(2), laws=more.laws)
     assert x[-1, 0] == pytest.approx(1e-3 * np.log(1 / (1 - 0.6)), rel=1e-4)
 
 
@@ -246,7 +246,7 @@ def test_a_stop_at_the_end_of_a_period_ends_no_simulation() -> None:
         for periods in range(3, 30):
             plant = Plant(inertia1=1.0, fc1=(speed / (periods * 1e-3),) * 2)
             w = np.zeros(periods + 3)
-            status, _, x, _ = run(plant, law, w, w, 1e-3, 0.0, 0.0, np.array([0.0, speed]), beyond=Smooth().row)
+            status, _, x, _ = run(plant, law, w, w, 1e-3, 0.0, 0.0, np.array([0.0, speed]), laws=Smooth().laws)
             assert status == 0 and abs(x[-1, 1]) < 1e-12
 
 
@@ -276,8 +276,8 @@ def test_a_velocity_that_dips_below_nothing_for_a_moment_is_seen(kernel: str, ep
     w = np.zeros(round(0.08 / period))
     pulled = speed * (1 + eps) * np.sqrt(stiffness * inertia) + coulomb
     case = plant, law, w, w, period, 0.0, 0.0, np.array([0.0, speed, -pulled / stiffness, speed])
-    beyond = None if kernel == "exact" else Smooth().row
-    status, _, x, counts = run(*case, beyond=beyond)
+    laws = None if kernel == "exact" else Smooth().laws
+    status, _, x, counts = run(*case, laws=laws)
     expected = reference_in_pieces(*case)
     assert status == 0
     assert counts[0] == len(expected.events) == 2

@@ -15,8 +15,10 @@ import hashlib
 import os
 import pickle
 import re
+import sys
 import time
 import warnings
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from types import CodeType, FunctionType
@@ -133,13 +135,23 @@ def _stamp(function: FunctionType, options: dict[str, Any]) -> str:
             if id(value) not in seen:
                 seen.add(id(value))
                 told.append(repr(value.__defaults__))
+                describe_fields(value.__annotations__, value.__globals__)
                 describe_code(value.__code__, value.__globals__, value.__doc__)
         elif isinstance(value, np.ndarray):
             told.append(f"{value.dtype}{value.shape}{value.tobytes()!r}")
         elif isinstance(value, type):
             told.append(f"{value.__qualname__}{getattr(value, '_fields', ())}")
+            if hasattr(value, "_fields"):
+                describe_fields(value.__annotations__, vars(sys.modules[value.__module__]))
         elif isinstance(value, (bool, int, float, str, tuple, np.generic)):
             told.append(repr(value))
+
+    def describe_fields(annotations: Mapping[str, Any], names: Mapping[str, Any]) -> None:
+        """Describe named tuples among annotations: compiled code reads their fields by position."""
+        for annotation in annotations.values():
+            for word in re.findall(r"\w+", str(getattr(annotation, "__forward_arg__", annotation))):
+                if hasattr(names.get(word), "_fields"):
+                    describe(names[word])
 
     def describe_code(code: CodeType, names: dict[str, Any], documentation: str | None = None) -> None:
         told.append(f"{code.co_name}{code.co_code!r}{code.co_names}{code.co_varnames}")
@@ -166,6 +178,8 @@ class _CheckedFile(IndexDataCacheFile):
             found: dict[Any, str] = super()._load_index()
         except PermissionError:
             raise
+        except (AttributeError, ModuleNotFoundError):  # it names a type of an earlier version
+            return {}
         except Exception:
             _warn_of_damage(self._cache_path)
             return {}

@@ -6,7 +6,7 @@ any force within its bounds keeps the mass at rest.
 
 A law states which parameters its coefficients are (`coefficients`); everything else follows from that table. One in
 pieces has other lines at low speed (`bands`), of parameters that no regression takes. One that is no line at any speed
-says so (`stepped`) and what it has beside its lines (`beyond`): it is simulated in steps. To add one, write its class
+says so (`stepped`) and what it has beside its lines (`smooth`): it is simulated in steps. To add one, write its class
 below, and its name in `FRICTIONS`.
 """
 
@@ -24,6 +24,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
+from jointid.models.smooth import SmoothFriction
 
 Directions: TypeAlias = tuple[float, float, float, float]
 """Viscous coefficient forwards and backwards, Coulomb force forwards and backwards (both positive)."""
@@ -177,9 +178,9 @@ class Friction:
         """The law of a joint without a spring that has this one where it has a spring."""
         return self
 
-    def beyond(self, values: Mapping[str, float], prefix: str = "") -> dict[str, float]:
-        """Return what the law has beside its lines, as `models.beyond` names it."""
-        return {}
+    def smooth(self, values: Mapping[str, float], prefix: str = "") -> SmoothFriction:
+        """Return what the law has beside its lines."""
+        return SmoothFriction()
 
     def drag(self, values: Mapping[str, float], velocity: float, load: float, prefix: str = "") -> float:
         """Return the friction of steady motion, of a mass that the spring drives against a constant load; 0 at rest."""
@@ -357,9 +358,9 @@ class PreslidingFriction(_SteppedFriction):
         distance = Parameter(f"{prefix}presliding_distance", f"s{index}", Quantity.POSITION, lower=_SHORTEST)
         return (*Friction.parameters(self, prefix, index), distance)
 
-    def beyond(self, values: Mapping[str, float], prefix: str = "") -> dict[str, float]:
+    def smooth(self, values: Mapping[str, float], prefix: str = "") -> SmoothFriction:
         """Return the displacement."""
-        return {"presliding": values[f"{prefix}presliding_distance"]}
+        return SmoothFriction(presliding=values[f"{prefix}presliding_distance"])
 
     def starts(self, motion: MotionSize, prefix: str = "") -> Iterator[dict[str, float]]:
         """Yield a few parts of the travel."""
@@ -390,9 +391,9 @@ class LoadDependentFriction(_SteppedFriction):
         share = Parameter(f"{prefix}friction_per_torque", f"mu{index}", Quantity.RATIO, lower=0.0, upper=_MOST)
         return own if prefix == "motor_" else (*own, share)
 
-    def beyond(self, values: Mapping[str, float], prefix: str = "") -> dict[str, float]:
+    def smooth(self, values: Mapping[str, float], prefix: str = "") -> SmoothFriction:
         """Return the share, on the load side."""
-        return {} if prefix == "motor_" else {"per_torque": values[f"{prefix}friction_per_torque"]}
+        return SmoothFriction(per_torque=0.0 if prefix == "motor_" else values[f"{prefix}friction_per_torque"])
 
     def drag(self, values: Mapping[str, float], velocity: float, load: float, prefix: str = "") -> float:
         """Return the friction that is in balance with the torque it grows with: ``T = load + F + mu |T| sign(v)``."""
@@ -433,9 +434,10 @@ class WoundLoadDependentFriction(PreslidingFriction):
         wound, loaded = PreslidingFriction(), LoadDependentFriction()
         return (*wound.parameters(prefix, index), *loaded.parameters(prefix, index)[len(own) :])
 
-    def beyond(self, values: Mapping[str, float], prefix: str = "") -> dict[str, float]:
+    def smooth(self, values: Mapping[str, float], prefix: str = "") -> SmoothFriction:
         """Return the displacement and, on the load side, the share."""
-        return PreslidingFriction().beyond(values, prefix) | LoadDependentFriction().beyond(values, prefix)
+        loaded = LoadDependentFriction().smooth(values, prefix)
+        return PreslidingFriction().smooth(values, prefix)._replace(per_torque=loaded.per_torque)
 
     def drag(self, values: Mapping[str, float], velocity: float, load: float, prefix: str = "") -> float:
         """Return the friction where it is wound up, as of `LoadDependentFriction`."""
@@ -466,9 +468,10 @@ class DriftingFriction(_SteppedFriction):
         coulomb = Parameter(f"{prefix}coulomb_drift", f"dFc{index}", Quantity.FORCE_DRIFT)
         return (*Friction.parameters(self, prefix, index), viscous, coulomb)
 
-    def beyond(self, values: Mapping[str, float], prefix: str = "") -> dict[str, float]:
+    def smooth(self, values: Mapping[str, float], prefix: str = "") -> SmoothFriction:
         """Return the changes per second."""
-        return {"drift": values[f"{prefix}viscous_drift"], "fade": values[f"{prefix}coulomb_drift"]}
+        viscous, coulomb = (values[f"{prefix}{part}_drift"] for part in PARTS)
+        return SmoothFriction(viscous_drift=viscous, coulomb_drift=coulomb)
 
     def starts(self, motion: MotionSize, prefix: str = "") -> Iterator[dict[str, float]]:
         """Yield a fall by a part of both."""

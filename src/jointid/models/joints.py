@@ -28,12 +28,12 @@ from jointid.common.errors import MethodError
 from jointid.common.parameters import ADDED, POSITION_UNIT, TORQUE_UNIT, Parameter, Quantity, unit_of
 from jointid.common.transmission import Side, Transmission
 from jointid.common.units import Kind
-from jointid.models.beyond import beyond_pieces
 from jointid.models.controllers import Controller
 from jointid.models.friction import FRICTIONS, Band, Friction, SymmetricFriction
 from jointid.models.gravity import Gravity
 from jointid.models.motion import Motion
 from jointid.models.ripple import PositionHarmonics
+from jointid.models.smooth import SmoothFriction, SmoothLaws, SmoothSpring, smooth_laws
 from jointid.models.springs import SPRINGS, LinearSpring, Spring
 
 MODE_DAMPING = 0.02
@@ -207,9 +207,9 @@ class RigidJoint(_JointBase):
         offset = values["offset"] + self._gravity_constant(values)
         return np.array([values["inertia"], 1.0, 0.0, 0.0, *friction, 0.0, 0.0, 0.0, 0.0, offset, 0.0])
 
-    def beyond(self, values: Mapping[str, float]) -> FloatArray | None:
-        """Return what its laws have beyond pieces, as `models.beyond` has it; None where they have nothing."""
-        return beyond_pieces({}, self.friction.beyond(values), {}) if self.stepped else None
+    def smooth(self, values: Mapping[str, float]) -> SmoothLaws | None:
+        """Return what its laws have beside their lines; None where it is not simulated in steps."""
+        return smooth_laws(self.friction.smooth(values), SmoothFriction(), SmoothSpring()) if self.stepped else None
 
     def segments(self, values: Mapping[str, float]) -> FloatArray | None:
         """Return a friction in pieces for the simulation, (segments, 23); None of one that is not."""
@@ -284,12 +284,12 @@ class FlexibleJoint(_JointBase):
         """True if one of its laws is smooth, so that its simulation goes in steps of a stated error."""
         return self.friction.stepped or self.spring.stepped or self.ripple is not None
 
-    def beyond(self, values: Mapping[str, float]) -> FloatArray | None:
-        """Return what its laws have beyond pieces, as `models.beyond` has it; None where they have nothing."""
+    def smooth(self, values: Mapping[str, float]) -> SmoothLaws | None:
+        """Return what its laws have beside their lines; None where it is not simulated in steps."""
         if not self.stepped:
             return None
-        motor, load = (self.friction.beyond(values, side) for side in ("motor_", "load_"))
-        return beyond_pieces(self.spring.beyond(values), motor, load)
+        motor, load = (self.friction.smooth(values, side) for side in ("motor_", "load_"))
+        return smooth_laws(motor, load, self.spring.smooth(values))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

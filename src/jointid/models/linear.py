@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.models.beyond import swinging_part
 from jointid.models.joints import FlexibleJoint, Joint
+from jointid.models.smooth import SmoothLaws, SmoothSpring
 
 ComplexArray: TypeAlias = NDArray[np.complex128]
 Output: TypeAlias = Literal["motor_position", "motor_velocity", "load_position", "load_velocity"]
@@ -223,10 +223,16 @@ def linear_joints(joint: Joint, candidates: Sequence[Mapping[str, float]]) -> Li
     made = [
         drive_matrices((c[0], c[1])[:masses], (c[4 + way], c[8 + way])[:masses], c[2], c[3], swings=swings)
         for values in candidates
-        for c, swings in [(joint.coefficients(values), swinging_part(joint.beyond(values)))]
+        for c, swings in [(joint.coefficients(values), _swinging(joint.smooth(values)))]
         for way in ways
     ]
     return LinearJoints(np.array([A for A, _ in made]), np.array([B for _, B in made]))
+
+
+def _swinging(laws: SmoothLaws | None) -> tuple[float, float, float]:
+    """Return share, stiffness and damping of what swings on a load; zeros of one that is rigid."""
+    spring = SmoothSpring() if laws is None else laws.spring
+    return spring.swing_share, spring.swing_stiffness, spring.swing_damping
 
 
 def frequency_response(

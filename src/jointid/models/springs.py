@@ -7,7 +7,7 @@ A law states the pieces of one side of its torque over the deflection; the other
 Being affine in each piece lets the simulation be exact: between two edges the drive is linear (`simulation.kernels`).
 Makers of strain-wave gears state three: K1 up to the torque T1, K2 up to T2, then K3 (Harmonic Drive SE, Engineering
 data, torsional stiffness). Backlash is a first piece without any stiffness. A smooth spring says so (`stepped`)
-and what it has beside its line (`beyond`): it is simulated in steps. To add a law, write its class below, and its name
+and what it has beside its line (`smooth`): it is simulated in steps. To add a law, write its class below, and its name
 in `SPRINGS`.
 """
 
@@ -24,6 +24,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
+from jointid.models.smooth import SmoothSpring
 
 _DAMPING = Parameter("damping", "F12", Quantity.VISCOUS, lower=0.0)
 _SHARES = (0.1, 0.3)  # of the largest wind-up, from which a search for half the gap begins
@@ -103,9 +104,9 @@ class Spring:
         """True if it is smooth, so that the simulation goes in steps of a stated error."""
         return False
 
-    def beyond(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return what the spring has beside its stiffness and damping, as `models.beyond` names it."""
-        return {}
+    def smooth(self, values: Mapping[str, float]) -> SmoothSpring:
+        """Return what the spring has beside its stiffness and damping."""
+        return SmoothSpring()
 
     def torque(self, values: Mapping[str, float], deflection: FloatArray, velocity: FloatArray) -> FloatArray:
         """Return the torque of spring and damper, (samples,), at deflections and their rates, (samples,)."""
@@ -269,9 +270,9 @@ class CubicSpring(_SteppedSpring):
         stiffness = Parameter("stiffness", "K12", Quantity.STIFFNESS, lower=0.0)
         return (stiffness, Parameter("cubic_stiffness", "K3", Quantity.CUBIC_STIFFNESS), _DAMPING)
 
-    def beyond(self, values: Mapping[str, float]) -> dict[str, float]:
+    def smooth(self, values: Mapping[str, float]) -> SmoothSpring:
         """Return the cubic stiffness."""
-        return {"cubic": values["cubic_stiffness"]}
+        return SmoothSpring(cubic=values["cubic_stiffness"])
 
     def starts(self, linear: Mapping[str, float], windup: float) -> Iterator[dict[str, float]]:
         """Yield a spring that is stiffer, and one that is softer, at the largest deflection."""
@@ -321,9 +322,9 @@ class HystereticSpring(_SteppedSpring):
             _DAMPING,
         )
 
-    def beyond(self, values: Mapping[str, float]) -> dict[str, float]:
+    def smooth(self, values: Mapping[str, float]) -> SmoothSpring:
         """Return stiffness and limit of the slider."""
-        return {"slider": values["hysteresis_stiffness"], "slips": values["hysteresis_torque"]}
+        return SmoothSpring(slider=values["hysteresis_stiffness"], slips=values["hysteresis_torque"])
 
     def starts(self, linear: Mapping[str, float], windup: float) -> Iterator[dict[str, float]]:
         """Yield sliders that slip at parts of the largest deflection."""
@@ -367,9 +368,11 @@ class ElasticLoad(_SteppedSpring):
             _DAMPING,
         )
 
-    def beyond(self, values: Mapping[str, float]) -> dict[str, float]:
+    def smooth(self, values: Mapping[str, float]) -> SmoothSpring:
         """Return share, stiffness and damping of what swings."""
-        return {f"swing_{word}": values[f"swinging_{word}"] for word in ("share", "stiffness", "damping")}
+        return SmoothSpring(
+            **{f"swing_{word}": values[f"swinging_{word}"] for word in ("share", "stiffness", "damping")}
+        )
 
     def starts(self, linear: Mapping[str, float], windup: float) -> Iterator[dict[str, float]]:
         """Yield parts of the load that swing at a few times the first mode."""

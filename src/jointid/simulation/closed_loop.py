@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +18,12 @@ from jointid.common.parallel import threads
 from jointid.models.controllers import POSITION, REFERENCE
 from jointid.models.joints import ClosedLoop
 from jointid.models.motion import Motion
+from jointid.models.smooth import SmoothLaws
 from jointid.simulation.loop_input import LoopInput, as_logged, seen_torque
 from jointid.simulation.simulated import FINISHED
+
+if TYPE_CHECKING:
+    from jointid.simulation.kernels.drive import Trace
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -114,7 +118,7 @@ class ClosedLoopRun:
         drive: (14,) the joint's coefficients.
         gravity: (5,) those of its gravity, or None.
         segments: (segments, 23) those of its spring or its friction in pieces, or None.
-        beyond: those of smooth laws (`models.beyond`), with which it was simulated in steps; or None.
+        laws: numbers of smooth laws, with which it was simulated in steps; or None.
         position, velocity: of the motor at the first sample. torque: the controller's there, where that is said.
         sliding: direction of a motion that began before it; 0 of none.
         before: torque that acted before it.
@@ -134,7 +138,7 @@ class ClosedLoopRun:
     drive: FloatArray
     gravity: FloatArray | None
     segments: FloatArray | None
-    beyond: FloatArray | None
+    laws: SmoothLaws | None
     position: float
     velocity: float
     torque: float | None
@@ -149,6 +153,15 @@ class ClosedLoopRun:
     accelerations: FloatArray
     outcome: Outcome
     counts: NDArray[np.int64]
+
+    @property
+    def trace(self) -> Trace:
+        """What the run left, as the kernels filled it."""
+        from jointid.simulation.kernels.drive import Trace
+
+        return Trace(
+            self.command, self.tapped, self.excess, self.states, self.modes, self.accelerations, self.tape, self.counts
+        )
 
     def start(self, values: Mapping[str, float], position: float, velocity: float) -> FloatArray:
         """Return the first state of such a run, (4,): `start_state`."""
@@ -170,11 +183,11 @@ class ClosedLoopRun:
         if experiment.looked.size < len(states) or experiment.lengths.size > 1 or experiment.lags[0] > 0:
             seen, begin = (states[at].T.copy() for at in (experiment.looked, experiment.begun))
             push = push[experiment.looked // experiment.lengths.size]
-            accelerations = accelerations[experiment.begun] if self.beyond is not None else accelerations
+            accelerations = accelerations[experiment.begun] if self.laws is not None else accelerations
 
         def motion(side: int) -> Motion:
             found = np.zeros(push.size)
-            if self.outcome is not Outcome.INVALID and self.beyond is None:
+            if self.outcome is not Outcome.INVALID and self.laws is None:
                 found = _acceleration(_drive_at(self, begin), self.gravity, begin, push, side)
             elif self.outcome is not Outcome.INVALID:
                 found = accelerations[:, side].copy()
@@ -216,8 +229,8 @@ def run(
     velocity = initial.velocity or 0.0
     try:
         drive, gravity = loop.joint.coefficients(values), loop.joint.gravity_coefficients(values)
-        segments, beyond = loop.joint.segments(values), loop.joint.beyond(values)
-        places = np.zeros((0, 5)) if beyond is None else loop.joint.places(values)
+        segments, laws = loop.joint.segments(values), loop.joint.smooth(values)
+        places = np.zeros((0, 5)) if laws is None else loop.joint.places(values)
     except KeyError:
         missing = ", ".join(p.name for p in loop.joint.parameters if p.name not in values)
         raise MethodError(f"A simulation needs a value for every parameter; {missing} has none: give one.") from None
@@ -228,30 +241,26 @@ def run(
     array = (room or _FRESH).array
     states, excess = array("states", (kept, 4)), array("excess", (periods if keep else 0, elements))
     modes = array("modes", (kept,), np.int16)
-    tape = array("tape", (taped, kernels.TAPE if beyond is None else stepped_drive.STEP_TAPE))
-    accelerations = array("accelerations", (kept if beyond is not None else 0, 2))
+    tape = array("tape", (taped, kernels.TAPE if laws is None else stepped_drive.STEP_TAPE))
+    accelerations = array("accelerations", (kept if laws is not None else 0, 2))
     counts = np.zeros(4, dtype=np.int64)
     outcome, before, sliding = Outcome.INVALID, 0.0, 0.0
-    possible = _possible(drive, gravity) and _ordered(segments) and _smooth(beyond, places, drive, periods * law.period)
+    possible = _possible(drive, gravity) and _ordered(segments) and _smooth(laws, places, drive, periods * law.period)
     if possible and math.isfinite(position) and math.isfinite(velocity):
         state, first = first_state(experiment, position, velocity, initial.torque)
         before = first + experiment.after_limit[0]
         sliding = wound_up(experiment, velocity) if initial.wound_up is None else initial.wound_up
         start = start_state(loop, values, position, velocity, sliding)
-        common = experiment.lengths, experiment.lags, state, experiment.kernel, experiment.feedforward
-        beginning = experiment.after_limit, before, start
-        far = experiment.far + abs(position)
-        if beyond is None:
+        sampled, far = experiment.sampled, experiment.far + abs(position)
+        trace = kernels.Trace(command, tapped, excess, states, modes, accelerations, tape, counts)
+        if laws is None:
             status = kernels.run(
-                drive, *common, *beginning, far, command, tapped, excess, states, modes, tape, counts,
+                drive, sampled, before, state, start, far, trace,
                 kernels.NO_GRAVITY if gravity is None else gravity,
                 kernels.NO_SEGMENTS if segments is None else segments,
             )  # fmt: skip
         else:
-            status = stepped_drive.run(
-                drive, beyond, places, *common, *beginning, sliding, far, command, tapped, excess, states,
-                accelerations, tape, counts,
-            )  # fmt: skip
+            status = stepped_drive.run(drive, laws, places, sampled, before, state, start, sliding, far, trace)
         outcome = _OUTCOMES[status]
     done = int(counts[2])
     for output in (command, tapped):
@@ -264,7 +273,7 @@ def run(
             np.nan_to_num(signal, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     shown = tapped if tapped.size else command
     return ClosedLoopRun(
-        loop, experiment, values, drive, gravity, segments, beyond, position, velocity, initial.torque, sliding, before,
+        loop, experiment, values, drive, gravity, segments, laws, position, velocity, initial.torque, sliding, before,
         command, shown, excess, states, modes, tape, accelerations, outcome, counts,
     )  # fmt: skip
 
@@ -332,17 +341,18 @@ def _ordered(segments: FloatArray | None) -> bool:
     return bool(rising and np.min(segments[:, 2:4]) >= 0 and cones >= 0)
 
 
-def _smooth(beyond: FloatArray | None, places: FloatArray, drive: FloatArray, duration: float) -> bool:
+def _smooth(laws: SmoothLaws | None, places: FloatArray, drive: FloatArray, duration: float) -> bool:
     """True of smooth laws whose numbers are not negative, shares below 1, and of friction that never is below 0."""
-    if beyond is None:
+    if laws is None:
         return True
-    _, slider, slips, *distances, lost, _, _, share, stiffness, damping, motor, load = beyond.tolist()
-    faded = (min(drive[6:8]) + motor * duration, min(drive[10:12]) + load * duration)
-    if not np.all(np.isfinite(places)) or (min(motor, load) < 0 and min(faded) < 0):
+    motor, load, spring = laws
+    faded = min(drive[6:8]) + motor.coulomb_drift * duration, min(drive[10:12]) + load.coulomb_drift * duration
+    if not np.all(np.isfinite(places)) or (min(motor.coulomb_drift, load.coulomb_drift) < 0 and min(faded) < 0):
         return False
-    slips_at_all = slider >= 0 and (slips > 0 or slider == 0)
-    swings = 0 <= share < 1 and min(stiffness, damping) >= 0
-    return bool(np.all(np.isfinite(beyond)) and slips_at_all and min(distances) >= 0 and 0 <= lost < 1 and swings)
+    slips_at_all = spring.slider >= 0 and (spring.slips > 0 or spring.slider == 0)
+    swings = 0 <= spring.swing_share < 1 and min(spring.swing_stiffness, spring.swing_damping) >= 0
+    winds = min(motor.presliding, load.presliding) >= 0 and 0 <= load.per_torque < 1
+    return all(map(math.isfinite, laws.numbers)) and slips_at_all and winds and swings
 
 
 def start_state(

@@ -32,7 +32,7 @@ from jointid.records.record import InjectionPoint, Record, Tap, Timing, require_
 from jointid.records.resampling import at_period, period_ratio
 
 if TYPE_CHECKING:
-    from jointid.simulation.kernels.drive import Feedback
+    from jointid.simulation.kernels.drive import Feedback, SampledLoop
 
 _FEWEST = 10  # periods that can be simulated to any purpose
 _SLOWLY = 1e-4  # of the sampling frequency: there a loop holds its position
@@ -62,6 +62,7 @@ class LoopInput:
         samples: of the log.
         begin: seconds from the first sample of the record's file to the first here, see `Record`.
         shows: whether the logged torque contains anything beside the controller's output, see `shown`.
+        sampled: what the kernels read.
     """
 
     law: SampledLaw
@@ -87,8 +88,13 @@ class LoopInput:
     samples: int
     begin: float
     shows: bool = field(init=False)
+    sampled: SampledLoop = field(init=False)
 
     def __post_init__(self) -> None:
+        from jointid.simulation.kernels.drive import SampledLoop
+
+        sampled = SampledLoop(self.lengths, self.lags, self.kernel, self.feedforward, self.after_limit)
+        object.__setattr__(self, "sampled", sampled)
         object.__setattr__(self, "shows", bool(np.any(self.shown)))
 
     @property

@@ -49,6 +49,8 @@ from jointid.simulation.sensitivities import (
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
 
+    from jointid.simulation.kernels.drive import SampledLoop
+
 PARTS = 4  # of a sample
 _WALL = 1e200  # a Coulomb force that nothing overcomes, and whose square is still a number
 _DEGREE = 7  # of the spline, odd: a cubic's second derivative errs by 3 % at a tenth of the sampling frequency
@@ -243,22 +245,23 @@ class _Load:
         push = values["stiffness"] * by_stiffness + values["damping"] * by_damping
         push = np.append(push, push[-1])
         n, rows = push.size, taped_rows(motion.position.size)
-        nothing, none = np.zeros(n), np.zeros(0)
+        none = np.zeros(0)
         while True:
             states, modes, tape = np.empty((n, 4)), np.empty(n, dtype=np.int16), np.empty((rows, kernels.TAPE))
-            counts = np.zeros(4, dtype=np.int64)
+            trace = kernels.Trace(
+                np.empty(n), none, np.empty((0, 1)), states, modes, np.empty((0, 2)), tape, np.zeros(4, dtype=np.int64)
+            )
             status = kernels.run(
-                drive, np.array([motion.step]), np.zeros(1, dtype=np.int64), none, kernels.NO_FEEDBACK,
-                push[np.newaxis], nothing, push[0], _start(joint, motion, values), math.inf, np.empty(n), none,
-                np.empty((0, 1)), states, modes, tape, counts, kernels.NO_GRAVITY if gravity is None else gravity,
-                kernels.NO_SEGMENTS,
+                drive, _sampled_loop(motion.step, push), float(push[0]), none, _start(joint, motion, values), math.inf,
+                trace, kernels.NO_GRAVITY if gravity is None else gravity, kernels.NO_SEGMENTS,
             )  # fmt: skip
+            steps = int(trace.counts[1])
             if status != kernels.FINISHED:
                 return None
-            if counts[1] <= rows:  # else a load that turns round and sticks all the time
+            if steps <= rows:  # else a load that turns round and sticks all the time
                 break
-            rows = int(counts[1])
-        return cls(joint, motion, values, drive, gravity, push, states, modes, tape, int(counts[1]))
+            rows = steps
+        return cls(joint, motion, values, drive, gravity, push, states, modes, tape, steps)
 
     def spring(self, names: list[str]) -> tuple[FloatArray, FloatArray]:
         """Return the spring's and damper's force on the motor, (parts,), and its derivatives, (parts, names)."""
@@ -310,15 +313,28 @@ class _Load:
                 explicit.append(np.append(pushes[name], pushes[name][-1]))
         states = np.empty((n, 4, width))
         explained = np.column_stack([np.zeros((n, 0)), *explicit])[:, np.newaxis]
+        columns = sensitivity_kernels.Columns(
+            explained, len(names) - len(explicit), np.zeros(width), np.zeros((1, width)), start, np.zeros((0, width))
+        )
+        trace = kernels.Trace(
+            self.push, np.zeros(0), np.empty((0, 1)), self.states, self.modes, np.empty((0, 2)), self.tape,
+            np.zeros(4, dtype=np.int64),
+        )  # fmt: skip
+        slopes = sensitivity_kernels.Slopes(np.empty((width, n)), np.empty((width, 0)), states)
         sensitivity_kernels.follow(
-            np.array([self.motion.step]), np.zeros(1, dtype=np.int64), self.states, self.modes, self.tape, self.taped,
-            self.push, np.zeros(n), self.push[0], np.empty((0, 1)), kernels.NO_FEEDBACK, self.drive, seeds,
-            explained, len(names) - len(explicit), np.zeros(width), np.zeros((1, width)), start,
-            np.zeros((0, width)), np.empty((width, n)), np.empty((width, 0)), states,
-            kernels.NO_GRAVITY if self.gravity is None else self.gravity, weights, kernels.NO_SEGMENTS,
+            _sampled_loop(self.motion.step, self.push), float(self.push[0]), trace, self.taped, self.drive, seeds,
+            columns, slopes, kernels.NO_GRAVITY if self.gravity is None else self.gravity, weights, kernels.NO_SEGMENTS,
             np.zeros((0, kernels.SEGMENT, width)),
         )  # fmt: skip
         return states[:, :2, : len(names)]
+
+
+def _sampled_loop(step: float, push: FloatArray) -> SampledLoop:
+    """Return a force that is held in each part, as the kernels take it."""
+    from jointid.simulation.kernels.drive import NO_FEEDBACK, SampledLoop
+
+    lags = np.zeros(1, dtype=np.int64)
+    return SampledLoop(np.array([step]), lags, NO_FEEDBACK, push[np.newaxis], np.zeros(push.size))
 
 
 def _drive(joint: FlexibleJoint, values: Mapping[str, float]) -> FloatArray:

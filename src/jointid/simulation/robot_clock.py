@@ -17,6 +17,7 @@ from jointid.common.errors import MethodError
 from jointid.common.text import listed
 from jointid.models.linear import SNAP
 from jointid.models.robots.dynamics import IntArray
+from jointid.simulation.kernels.robot_loop import Clock
 from jointid.simulation.loop_input import LoopInput
 
 _FINEST = 16  # steps of the shortest period, at most: the time of a simulation grows with them
@@ -43,6 +44,11 @@ class RobotClock:
     sample_time: float
     looked: IntArray
     begun: IntArray
+
+    @property
+    def timing(self) -> Clock:
+        """What the kernels read."""
+        return Clock(self.lengths, self.lags, self.every)
 
     @property
     def samples(self) -> int:

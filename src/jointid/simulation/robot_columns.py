@@ -9,13 +9,14 @@ from jointid.common.arrays import FloatArray
 from jointid.common.parallel import threads
 from jointid.models.robots.dynamics import IntArray
 from jointid.models.robots.inertial import SYMBOLS
+from jointid.models.robots.robot import Tree
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, stribeck_share
-from jointid.simulation.robots import LoopTree, MassMotion
+from jointid.simulation.robots import MassMotion
 
 
 def columns_of(
-    tree: LoopTree, numbers: RobotNumbers, places: tuple[NumberPlace, ...], motion: MassMotion, rows: IntArray
+    tree: Tree, numbers: RobotNumbers, places: tuple[NumberPlace, ...], motion: MassMotion, rows: IntArray
 ) -> list[tuple[IntArray, FloatArray]]:
     """Return, for each of some masses, the derivatives of its equation by the parameters that act in it.
 
@@ -33,7 +34,7 @@ def columns_of(
     from jointid.models.robots.equations import regressor_columns
 
     samples, n = len(motion.position), numbers.rotors.size
-    carried = _carried(tree[0]) if tree[-1].size == 0 else np.ones((n, n), dtype=np.bool_)
+    carried = _carried(tree.parents) if tree.joints.size == 0 else np.ones((n, n), dtype=np.bool_)
     felt = [np.array([c for c, p in enumerate(places) if _acts(p, int(row), numbers, carried)], int) for row in rows]
     ends = np.cumsum([own.size for own in felt])
     lines, of_links = np.empty((int(ends[-1]), samples)), []
@@ -55,7 +56,7 @@ def columns_of(
 
         def fill(span: NDArray[np.intp]) -> None:
             inside = slice(span[0], span[-1] + 1)
-            regressor_columns(*tree, q[inside], v[inside], a[inside], whose, which, where, span[0], lines)
+            regressor_columns(tree, q[inside], v[inside], a[inside], whose, which, where, span[0], lines)
 
         in_threads(fill, [span for span in spans if span.size])
     return [(own, lines[end - own.size : end].T) for own, end in zip(felt, ends, strict=True)]

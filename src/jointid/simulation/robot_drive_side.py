@@ -22,14 +22,14 @@ from functools import cached_property
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.models.robots.robot import Robot
+from jointid.models.robots.robot import Robot, Tree
+from jointid.simulation.kernels.robot_loop import Clock, Controllers, Driven, RobotTape, Seen
 from jointid.simulation.prescribed import spline_of
 from jointid.simulation.robot_columns import columns_of
-from jointid.simulation.robot_laws import PackedLaws
 from jointid.simulation.robot_numbers import Bools, NumberOf, NumberPlace, RobotNumbers
 from jointid.simulation.robot_sensitivities import slopes_at_start
 from jointid.simulation.robot_start import places_at_start, speeds_at_start
-from jointid.simulation.robots import LoopTree, MassMotion, RobotOutcome, RobotTape, choose_steps, outcome_of
+from jointid.simulation.robots import MassMotion, RobotOutcome, choose_steps, outcome_of
 
 PARTS = 1
 """Of a sample: with one the torque of a twin of six joints whose modes are at 8 to 30 Hz errs by 1e-5 at 1 kHz."""
@@ -65,7 +65,7 @@ class MotorMotion:
         speeds, accelerations: (n,) at the first sample.
     """
 
-    tree: LoopTree
+    tree: Tree
     step: float
     position: FloatArray
     velocity: FloatArray
@@ -101,9 +101,8 @@ def prescribe_motion(
     joined = velocity - step**2 / 12.0 * spline.derivative(3)(edges)
     if resting is not None:
         joined[0, resting] = velocity[0, resting] = acceleration[0, resting] = 0.0
-    tree = (*robot.tree, robot.gravity, robot.joints_of_shafts)
     position = np.asarray(spline(edges) + home)
-    return MotorMotion(tree, step, position, velocity, joined, _direction(velocity), velocity[0], acceleration[0])
+    return MotorMotion(robot.tree, step, position, velocity, joined, _direction(velocity), velocity[0], acceleration[0])
 
 
 def _direction(velocity: FloatArray) -> FloatArray:
@@ -163,15 +162,11 @@ def run_drive_side(prescribed: MotorMotion, numbers: RobotNumbers, steps: int | 
         # One more part follows the last one, so that its end is on the tape, too.
         asked = _HEAVY * np.vstack([prescribed.held, prescribed.held[-1:]]).T[:, np.newaxis]
         command, counts = np.zeros((n, parts + 1)), np.zeros(3, dtype=np.int64)
-        laws = _passing(n)
+        driven = Driven(np.ascontiguousarray(asked), np.zeros((n, parts + 1)), np.zeros(n), np.full(n, np.inf))
+        seen = Seen(command, np.zeros_like(command), np.zeros((n, 0, 0), dtype=np.bool_))
         status = robot_loop.run(
-            *prescribed.tree, moved.inertials, moved.rotors, moved.masses, moved.springs,
-            np.array([prescribed.step]), np.zeros((n, 1), dtype=np.int64), np.ones(n, dtype=np.int64), taken,
-            np.zeros((n, 0)), *laws.matrices, laws.limits, laws.gates, laws.driven, laws.outputs, laws.taps,
-            np.ascontiguousarray(asked), np.zeros((n, parts + 1)), np.zeros(n), places, speeds,
-            np.full(n, np.inf), command, np.zeros_like(command), np.zeros((n, 0, 0), dtype=np.bool_),
-            tape.first, tape.lasting, tape.places, tape.speeds, tape.begun, tape.ended, tape.directions, tape.stopped,
-            counts,
+            prescribed.tree, moved.bodies, _timing(n, prescribed.step), taken, _passing(n), driven, np.zeros((n, 0)),
+            places, speeds, seen, tape, counts,
         )  # fmt: skip
         outcome, tape = outcome_of(status), tape.until(parts + 1, int(counts[1]))
     if outcome is not RobotOutcome.FINISHED:
@@ -201,27 +196,29 @@ def differentiate_drive_side(run: RobotDriveSideRun, places: Sequence[NumberPlac
     rows = np.array([(NumberOf.MASS, numbers.rotors[0], 3)] * count, dtype=np.int64).reshape(-1, 3)  # moves nothing
     for c in of_robot:
         rows[c] = places[c].of, places[c].row, places[c].column
-    at_start = tuple(places[c] for c in of_robot)
-    dq[:, of_robot], _ = slopes_at_start(prescribed, run.numbers, run.start, np.zeros(n), at_start)
+    moving = tuple(places[c] for c in of_robot)
+    dq[:, of_robot], _ = slopes_at_start(prescribed, run.numbers, run.start, np.zeros(n), moving)
     for c, place in enumerate(places):
         if place.of is NumberOf.BESIDE:
             (dv if place.column else dq)[place.row, c] = 1.0
-    found, laws = np.zeros((n, parts + 1, count)), _passing(n)
+    found = np.zeros((n, parts + 1, count))
+    at_start = kernels.Moved(dq, dv, np.zeros((n, 0, count)), np.zeros((n, count)))
     kernels.differentiate_run(
-        *prescribed.tree, numbers.inertials, numbers.rotors, numbers.masses, numbers.springs,
-        np.zeros((n, 1), dtype=np.int64), np.ones(n, dtype=np.int64),
-        *laws.matrices, laws.outputs, laws.taps, np.zeros((n, 0, 0), dtype=np.bool_),
-        tape.first, tape.lasting, tape.places, tape.speeds, tape.begun, tape.ended, tape.directions, tape.stopped,
-        rows, dq, dv, np.zeros((n, 0, count)), np.zeros((n, count)), np.zeros((n, parts + 1, 0)), np.zeros((n, 0, 0)),
-        found,
+        prescribed.tree, numbers.bodies, _timing(n, prescribed.step), _passing(n), np.zeros((n, 0, 0), dtype=np.bool_),
+        tape, rows, at_start, np.zeros((n, parts + 1, 0)), np.zeros((n, 0, 0)), found,
     )  # fmt: skip
     return found[:, :parts].transpose(1, 0, 2)
 
 
-def _passing(n: int) -> PackedLaws:
+def _timing(n: int, step: float) -> Clock:
+    """Return the clock of controllers that each act in one part of a step."""
+    return Clock(np.array([step]), np.zeros((n, 1), dtype=np.int64), np.ones(n, dtype=np.int64))
+
+
+def _passing(n: int) -> Controllers:
     """Return controllers that put out what they are given, and see nothing."""
     first = np.zeros(n, dtype=np.int64)
-    return PackedLaws(
+    return Controllers(
         A=np.zeros((n, 1, 0, 0)),
         Bq=np.zeros((n, 1, 0)),
         F=np.zeros((n, 1, 0, 1)),

@@ -4,38 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.simulation.kernels.drive import IntArray
+from jointid.simulation.kernels.robot_loop import Controllers
 from jointid.simulation.loop_input import LoopInput
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PackedLaws:
-    """The controllers as the kernel reads them: each of `Feedback`, with the joint as first axis."""
-
-    A: FloatArray
-    Bq: FloatArray
-    F: FloatArray
-    C: FloatArray
-    D: FloatArray
-    E: FloatArray
-    limits: FloatArray
-    gates: IntArray
-    driven: FloatArray
-    outputs: IntArray
-    taps: IntArray
-
-    @property
-    def matrices(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-        """The first six."""
-        return self.A, self.Bq, self.F, self.C, self.D, self.E
-
-
-def pack_laws(alone: Sequence[LoopInput]) -> tuple[PackedLaws, FloatArray]:
+def pack_laws(alone: Sequence[LoopInput]) -> tuple[Controllers, FloatArray]:
     """Return the controllers filled up to equal sizes, and their answers to everything but the positions.
 
     States that are filled up stay 0, as elements do; the answers are (n, elements, periods), each of its own periods.
@@ -66,4 +43,4 @@ def pack_laws(alone: Sequence[LoopInput]) -> tuple[PackedLaws, FloatArray]:
     shapes = {"A": "zz", "Bq": "z", "F": "ze", "C": "ez", "D": "e", "E": "ee"}
     A, Bq, F, C, D, E = (packed(name, axes) for name, axes in shapes.items())
     outputs, taps = np.array([kernel.output for kernel in kernels]), np.array([kernel.tap for kernel in kernels])
-    return PackedLaws(A, Bq, F, C, D, E, limits, gates, into, outputs, taps), feedforward
+    return Controllers(A, Bq, F, C, D, E, limits, gates, into, outputs, taps), feedforward

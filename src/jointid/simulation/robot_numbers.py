@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.models.robots.robot import JointSpring, Robot
 from jointid.simulation.kernels.drive import IntArray
+from jointid.simulation.kernels.robot_loop import Bodies
 
 Bools: TypeAlias = NDArray[np.bool_]
 
@@ -55,6 +56,11 @@ class RobotNumbers:
                 springs[i] = joint.spring.stiffness, joint.spring.damping
                 masses[i, 1:3] = joint.spring.viscous, joint.spring.coulomb
         return cls(robot.inertials, rotors, masses, springs)
+
+    @property
+    def bodies(self) -> Bodies:
+        """What the kernels read."""
+        return Bodies(self.inertials, self.rotors, self.masses, self.springs)
 
     @property
     def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:

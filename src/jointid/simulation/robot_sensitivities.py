@@ -43,11 +43,10 @@ def differentiate_torques(run: RobotRun, places: tuple[NumberPlace, ...]) -> lis
     )
     command = np.zeros((n, clock.steps, len(places)))
     tapped = np.zeros(command.shape if through else (n, 0, 0))
+    moved = kernels.Moved(dq, np.zeros_like(dq), dz, before)
     kernels.differentiate_run(
-        *experiment.tree, numbers.inertials, numbers.rotors, numbers.masses, numbers.springs, clock.lags, clock.every,
-        *laws.matrices, laws.outputs, laws.taps, run.cuts,
-        tape.first, tape.lasting, tape.places, tape.speeds, tape.begun, tape.ended, tape.directions, tape.stopped,
-        rows, dq, np.zeros_like(dq), dz, before, command, tapped, np.zeros((n, 0, 0)),
+        experiment.tree, numbers.bodies, clock.timing, laws, run.cuts, tape, rows, moved, command, tapped,
+        np.zeros((n, 0, 0)),
     )  # fmt: skip
     found = []
     for j, each in enumerate(experiment.experiments):

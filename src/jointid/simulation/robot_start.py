@@ -14,13 +14,14 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.models.controllers import REFERENCE
+from jointid.models.robots.robot import Tree
 from jointid.simulation.closed_loop import first_state
 from jointid.simulation.loop_input import LoopInput
 from jointid.simulation.robot_numbers import stribeck_share
 
 if TYPE_CHECKING:
     from jointid.simulation.robot_numbers import RobotNumbers
-    from jointid.simulation.robots import LoopTree, RobotInput
+    from jointid.simulation.robots import RobotInput
 
 _SETTLING = 200  # of the iterations that find where the robot begins
 _AT_REST = 1e-13  # of a position
@@ -32,7 +33,7 @@ class FirstSample(Protocol):
     """How a robot stands at the first sample of what drives it: a closed loop, or a prescribed motion."""
 
     @property
-    def tree(self) -> LoopTree:
+    def tree(self) -> Tree:
         """Of the links."""
 
     @property
@@ -146,7 +147,6 @@ def weigh(experiment: FirstSample, numbers: RobotNumbers, places: FloatArray) ->
 
     n = places.size
     found, M, room = np.empty(n), np.empty((n, n)), np.empty((n, ROOM))
-    equations_of_motion(
-        *experiment.tree, numbers.inertials, places, experiment.speeds, experiment.accelerations, room, M, found
-    )
+    motion = places, experiment.speeds, experiment.accelerations
+    equations_of_motion(experiment.tree, numbers.inertials, *motion, room, M, found)
     return found

@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Literal, TypeAlias
+from typing import Literal
 
 import numpy as np
 
@@ -21,13 +21,14 @@ from jointid.common.parameters import TORQUE_UNIT
 from jointid.common.text import counted
 from jointid.models.controllers import REFERENCE, Controller
 from jointid.models.joints import ClosedLoop, RigidJoint
-from jointid.models.robots.robot import Robot
+from jointid.models.robots.robot import Robot, Tree
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Timing
 from jointid.simulation.closed_loop import first_state
 from jointid.simulation.kernels.drive import IntArray
+from jointid.simulation.kernels.robot_loop import Controllers, Driven, RobotTape, Seen
 from jointid.simulation.loop_input import LoopInput, as_logged, prepare, seen_torque
 from jointid.simulation.robot_clock import RobotClock, common_clock
-from jointid.simulation.robot_laws import PackedLaws, pack_laws
+from jointid.simulation.robot_laws import pack_laws
 from jointid.simulation.robot_numbers import Bools, RobotNumbers
 from jointid.simulation.robot_start import begin, reference_motion
 from jointid.simulation.simulated import FINISHED
@@ -39,9 +40,6 @@ _STEPS = 64  # per part of a period, at most
 _POSES = 5  # along the reference, at which the fastest motion is looked for
 _MORE = 2  # pieces per step and part, at most, beside a thousand
 _ASTRAY = 0.5, 0.1  # of a reference's travel, and rad or m: a joint that is farther off does not follow
-
-LoopTree: TypeAlias = tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
-"""Parents, kinds, axes, rotations, origins, gravity, joints from shafts: what the kernels take first."""
 
 
 class RobotOutcome(StrEnum):
@@ -107,10 +105,10 @@ class RobotInput:
         speeds, accelerations: (n,) of the shafts at the first sample.
     """
 
-    tree: LoopTree
+    tree: Tree
     experiments: tuple[LoopInput, ...]
     clock: RobotClock
-    laws: PackedLaws
+    laws: Controllers
     feedforward: FloatArray
     after_limit: FloatArray
     speeds: FloatArray
@@ -142,50 +140,13 @@ def prepare_robot(loop: RobotLoop, records: Sequence[Record]) -> RobotInput:
         )
     alone = [
         prepare(ClosedLoop(RigidJoint("prismatic" if kind else "revolute"), controller), record)
-        for kind, controller, record in zip(robot.tree[1], loop.controllers, records, strict=True)
+        for kind, controller, record in zip(robot.tree.kinds, loop.controllers, records, strict=True)
     ]
     clock = common_clock(alone, robot.names)
     after_limit = np.stack([clock.held(j, each.after_limit) for j, each in enumerate(alone)])
     laws, feedforward = pack_laws(alone)
     motion = np.array([reference_motion(each) if loop.in_motion else (0.0, 0.0) for each in alone])
-    tree = (*robot.tree, robot.gravity, robot.joints_of_shafts)
-    return RobotInput(tree, tuple(alone), clock, laws, feedforward, after_limit, *motion.T.copy())
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RobotTape:
-    """The pieces of a run, in each of which nothing happens; made by the kernel (`kernels.robot_loop`).
-
-    Attributes:
-        first: (clock * parts,) the piece that each part of a step of the clock begins with.
-        lasting: (pieces,) s.
-        places, speeds, begun: (pieces, masses) positions, velocities, accelerations at its beginning.
-        ended: (pieces, masses) accelerations at its end. directions: (pieces, masses) 1 or -1, 0 of a mass at rest.
-        stopped: (pieces,) the mass whose event ended it, or -1.
-    """
-
-    first: IntArray
-    lasting: FloatArray
-    places: FloatArray
-    speeds: FloatArray
-    begun: FloatArray
-    ended: FloatArray
-    directions: FloatArray
-    stopped: IntArray
-
-    @classmethod
-    def empty(cls, parts: int, pieces: int, masses: int) -> RobotTape:
-        """Return one to be filled."""
-        places, speeds, begun, ended, directions = (np.empty((pieces, masses)) for _ in range(5))
-        whole = np.zeros(parts, dtype=np.int64), np.empty(pieces)
-        return cls(*whole, places, speeds, begun, ended, directions, np.empty(pieces, dtype=np.int64))
-
-    def until(self, parts: int, pieces: int) -> RobotTape:
-        """Return what was filled of it."""
-        return RobotTape(
-            self.first[:parts], self.lasting[:pieces], self.places[:pieces], self.speeds[:pieces], self.begun[:pieces],
-            self.ended[:pieces], self.directions[:pieces], self.stopped[:pieces],
-        )  # fmt: skip
+    return RobotInput(robot.tree, tuple(alone), clock, laws, feedforward, after_limit, *motion.T.copy())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -323,14 +284,10 @@ def run_robot(
             own, torque = first_state(each, start[motor], began.speeds[motor], began.torques[j])
             state[j, : own.size], before[j] = own, torque + each.after_limit[0]
         far = np.array([each.far for each in experiment.experiments]) + np.abs(start[numbers.rotors])
+        driven = Driven(experiment.feedforward, experiment.after_limit, before, far)
         status = robot_loop.run(
-            *experiment.tree, numbers.inertials, numbers.rotors, numbers.masses, numbers.springs,
-            clock.lengths, clock.lags, clock.every, taken, state, *laws.matrices,
-            laws.limits, laws.gates, laws.driven, laws.outputs, laws.taps,
-            experiment.feedforward, experiment.after_limit, before, start.copy(), began.speeds, far,
-            command, tapped, cuts,
-            tape.first, tape.lasting, tape.places, tape.speeds, tape.begun, tape.ended, tape.directions, tape.stopped,
-            counts,
+            experiment.tree, numbers.bodies, clock.timing, taken, laws, driven, state, start.copy(), began.speeds,
+            Seen(command, tapped, cuts), tape, counts,
         )  # fmt: skip
         outcome = outcome_of(status)
     done = int(counts[2])
@@ -345,7 +302,7 @@ def run_robot(
 
 def simulation_of(run: RobotRun) -> RobotSimulation:
     """Return a run whose tape was kept, at the log's instants."""
-    clock, rotors, joints = run.experiment.clock, run.numbers.rotors, run.experiment.tree[-1]
+    clock, rotors, joints = run.experiment.clock, run.numbers.rotors, run.experiment.tree.joints
     n = rotors.size
     seen, begun = motion_at(run, clock.looked), motion_at(run, clock.begun[0])
     position, velocity = (x[:, :n] @ joints.T if joints.size else x[:, :n] for x in (seen.position, seen.velocity))
@@ -370,7 +327,7 @@ def motion_at(run: RobotRun, parts: IntArray) -> MassMotion:
     return found
 
 
-def choose_steps(tree: LoopTree, references: FloatArray, length: float, numbers: RobotNumbers) -> int:
+def choose_steps(tree: Tree, references: FloatArray, length: float, numbers: RobotNumbers) -> int:
     """Return the steps of a time of this length that keep the robot's fastest motion within 0.5 rad each.
 
     Args:
@@ -396,7 +353,7 @@ def choose_steps(tree: LoopTree, references: FloatArray, length: float, numbers:
     for pose in references[:: max(len(references) // _POSES, 1)]:
         M = np.zeros((size, size))
         links = np.empty((n, n))
-        equations_of_motion(*tree, numbers.inertials, pose, still, still, room, links, np.empty(n))
+        equations_of_motion(tree, numbers.inertials, pose, still, still, room, links, np.empty(n))
         M[:n, :n] = links
         M[np.diag_indices(size)] += numbers.masses[:, 0]
         lowest = float(np.linalg.eigvalsh(0.5 * (M + M.T))[0])
@@ -433,18 +390,14 @@ def add_feed_forward(
     if kind == "gravity":
         v, a = np.zeros_like(q), np.zeros_like(q)
     joints = np.linalg.inv(loop.robot.coupling)  # the references are those of the shafts
-    torque = inverse_dynamics_of(
-        *loop.robot.tree,
-        loop.robot.gravity,
-        numbers.inertials,
-        *(np.ascontiguousarray(x @ joints.T) for x in (q, v, a)),
-    )
+    motion = (np.ascontiguousarray(x @ joints.T) for x in (q, v, a))
+    torque = inverse_dynamics_of(loop.robot.tree, numbers.inertials, *motion)
     torque = torque @ joints
     of_motor, n = numbers.masses[numbers.rotors], len(loop.robot.links)
     of_link = np.where(numbers.flexible, numbers.masses[:n, 1], 0.0)
     viscous = of_motor[:, 1] + of_link + np.where(v < 0.0, of_motor[:, 5], of_motor[:, 4])
     torque += of_motor[:, 0] * a + viscous * v + of_motor[:, 3]
-    units = [TORQUE_UNIT["prismatic" if prismatic else "revolute"] for prismatic in loop.robot.tree[1]]
+    units = [TORQUE_UNIT["prismatic" if prismatic else "revolute"] for prismatic in loop.robot.tree.kinds]
     return tuple(
         replace(
             record,
@@ -474,7 +427,7 @@ def strays(records: Sequence[Record], run: RobotSimulation) -> dict[int, float]:
 
 def robot_records(loop: RobotLoop, records: Sequence[Record], run: RobotSimulation) -> tuple[Record, ...]:
     """Return the records with torques and motor positions of a run, as drives would have logged them."""
-    kinds: list[Literal["prismatic", "revolute"]] = ["prismatic" if p else "revolute" for p in loop.robot.tree[1]]
+    kinds: list[Literal["prismatic", "revolute"]] = ["prismatic" if p else "revolute" for p in loop.robot.tree.kinds]
     made = []
     for j, (record, kind) in enumerate(zip(records, kinds, strict=True)):
         unit = "m" if kind == "prismatic" else "rad"

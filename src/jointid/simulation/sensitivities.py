@@ -196,12 +196,10 @@ def _followed(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tupl
     seeds, weights, start = np.zeros((14, width)), np.zeros((3, width)), np.zeros((4, width))
     memory, delay, limits = np.zeros((law.order, width)), np.zeros(width), np.zeros((law.limits.size, width))
     explicit, by_name = [], _seeds(joint)
-    smooth = None if out.beyond is None else _smooth_seeds(joint)
+    smooth = None if out.laws is None else _smooth_seeds(joint)
     places = np.zeros((0, 5)) if smooth is None else joint.places(out.values)
-    dbeyond, dplaces = (
-        np.zeros((0 if out.beyond is None else out.beyond.size, width)),
-        np.zeros((len(places), 3, width)),
-    )
+    dlaws = np.zeros((0 if out.laws is None else len(out.laws.numbers), width))
+    dplaces = np.zeros((len(places), 3, width))
     in_pieces = _in_pieces(joint)
     for j, name in enumerate(names):
         if name in by_name:
@@ -213,7 +211,7 @@ def _followed(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tupl
             if out.gravity is not None:
                 weights[:, j] = gravity_seed(joint, name)
             if smooth is not None:
-                dbeyond[:, j], dplaces[:, :, j] = smooth[name]
+                dlaws[:, j], dplaces[:, :, j] = smooth[name]
             # At rest it else begins where the motor is, whatever it is like.
             if out.velocity != 0.0 or out.gravity is not None or smooth is not None:
                 start[:, j] = start_slope(lambda at: out.start(at, out.position, out.velocity), out.values, name)
@@ -231,19 +229,19 @@ def _followed(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tupl
     tapped = _FRESH.array("tapped", (width, periods if law.tap != law.output else 0))
     states = _ROOM.array("moved", (len(out.states) if positions else 0, 4, width))
     explained = np.stack(explicit, axis=2) if explicit else np.zeros((periods, elements, 0))
-    driven = out.command, experiment.after_limit, out.before, out.excess, experiment.kernel, out.drive, seeds
-    of_law, moves = len(names) - len(explicit), (delay, limits, start, memory, command, tapped, states)
-    if out.beyond is None:
+    columns = sensitivity_kernels.Columns(explained, len(names) - len(explicit), delay, limits, start, memory)
+    slopes, rows = sensitivity_kernels.Slopes(command, tapped, states), int(out.counts[1])
+    if out.laws is None:
         sensitivity_kernels.follow(
-            experiment.lengths, experiment.lags, out.states, out.modes, out.tape, int(out.counts[1]), *driven,
-            explained, of_law, *moves, kernels.NO_GRAVITY if out.gravity is None else out.gravity, weights,
+            experiment.sampled, out.before, out.trace, rows, out.drive, seeds, columns, slopes,
+            kernels.NO_GRAVITY if out.gravity is None else out.gravity, weights,
             kernels.NO_SEGMENTS if segments is None else segments, pieces,
         )  # fmt: skip
     else:
+        trace = out.trace._replace(tape=out.tape[:rows])
         stepped_sensitivities.follow_steps(
-            experiment.lengths, experiment.lags, out.tape[: int(out.counts[1])], *driven, out.beyond, dbeyond, places,
-            dplaces, explained, of_law, *moves,
-        )  # fmt: skip
+            experiment.sampled, out.before, trace, out.drive, seeds, out.laws, dlaws, places, dplaces, columns, slopes
+        )
     return command.T, tapped.T, states
 
 
@@ -274,14 +272,14 @@ def _seeds(joint: Joint) -> Mapping[str, FloatArray]:
 def _smooth_seeds(joint: Joint) -> Mapping[str, tuple[FloatArray, FloatArray]]:
     """Return how what a joint has beyond lines depends on each of its parameters, by name: it is linear in them.
 
-    The numbers of `models.beyond`, (13,), and the factors of the forces that follow a position, (forces, 3).
+    The numbers of `SmoothLaws`, (14,), and the factors of the forces that follow a position, (forces, 3).
     """
     nothing = dict.fromkeys([p.name for p in joint.parameters], 0.0)
 
     def numbers(values: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
-        beyond = joint.beyond(values)
-        assert beyond is not None
-        return beyond, joint.places(values)[:, :3]
+        laws = joint.smooth(values)
+        assert laws is not None
+        return np.array(laws.numbers), joint.places(values)[:, :3]
 
     constant = numbers(nothing)
     ends = {name: numbers(nothing | {name: 1.0}) for name in nothing}
@@ -330,7 +328,7 @@ def _moved_start(out: ClosedLoopRun, position: float, velocity: float) -> FloatA
     """
     if velocity and out.velocity == 0.0:  # the drag of steady motion jumps there
         return np.array([0.0, 1.0, 0.0, 1.0])
-    bends = any(one is not None for one in (out.gravity, out.segments, out.beyond))
+    bends = any(one is not None for one in (out.gravity, out.segments, out.laws))
     step = _SMALL if bends else 1.0
     by = (step * position, step * velocity * 0.5 * out.velocity)
     moved = out.start(out.values, out.position + by[0], out.velocity + by[1])

@@ -58,12 +58,19 @@ def compile_derivatives() -> None:
 
     lanes = drive_sensitivities.LANES
     none, law = np.zeros(0), drive.NO_FEEDBACK
+    counts = np.zeros(4, dtype=np.int64)
+    loop = drive.SampledLoop(np.ones(1), counts[:1], law, np.zeros((1, 0)), none)
+    trace = drive.Trace(
+        none, none, np.zeros((0, 1)), np.zeros((0, 4)), np.zeros(0, dtype=np.int16), np.zeros((0, 2)),
+        np.zeros((0, drive.TAPE)), counts,
+    )  # fmt: skip
+    columns = drive_sensitivities.Columns(
+        np.zeros((0, 1, 0)), 0, np.zeros(lanes), np.zeros((1, lanes)), np.zeros((4, lanes)), np.zeros((0, lanes))
+    )
+    slopes = drive_sensitivities.Slopes(np.zeros((lanes, 0)), np.zeros((lanes, 0)), np.zeros((0, 4, lanes)))
     drive_sensitivities.follow(
-        np.ones(1), np.zeros(1, dtype=np.int64), np.zeros((0, 4)), np.zeros(0, dtype=np.int16),
-        np.zeros((0, drive.TAPE)), 0, none, none, 0.0, np.zeros((0, 1)), law, np.ones(14), np.zeros((14, lanes)),
-        np.zeros((0, 1, 0)), 0, np.zeros(lanes), np.zeros((1, lanes)), np.zeros((4, lanes)), np.zeros((0, lanes)),
-        np.zeros((lanes, 0)), np.zeros((lanes, 0)), np.zeros((0, 4, lanes)), drive.NO_GRAVITY, np.zeros((3, lanes)),
-        drive.NO_SEGMENTS, np.zeros((0, drive.SEGMENT, lanes)),
+        loop, 0.0, trace, 0, np.ones(14), np.zeros((14, lanes)), columns, slopes, drive.NO_GRAVITY,
+        np.zeros((3, lanes)), drive.NO_SEGMENTS, np.zeros((0, drive.SEGMENT, lanes)),
     )  # fmt: skip
 
 
@@ -93,8 +100,8 @@ def compile_robot() -> None:
     run = run_robot(prepare_robot(loop, (_at_rest("rad", 1e-3),) * 2), RobotNumbers.of(robot), keep=True)
     differentiate_torques(run, all_places(run.numbers))
     still = np.zeros((_SAMPLES, 2))
-    inverse_dynamics_of(*robot.tree, robot.gravity, robot.inertials, still, still, still)
-    mass_matrix(*robot.tree, robot.inertials, still[0], np.zeros((2, 2)))
+    inverse_dynamics_of(robot.tree, robot.inertials, still, still, still)
+    mass_matrix(robot.tree, robot.inertials, still[0], np.zeros((2, 2)))
     base_parameters(replace(robot, joints=(joints[0], RobotJoint("two", 0.1))))
 
 

@@ -40,8 +40,8 @@ def test_torque_and_mass_matrix_are_those_of_mujoco(seed: int) -> None:
         data.qpos[order], data.qvel[order], data.qacc[order] = q, v, a
         mujoco.mj_inverse(model, data)
         full, found, torque = full_mass_matrix(mujoco, model, data), np.zeros((6, 6)), np.zeros(6)
-        mass_matrix(*robot.tree, robot.inertials, q, found)
-        inverse_dynamics(*robot.tree, robot.gravity, robot.inertials, q, v, a, torque)
+        mass_matrix(robot.tree, robot.inertials, q, found)
+        inverse_dynamics(robot.tree, robot.inertials, q, v, a, torque)
         assert difference(found + np.diag(rotors), full[np.ix_(order, order)]) < by_mujoco(AGREES)
         assert difference(torque + rotors * a, data.qfrc_inverse[order]) < by_mujoco(AGREES)
 
@@ -50,11 +50,11 @@ def test_torque_and_mass_matrix_are_those_of_mujoco(seed: int) -> None:
 def test_regressor_times_parameters_is_the_torque(seed: int) -> None:
     robot = random_robot(seed)
     q, v, a = motion_of(seed, len(robot))
-    torque = inverse_dynamics_of(*robot.tree, robot.gravity, robot.inertials, q, v, a)
-    columns = regressor_of(*robot.tree, robot.gravity, q, v, a)
+    torque = inverse_dynamics_of(robot.tree, robot.inertials, q, v, a)
+    columns = regressor_of(robot.tree, q, v, a)
     assert difference(columns @ robot.inertials.ravel(), torque) < 1e-12
     one = np.empty((6, 60))
-    regressor(*robot.tree, robot.gravity, q[2], v[2], a[2], one)
+    regressor(robot.tree, q[2], v[2], a[2], one)
     assert np.array_equal(one, columns[2])
 
 
@@ -63,9 +63,9 @@ def test_mass_matrix_times_acceleration_is_what_it_adds_to_the_torque(seed: int)
     robot = random_robot(seed)
     q, v, a = motion_of(seed, len(robot))
     matrix = np.empty((6, 6))
-    mass_matrix(*robot.tree, robot.inertials, q[0], matrix)
-    tree, bodies = (*robot.tree, robot.gravity), robot.inertials
-    added = inverse_dynamics_of(*tree, bodies, q, v, a) - inverse_dynamics_of(*tree, bodies, q, v, 0 * a)
+    mass_matrix(robot.tree, robot.inertials, q[0], matrix)
+    tree, bodies = robot.tree, robot.inertials
+    added = inverse_dynamics_of(tree, bodies, q, v, a) - inverse_dynamics_of(tree, bodies, q, v, 0 * a)
     assert difference(matrix @ a[0], added[0]) < 1e-12
     assert np.linalg.eigvalsh(matrix)[0] > 0
 
@@ -77,10 +77,10 @@ def test_power_of_a_free_fall_is_the_change_of_energy() -> None:
     t = np.linspace(0.0, 1.0, 20001)[:, np.newaxis]
     rates = np.linspace(1.0, 3.0, 6)
     q, v, a = np.sin(rates * t), rates * np.cos(rates * t), -(rates**2) * np.sin(rates * t)
-    torque = inverse_dynamics_of(*tree, np.zeros(3), bodies, q, v, a)
+    torque = inverse_dynamics_of(tree._replace(gravity=np.zeros(3)), bodies, q, v, a)
     matrix, kinetic = np.empty((6, 6)), []
     for k in (0, -1):
-        mass_matrix(*tree, bodies, q[k], matrix)
+        mass_matrix(tree, bodies, q[k], matrix)
         kinetic.append(0.5 * v[k] @ matrix @ v[k])
     work = np.trapezoid(np.sum(torque * v, axis=1), t[:, 0])
     assert work == pytest.approx(kinetic[1] - kinetic[0], rel=1e-6)

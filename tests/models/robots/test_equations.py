@@ -8,14 +8,15 @@ import pytest
 from jointid.common.arrays import FloatArray
 from jointid.models.robots.dynamics import inverse_dynamics, mass_matrix, regressor_of
 from jointid.models.robots.equations import ROOM, equations_of_motion, linearised_equations, regressor_columns
+from jointid.models.robots.robot import Tree
 from tests.models.robots.trees import random_robot
 
 SIZE = 7
 
 
-def torque_of(tree: tuple[FloatArray, ...], inertials: FloatArray, *motion: FloatArray) -> FloatArray:
+def torque_of(tree: Tree, inertials: FloatArray, *motion: FloatArray) -> FloatArray:
     out = np.empty(SIZE)
-    inverse_dynamics(*tree, inertials, *motion, out)
+    inverse_dynamics(tree, inertials, *motion, out)
     return out
 
 
@@ -24,20 +25,20 @@ def torque_of(tree: tuple[FloatArray, ...], inertials: FloatArray, *motion: Floa
 def test_one_pass_is_inverse_dynamics_and_mass_matrix_and_its_derivatives_are_theirs(seed: int, coupled: bool) -> None:
     """Of coupled motors those of their shafts, to whose positions a matrix takes the joints'."""
     robot, random = random_robot(seed, SIZE), np.random.default_rng(seed)
-    tree, inertials = (*robot.tree, robot.gravity), robot.inertials
+    inertials = robot.inertials
     q, v, a = random.uniform(-3, 3, SIZE), random.normal(0, 2, SIZE), random.normal(0, 5, SIZE)
     T = np.eye(SIZE) + coupled * random.uniform(-0.3, 0.3, (SIZE, SIZE))
-    joints = T if coupled else np.zeros((0, 0))
+    tree = robot.tree._replace(joints=T if coupled else np.zeros((0, 0)))
     M, torque, room = np.empty((SIZE, SIZE)), np.empty(SIZE), np.empty((SIZE, ROOM))
-    equations_of_motion(*tree, joints, inertials, q, v, a, room, M, torque)
+    equations_of_motion(tree, inertials, q, v, a, room, M, torque)
     expected = np.empty((SIZE, SIZE))
-    mass_matrix(*robot.tree, inertials, T @ q, expected)
+    mass_matrix(robot.tree, inertials, T @ q, expected)
     expected = T.T @ expected @ T
     assert np.max(np.abs(M - expected)) < 1e-12 * np.max(np.abs(expected))
     whole = T.T @ torque_of(tree, inertials, T @ q, T @ v, T @ a)
     assert np.max(np.abs(torque - whole)) < 1e-12 * np.max(np.abs(whole))
     by_place, by_speed = np.empty((SIZE, SIZE)), np.empty((SIZE, SIZE))
-    linearised_equations(*tree, joints, inertials, q, v, a, room, M, by_place, by_speed)
+    linearised_equations(tree, inertials, q, v, a, room, M, by_place, by_speed)
     assert np.max(np.abs(M - expected)) < 1e-12 * np.max(np.abs(expected))
     for j, step in enumerate(1e-6 * np.eye(SIZE)):
         at = [T.T @ torque_of(tree, inertials, T @ (q + s), T @ v, T @ a) for s in (step, -step)]
@@ -48,13 +49,16 @@ def test_one_pass_is_inverse_dynamics_and_mass_matrix_and_its_derivatives_are_th
 
 def test_numbers_of_the_regressor_along_a_motion_are_its_own() -> None:
     robot, random = random_robot(3, SIZE), np.random.default_rng(1)
-    tree = (*robot.tree, robot.gravity)
     q, v, a = random.normal(size=(3, 5, SIZE))
     T = np.eye(SIZE) + random.uniform(-0.3, 0.3, (SIZE, SIZE))
     rows, columns = (random.integers(0, top, 40) for top in (SIZE, 10 * SIZE))
     for joints in (np.zeros((0, 0)), T):
         found, by = np.empty((40, 5)), joints if joints.size else np.eye(SIZE)
-        regressor_columns(*tree, joints, q[:2], v[:2], a[:2], rows, columns, np.arange(40), 0, found)
-        regressor_columns(*tree, joints, q[2:], v[2:], a[2:], rows, columns, np.arange(40), 2, found)
-        whole = by.T @ regressor_of(*tree, *(np.ascontiguousarray(values @ by.T) for values in (q, v, a)))
+        regressor_columns(
+            robot.tree._replace(joints=joints), q[:2], v[:2], a[:2], rows, columns, np.arange(40), 0, found
+        )
+        regressor_columns(
+            robot.tree._replace(joints=joints), q[2:], v[2:], a[2:], rows, columns, np.arange(40), 2, found
+        )
+        whole = by.T @ regressor_of(robot.tree, *(np.ascontiguousarray(values @ by.T) for values in (q, v, a)))
         assert found == pytest.approx(whole[:, rows, columns].T, abs=1e-12 * np.max(np.abs(whole)))

@@ -23,7 +23,7 @@ DOWN = np.array([0.0, 0.0, -9.81])
 def torque(robot: Robot, names: tuple[str, ...]) -> np.ndarray:
     order = [names.index(name) for name in robot.names]
     q, v, a = (np.ascontiguousarray(one[:, order]) for one in np.random.default_rng(1).normal(size=(3, 6, len(names))))
-    found = inverse_dynamics_of(*robot.tree, robot.gravity, robot.inertials, q, v, a)
+    found = inverse_dynamics_of(robot.tree, robot.inertials, q, v, a)
     return found[:, [robot.names.index(name) for name in names]]
 
 

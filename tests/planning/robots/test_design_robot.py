@@ -29,7 +29,7 @@ def measured(q: FloatArray, noise: FloatArray, seed: int) -> tuple[Record, ...]:
     robot = two().robot
     v = np.gradient(q, T, axis=0)
     a = np.gradient(v, T, axis=0)
-    torque = inverse_dynamics_of(*robot.tree, robot.gravity, robot.inertials, q, v, a)
+    torque = inverse_dynamics_of(robot.tree, robot.inertials, q, v, a)
     torque += robot.of_joints("rotor_inertia") * a + robot.of_joints("viscous") * v
     torque += robot.of_joints("coulomb") * np.sign(v) + noise * np.random.default_rng(seed).normal(size=q.shape)
     return tuple(
@@ -159,7 +159,7 @@ def played() -> tuple[FloatArray, FloatArray, FloatArray]:
 
 def needed(robot: Robot, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
     """Return the torques of links, rotors and friction by direction, of motors that are not coupled."""
-    torque = inverse_dynamics_of(*robot.tree, robot.gravity, robot.inertials, q, v, a)
+    torque = inverse_dynamics_of(robot.tree, robot.inertials, q, v, a)
     torque += robot.of_joints("rotor_inertia") * a + robot.of_joints("offset")
     for k, joint in enumerate(robot.joints):
         back = joint.coulomb if joint.coulomb_backwards is None else joint.coulomb_backwards

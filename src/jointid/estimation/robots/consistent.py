@@ -162,7 +162,7 @@ def mass_matrix_at(robot: Robot, q: FloatArray) -> FloatArray:
     from jointid.models.robots.dynamics import mass_matrix
 
     found, coupling = np.empty((len(robot), len(robot))), robot.coupling
-    mass_matrix(*robot.tree, robot.inertials, np.ascontiguousarray(q, dtype=np.float64), found)
+    mass_matrix(robot.tree, robot.inertials, np.ascontiguousarray(q, dtype=np.float64), found)
     return np.asarray(found + coupling.T @ np.diag(robot.of_joints("rotor_inertia")) @ coupling)
 
 

@@ -40,7 +40,7 @@ from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
 from jointid.estimation.robots.problem import RobotProblem, require_torques
 from jointid.estimation.robots.regression import RobotMotion, motion_of_robot
 from jointid.estimation.robots.spring_start import StartOfSprings
-from jointid.models.robots.robot import Robot
+from jointid.models.robots.robot import Robot, Tree
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, lowpass, window_parts
 from jointid.simulation.closed_loop import in_threads
@@ -54,7 +54,7 @@ from jointid.simulation.robot_drive_side import (
     run_drive_side,
 )
 from jointid.simulation.robot_numbers import Bools, NumberOf, NumberPlace, RobotNumbers, with_values
-from jointid.simulation.robots import LoopTree, RobotOutcome
+from jointid.simulation.robots import RobotOutcome
 
 _LOWEST, _HIGHEST, _APART = 4.0, 60.0, 1.25  # Hz: the row in which a link's frequency is looked for, and its ratio
 _DAMPING = 0.1  # of critical, of springs that are looked for: wide enough to be seen from the next of the row
@@ -81,7 +81,7 @@ class RobotDriveSideProblem(RobotProblem[RobotDriveSideRun]):
     prescribed: MotorMotion
 
     @property
-    def tree(self) -> LoopTree:
+    def tree(self) -> Tree:
         """Of the links."""
         return self.prescribed.tree
 

@@ -149,7 +149,7 @@ def _random_columns(robot: Robot, numbers: RobotNumbers, places: tuple[NumberPla
     motion = MassMotion(
         random.uniform(-math.pi, math.pi, shape), velocity, 5.0 * random.normal(size=shape), np.sign(velocity)
     )
-    tree, masses = (*robot.tree, robot.gravity, robot.joints_of_shafts), np.arange(len(numbers.masses))
+    tree, masses = robot.tree, np.arange(len(numbers.masses))
     columns = np.zeros((_MOTIONS, masses.size, len(places)))
     for row, (own, values) in enumerate(columns_of(tree, numbers, places, motion, masses)):
         columns[:, row, own] = values

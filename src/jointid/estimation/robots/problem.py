@@ -16,7 +16,7 @@ from jointid.common.parallel import threads
 from jointid.common.parameters import Parameter
 from jointid.estimation.robots.numbers import RobotParameters
 from jointid.models.robots.dynamics import IntArray
-from jointid.models.robots.robot import Robot
+from jointid.models.robots.robot import Robot, Tree
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, decimate_all
 from jointid.simulation.closed_loop import in_threads
@@ -27,7 +27,6 @@ from jointid.simulation.robot_sensitivities import differentiate_torques
 from jointid.simulation.robots import (
     COARSE,
     FINE,
-    LoopTree,
     RobotInput,
     RobotLoop,
     RobotOutcome,
@@ -64,7 +63,7 @@ class RobotProblem(ABC, Generic[Run]):
 
     @property
     @abstractmethod
-    def tree(self) -> LoopTree:
+    def tree(self) -> Tree:
         """Of the links, as kernels read it."""
 
     @property
@@ -199,7 +198,7 @@ class RobotLoopProblem(RobotProblem[RobotRun]):
     stride: float = FINE
 
     @property
-    def tree(self) -> LoopTree:
+    def tree(self) -> Tree:
         """Of the links."""
         return self.experiment.tree
 

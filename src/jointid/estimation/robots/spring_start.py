@@ -190,7 +190,7 @@ def _mass_matrix(problem: RobotProblem[Any], numbers: RobotNumbers, pose: FloatA
 
     still, room = np.zeros(pose.size), np.empty((pose.size, ROOM))
     M = np.empty((pose.size, pose.size))
-    equations_of_motion(*problem.tree, numbers.inertials, pose, still, still, room, M, np.empty(pose.size))
+    equations_of_motion(problem.tree, numbers.inertials, pose, still, still, room, M, np.empty(pose.size))
     return M + np.diag(numbers.masses[: pose.size, 0])
 
 

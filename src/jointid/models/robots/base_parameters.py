@@ -36,7 +36,7 @@ def inverse_columns(robot: Robot, q: FloatArray, v: FloatArray, a: FloatArray) -
     """
     from jointid.models.robots.dynamics import regressor_of
 
-    links = regressor_of(*robot.tree, robot.gravity, *(np.ascontiguousarray(one) for one in (q, v, a)))
+    links = regressor_of(robot.tree, *(np.ascontiguousarray(one) for one in (q, v, a)))
     coupling = robot.coupling
     rotors = (a @ coupling.T)[:, :, np.newaxis] * np.eye(len(robot))
     return np.concatenate([np.linalg.inv(coupling).T @ links, rotors], axis=2)

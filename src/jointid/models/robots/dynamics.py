@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import compiled, inlined
+from jointid.models.robots.robot import Tree
 from jointid.models.robots.spatial import Vector, add, cross, dot, get, inertia_times, put, times
 
 IntArray: TypeAlias = NDArray[np.int64]
@@ -52,10 +53,9 @@ def _to_link(place: FloatArray, i: int, a: Vector) -> Vector:
 
 
 @inlined
-def _place(
-    kinds: IntArray, axes: FloatArray, rotations: FloatArray, origins: FloatArray, q: FloatArray, place: FloatArray
-) -> None:
+def _place(tree: Tree, q: FloatArray, place: FloatArray) -> None:
     """Fill `place`, (n, 12): each link's rotation to its parent, row by row, and its origin there."""
+    kinds, axes, rotations, origins = tree.kinds, tree.axes, tree.rotations, tree.origins
     for i in range(q.size):
         x, y, z = get(axes, i, 0)
         for row in range(3):
@@ -81,17 +81,9 @@ def _place(
 
 
 @inlined
-def _move(
-    parents: IntArray,
-    kinds: IntArray,
-    axes: FloatArray,
-    gravity: FloatArray,
-    place: FloatArray,
-    v: FloatArray,
-    a: FloatArray,
-    motion: FloatArray,
-) -> None:
+def _move(tree: Tree, place: FloatArray, v: FloatArray, a: FloatArray, motion: FloatArray) -> None:
     """Fill `motion`, (n, 9): angular velocity, its derivative, and acceleration less gravity, in each link's frame."""
+    parents, kinds, axes, gravity = tree.parents, tree.kinds, tree.axes, tree.gravity
     for i in range(v.size):
         parent = parents[i]
         turning, changing = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -118,12 +110,7 @@ def _move(
 
 @compiled
 def inverse_dynamics(
-    parents: IntArray,
-    kinds: IntArray,
-    axes: FloatArray,
-    rotations: FloatArray,
-    origins: FloatArray,
-    gravity: FloatArray,
+    tree: Tree,
     inertials: FloatArray,
     q: FloatArray,
     v: FloatArray,
@@ -133,22 +120,17 @@ def inverse_dynamics(
     """Fill `torque`, (n,), with what the joints exert for the accelerations `a` at positions `q` and velocities `v`.
 
     Args:
-        parents: (n,) of each link, -1 for the base; before the link.
-        kinds: (n,) 0 revolute, 1 prismatic.
-        axes: (n, 3) of unit length, in the link's frame.
-        rotations: (n, 3, 3) of the link's frame to its parent's at q = 0.
-        origins: (n, 3) of the link's frame in its parent's at q = 0, m.
-        gravity: (3,) in the base's frame, m/s2.
+        tree: of the links.
         inertials: (n, 10) see the module.
         q: (n,) rad or m.
         v: (n,) rad/s or m/s.
         a: (n,) rad/s2 or m/s2.
         torque: (n,) N m or N, out.
     """
-    n = q.size
+    n, parents, kinds, axes = q.size, tree.parents, tree.kinds, tree.axes
     place, motion, wrench = np.empty((n, 12)), np.empty((n, 9)), np.empty((n, 6))
-    _place(kinds, axes, rotations, origins, q, place)
-    _move(parents, kinds, axes, gravity, place, v, a, motion)
+    _place(tree, q, place)
+    _move(tree, place, v, a, motion)
     for i in range(n):
         w, dw, rising = get(motion, i, 0), get(motion, i, 3), get(motion, i, 6)
         h = get(inertials, i, 1)
@@ -169,12 +151,7 @@ def inverse_dynamics(
 
 @compiled
 def regressor(
-    parents: IntArray,
-    kinds: IntArray,
-    axes: FloatArray,
-    rotations: FloatArray,
-    origins: FloatArray,
-    gravity: FloatArray,
+    tree: Tree,
     q: FloatArray,
     v: FloatArray,
     a: FloatArray,
@@ -184,10 +161,10 @@ def regressor(
 
     The arguments are those of `inverse_dynamics`.
     """
-    n = q.size
+    n, parents, kinds, axes = q.size, tree.parents, tree.kinds, tree.axes
     place, motion, twist = np.empty((n, 12)), np.empty((n, 9)), np.empty((n, 6))
-    _place(kinds, axes, rotations, origins, q, place)
-    _move(parents, kinds, axes, gravity, place, v, a, motion)
+    _place(tree, q, place)
+    _move(tree, place, v, a, motion)
     moves = np.empty(n, np.bool_)
     out[:] = 0.0
     for i in range(n):  # the joint whose axis is carried outwards: about it a link turns, and its origin slides
@@ -241,11 +218,7 @@ def _carry(place: FloatArray, i: int, parent: int, body: FloatArray) -> None:
 
 @compiled
 def mass_matrix(
-    parents: IntArray,
-    kinds: IntArray,
-    axes: FloatArray,
-    rotations: FloatArray,
-    origins: FloatArray,
+    tree: Tree,
     inertials: FloatArray,
     q: FloatArray,
     out: FloatArray,
@@ -254,9 +227,9 @@ def mass_matrix(
 
     The arguments are those of `inverse_dynamics`.
     """
-    n = q.size
+    n, parents, kinds, axes = q.size, tree.parents, tree.kinds, tree.axes
     place, body = np.empty((n, 12)), inertials.copy()
-    _place(kinds, axes, rotations, origins, q, place)
+    _place(tree, q, place)
     out[:] = 0.0
     for i in range(n - 1, -1, -1):
         axis, h = get(axes, i, 0), get(body, i, 1)
@@ -278,12 +251,7 @@ def mass_matrix(
 
 @compiled
 def inverse_dynamics_of(
-    parents: IntArray,
-    kinds: IntArray,
-    axes: FloatArray,
-    rotations: FloatArray,
-    origins: FloatArray,
-    gravity: FloatArray,
+    tree: Tree,
     inertials: FloatArray,
     q: FloatArray,
     v: FloatArray,
@@ -292,20 +260,13 @@ def inverse_dynamics_of(
     """Return the torques of a motion, (samples, n); positions, velocities and accelerations are (samples, n)."""
     torque = np.empty(q.shape)
     for t in range(q.shape[0]):
-        inverse_dynamics(
-            parents, kinds, axes, rotations, origins, gravity, inertials, q[t], v[t], a[t], torque[t]
-        )  # fmt: skip
+        inverse_dynamics(tree, inertials, q[t], v[t], a[t], torque[t])
     return torque
 
 
 @compiled
 def regressor_of(
-    parents: IntArray,
-    kinds: IntArray,
-    axes: FloatArray,
-    rotations: FloatArray,
-    origins: FloatArray,
-    gravity: FloatArray,
+    tree: Tree,
     q: FloatArray,
     v: FloatArray,
     a: FloatArray,
@@ -314,5 +275,5 @@ def regressor_of(
     samples, n = q.shape
     out = np.empty((samples, n, PARAMETERS * n))
     for t in range(samples):
-        regressor(parents, kinds, axes, rotations, origins, gravity, q[t], v[t], a[t], out[t])
+        regressor(tree, q[t], v[t], a[t], out[t])
     return out

@@ -19,8 +19,8 @@ first moment h and second moments E about that origin, ``B (x, y) = (W x, x x p)
 u (h'x)``: nine numbers and three, which add up along the chain as inertias do.
 
 The arguments are those of `dynamics`, but positions are those of the shafts that the motors turn: of the joints where
-no motors are coupled, and else ``C q`` (`robot.Robot.coupling`). `joints` is the inverse of C, or (0, 0) without
-coupling; `room` is scratch, (n, ROOM).
+no motors are coupled, and else ``C q`` (`robot.Robot.coupling`), of which `Tree.joints` is the inverse; `room` is
+scratch, (n, ROOM).
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, compiled, inlined
 from jointid.models.robots.dynamics import PARAMETERS, REVOLUTE, IntArray, regressor
+from jointid.models.robots.robot import Tree
 from jointid.models.robots.spatial import (
     ZERO,
     Vector,
@@ -123,11 +124,10 @@ def _times_inertia(room: FloatArray, i: int, a: Vector, b: Vector) -> tuple[Vect
 
 
 @inlined
-def _outwards(
-    parents: IntArray, kinds: IntArray, axes: FloatArray, rotations: FloatArray, origins: FloatArray,
-    gravity: FloatArray, inertials: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray, room: FloatArray,
-) -> None:  # fmt: skip
+def _outwards(tree: Tree, inertials: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray, room: FloatArray) -> None:
     """Write frames, twists of joints, velocities and accelerations, and inertias."""
+    parents, kinds, axes, rotations, origins = tree.parents, tree.kinds, tree.axes, tree.rotations, tree.origins
+    gravity = tree.gravity
     for i in range(parents.size):
         parent = parents[i]
         x, y, z, p = _frame(room, parent)
@@ -192,16 +192,15 @@ def _hand_down(room: FloatArray, i: int, parent: int, first: int, last: int) -> 
 
 @compiled
 def equations_of_motion(
-    parents: IntArray, kinds: IntArray, axes: FloatArray, rotations: FloatArray, origins: FloatArray,
-    gravity: FloatArray, joints: FloatArray, inertials: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray,
-    room: FloatArray,
+    tree: Tree, inertials: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray, room: FloatArray,
     M: FloatArray, torque: FloatArray,
 ) -> None:  # fmt: skip
     """Fill the mass matrix, (n, n), and the torques of a motion, (n,)."""
+    parents, joints = tree.parents, tree.joints
     n, coupled = parents.size, joints.shape[0] > 0
     if coupled:
         q, v, a = of_joints(joints, q), of_joints(joints, v), of_joints(joints, a)
-    _outwards(parents, kinds, axes, rotations, origins, gravity, inertials, q, v, a, room)
+    _outwards(tree, inertials, q, v, a, room)
     for i in range(n):
         _force(room, i)
         for j in range(n):
@@ -254,16 +253,15 @@ def _changing(room: FloatArray, i: int, parent: int, gravity: FloatArray) -> tup
 
 @compiled
 def linearised_equations(
-    parents: IntArray, kinds: IntArray, axes: FloatArray, rotations: FloatArray, origins: FloatArray,
-    gravity: FloatArray, joints: FloatArray, inertials: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray,
-    room: FloatArray,
+    tree: Tree, inertials: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray, room: FloatArray,
     M: FloatArray, by_place: FloatArray, by_speed: FloatArray,
 ) -> None:  # fmt: skip
     """Fill the mass matrix, and the derivatives of the torques by positions and by velocities, (n, n) each."""
+    parents, joints = tree.parents, tree.joints
     n, coupled = parents.size, joints.shape[0] > 0
     if coupled:
         q, v, a = of_joints(joints, q), of_joints(joints, v), of_joints(joints, a)
-    _outwards(parents, kinds, axes, rotations, origins, gravity, inertials, q, v, a, room)
+    _outwards(tree, inertials, q, v, a, room)
     for i in range(n):
         for j in range(n):
             M[i, j] = by_place[i, j] = by_speed[i, j] = 0.0
@@ -280,7 +278,7 @@ def linearised_equations(
         d, e = rotated(x, y, z, s), cross(s, p)
         # 2 B P + I R + S x* f, and B S + I P
         turning, sliding = get(room, i, _TURNING), get(room, i, _TURNING + 3)
-        spinning, swaying = _changing(room, i, parents[i], gravity)
+        spinning, swaying = _changing(room, i, parents[i], tree.gravity)
         pulled, pushed = _times_inertia(room, i, spinning, swaying)
         moment, force = get(room, i, _FORCE), get(room, i, _FORCE + 3)
         pulled = add(add(pulled, times(2.0, rotated(x, y, z, turning))), add(cross(s, moment), cross(t, force)))
@@ -291,7 +289,7 @@ def linearised_equations(
         while j >= 0:
             a_j, b_j = get(room, j, _JOINT), get(room, j, _JOINT + 3)
             P, Q = get(room, j, _TURNING), get(room, j, _TURNING + 3)
-            spinning, swaying = _changing(room, j, parents[j], gravity)
+            spinning, swaying = _changing(room, j, parents[j], tree.gravity)
             M[i, j] = M[j, i] = dot(g, a_j) + dot(h, b_j)
             by_place[j, i] = dot(pulled, a_j) + dot(pushed, b_j)
             by_place[i, j] = 2.0 * dot(c, P) + dot(g, spinning) + dot(h, swaying)
@@ -308,24 +306,24 @@ def linearised_equations(
 
 @compiled
 def regressor_columns(
-    parents: IntArray, kinds: IntArray, axes: FloatArray, rotations: FloatArray, origins: FloatArray,
-    gravity: FloatArray, joints: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray,
+    tree: Tree, q: FloatArray, v: FloatArray, a: FloatArray,
     rows: IntArray, columns: IntArray, at: IntArray, first: int, out: FloatArray,
 ) -> None:  # fmt: skip
     """Fill lines of `out` with some numbers of the regressor along a motion, (samples, n) each, from sample `first` on.
 
     Rows, columns and `at`, (numbers,), are whose torque by which of the 10 n inertial parameters goes to which line.
     """
+    parents, joints = tree.parents, tree.joints
     n, coupled = parents.size, joints.shape[0] > 0
     Y, turned = np.empty((n, PARAMETERS * n)), np.empty(n)
     for t in range(len(q)):
         if coupled:
             place, speed, turn = of_joints(joints, q[t]), of_joints(joints, v[t]), of_joints(joints, a[t])
-            regressor(parents, kinds, axes, rotations, origins, gravity, place, speed, turn, Y)
+            regressor(tree, place, speed, turn, Y)
             for c in range(PARAMETERS * n):
                 assign(turned, of_joints(joints.T, Y[:, c]))
                 assign(Y[:, c], turned)
         else:
-            regressor(parents, kinds, axes, rotations, origins, gravity, q[t], v[t], a[t], Y)
+            regressor(tree, q[t], v[t], a[t], Y)
         for k in range(at.size):
             out[at[k], first + t] = Y[rows[k], columns[k]]

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TypeAlias, get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +27,28 @@ from jointid.models.robots.inertial import SYMBOLS
 
 _UNIT = 1e-9  # how far a unit vector may be from one, and a rotation from one
 
-Tree: TypeAlias = tuple[NDArray[np.int64], NDArray[np.int64], FloatArray, FloatArray, FloatArray]
-"""Parents, kinds, axes, rotations, origins: the first arguments of every function of `dynamics`."""
+
+class Tree(NamedTuple):
+    """A robot's kinematics and gravity, as compiled functions take them.
+
+    Attributes:
+        parents: (n,) of each link, -1 for the base; before the link.
+        kinds: (n,) 0 revolute, 1 prismatic.
+        axes: (n, 3) of unit length, in the link's frame.
+        rotations: (n, 3, 3) of the link's frame to its parent's at q = 0.
+        origins: (n, 3) of the link's frame in its parent's at q = 0, m.
+        gravity: (3,) in the base's frame, m/s2.
+        joints: (n, n) the joints' positions from those of the shafts that the motors turn, or (0, 0) without coupling.
+            Functions of `dynamics` take the joints' own positions and do not read it.
+    """
+
+    parents: NDArray[np.int64]
+    kinds: NDArray[np.int64]
+    axes: FloatArray
+    rotations: FloatArray
+    origins: FloatArray
+    gravity: FloatArray
+    joints: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,14 +195,16 @@ class Robot:
 
     @property
     def tree(self) -> Tree:
-        """Parents, kinds (0 revolute, 1 prismatic), axes, rotations and origins, as `dynamics` takes them."""
+        """Kinematics and gravity, as compiled functions take them."""
         parents = np.array([link.parent for link in self.links], dtype=np.int64)
         kinds = np.array([int(link.kind == "prismatic") for link in self.links], dtype=np.int64)
         axes, rotations, origins = (
             np.array([getattr(link, name) for link in self.links], dtype=np.float64)
             for name in ("axis", "rotation", "origin")
         )
-        return parents, kinds, axes, rotations, origins
+        coupled = any(joint.coupling for joint in self.joints)
+        joints = np.asarray(np.linalg.inv(self.coupling)) if coupled else np.zeros((0, 0))
+        return Tree(parents, kinds, axes, rotations, origins, np.asarray(self.gravity, dtype=np.float64), joints)
 
     @property
     def inertials(self) -> FloatArray:
@@ -213,12 +235,6 @@ class Robot:
             for other, factor in joint.coupling.items():
                 found[i, self.names.index(other)] = factor
         return found
-
-    @property
-    def joints_of_shafts(self) -> FloatArray:
-        """The inverse of C, (n, n), or (0, 0) where no motors are coupled, as `equations` takes it."""
-        coupled = any(joint.coupling for joint in self.joints)
-        return np.asarray(np.linalg.inv(self.coupling)) if coupled else np.zeros((0, 0))
 
     @property
     def flexible(self) -> tuple[bool, ...]:

@@ -168,6 +168,52 @@ NO_FEEDBACK = Feedback(
 )  # fmt: skip
 """That of a torque which is prescribed: its response is all there is."""
 
+
+class SampledLoop(NamedTuple):
+    """What drives a joint: the sampled controller, and all that does not depend on the joint.
+
+    Attributes:
+        lengths: (parts,) seconds of each part of a controller period, first to last.
+        lags: (parts,) how many periods ago the torque that acts in each part was computed.
+        feedback: the controller.
+        w: (elements, periods) response of its elements to its reference and to what is added before the limit.
+        post: (periods,) what is added after the limit.
+    """
+
+    lengths: FloatArray
+    lags: IntArray
+    feedback: Feedback
+    w: FloatArray
+    post: FloatArray
+
+
+class Trace(NamedTuple):
+    """What a simulation leaves, filled by `run`.
+
+    Attributes:
+        u: (periods,) the torque that acts.
+        tapped: (periods,) the controller's output behind its limit, where that is another; else (0,).
+        excess: (periods, elements) what limits and gates took away; or (0, elements). Not of a law of one limit, at
+            most two states and one phase, where `u` says it.
+        states: (periods * parts, 4) states at the start of every part; or (0, 4).
+        modes: (periods * parts,) ``3 m1 + m2 + 4`` of the modes every part began in, and 9 for each segment below the
+            one it began in; empty when `states` is, and of smooth laws.
+        accelerations: (periods * parts, 2) of smooth laws, those of motor and load just after the torque of each part
+            begins to act; or (0, 2).
+        tape: (rows, TAPE) the Taylor steps of the parts with events; their number is counted beyond the rows, too.
+        counts: (4,) events, Taylor steps, periods simulated, periods at the limit.
+    """
+
+    u: FloatArray
+    tapped: FloatArray
+    excess: FloatArray
+    states: FloatArray
+    modes: NDArray[np.int16]
+    accelerations: FloatArray
+    tape: FloatArray
+    counts: IntArray
+
+
 NO_GRAVITY = np.zeros(0)
 NO_SEGMENTS = np.zeros((0, SEGMENT))
 
@@ -756,48 +802,26 @@ def _glide(
 @compiled
 def run(
     drive: FloatArray,
-    lengths: FloatArray,
-    lags: IntArray,
-    z: FloatArray,
-    feedback: Feedback,
-    w: FloatArray,
-    post: FloatArray,
+    loop: SampledLoop,
     before: float,
+    z: FloatArray,
     x: FloatArray,
     far: float,
-    u: FloatArray,
-    tapped: FloatArray,
-    excess: FloatArray,
-    states: FloatArray,
-    modes: NDArray[np.int16],
-    tape: FloatArray,
-    counts: IntArray,
+    trace: Trace,
     gravity: FloatArray,
     segments: FloatArray,
 ) -> int:
-    """Simulate one loop; fill `u`, `tapped`, `excess`, `states`, `modes` and `tape` and return how it ended.
+    """Simulate one loop; fill the trace and return how it ended.
 
     Args:
         drive: (14,) coefficients: inertias, stiffness, damping; viscous forwards, backwards, Coulomb forwards,
             backwards of the motor, then of the load; constant force the motor works against, and the load.
-        lengths: (parts,) seconds of each part of a controller period, first to last.
-        lags: (parts,) how many periods ago the torque that acts in each part was computed.
-        z: (nz,) state of the controller's feedback; may be overwritten.
-        feedback: the controller.
-        w: (elements, periods) response of its elements to its reference and to what is added before the limit.
-        post: (periods,) what is added after the limit.
+        loop: what drives it.
         before: torque that acted before the first period.
+        z: (nz,) state of the controller's feedback; may be overwritten.
         x: (4,) initial state, overwritten.
         far: a motor position beyond which the loop counts as diverged.
-        u: (periods,) out, the torque that acts.
-        tapped: (periods,) out, the controller's output behind its limit, where that is another; else (0,).
-        excess: (periods, elements) out, what limits and gates took away; or (0, elements). Not of a law of one limit,
-            at most two states and one phase, where `u` says it.
-        states: (periods * parts, 4) out, states at the start of every part; or (0, 4).
-        modes: (periods * parts,) out, ``3 m1 + m2 + 4`` of the modes every part began in, and 9 for each segment of
-            the spring below the one it began in; empty when `states` is.
-        tape: (rows, TAPE) out, the Taylor steps of the parts with events; their number is counted beyond the rows, too.
-        counts: (4,) out: events, Taylor steps, periods simulated, periods at the limit.
+        trace: out.
         gravity: (5,) factors of the cosine and the sine of an angle, and of the position; the angle per position; 1 if
             it is the load's, whose spring then holds it, and 0 if it is the motor's; or (0,) where there is none.
         segments: (segments, SEGMENT) of a spring or a friction in pieces: the coefficients of the drive in each; where
@@ -805,6 +829,16 @@ def run(
             next one of each of the three is. `drive` is not read then. (0, SEGMENT) of a drive in one piece, and
             beside gravity.
     """
+    w, post, lengths, lags, feedback = loop.w, loop.post, loop.lengths, loop.lags, loop.feedback
+    u, tapped, excess, states, tape, counts = (
+        trace.u,
+        trace.tapped,
+        trace.excess,
+        trace.states,
+        trace.tape,
+        trace.counts,
+    )
+    modes = trace.modes
     n, parts, nz = w.shape[1], lengths.size, z.size
     p = drive_of(drive)
     part_length = 0.0

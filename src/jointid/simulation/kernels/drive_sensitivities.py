@@ -28,9 +28,45 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, compiled, inlined, wide_vectors
-from jointid.simulation.kernels.drive import Feedback
+from jointid.simulation.kernels.drive import Feedback, SampledLoop, Trace
 
 Motion: TypeAlias = tuple[float, float, float, float, float]
+
+
+class Columns(NamedTuple):
+    """Derivatives of what drives a joint and of its first state.
+
+    Attributes:
+        explicit: (periods, elements, n) how the controller's elements depend on the parameters of columns
+            `first_explicit` and on, with the motor position and what limits and gates take away held.
+        first_explicit: the first of them.
+        delay: (columns,) of the controller's delay.
+        limits: (elements, columns) of its limits.
+        start: (4, columns) of the first state of the drive.
+        memory: (nz, columns) of the first state of the law.
+    """
+
+    explicit: FloatArray
+    first_explicit: int
+    delay: FloatArray
+    limits: FloatArray
+    start: FloatArray
+    memory: FloatArray
+
+
+class Slopes(NamedTuple):
+    """Derivatives of a run, filled.
+
+    Attributes:
+        u: (columns, periods) of the torque that acts.
+        tapped: (columns, periods) of the output behind the torque's limit where that is another; else (columns, 0).
+        states: (periods * parts, 4, columns) at the start of every part; or (0, 4, columns).
+    """
+
+    u: FloatArray
+    tapped: FloatArray
+    states: FloatArray
+
 
 LANES = 8  # columns that are followed at a time: one vector of a wide machine, two of others; `_written` names each
 
@@ -494,49 +530,39 @@ def aligned(size: int) -> FloatArray:
 
 @compiled
 def follow(
-    lengths: FloatArray,
-    lags: NDArray[np.int64],
-    states: FloatArray,
-    modes: NDArray[np.int16],
-    tape: FloatArray,
-    rows: int,
-    u: FloatArray,
-    post: FloatArray,
+    loop: SampledLoop,
     before: float,
-    excess: FloatArray,
-    feedback: Feedback,
+    trace: Trace,
+    rows: int,
     drive: FloatArray,
     seeds: FloatArray,
-    explicit: FloatArray,
-    first_explicit: int,
-    ddelay: FloatArray,
-    dlimits: FloatArray,
-    S: FloatArray,
-    Z: FloatArray,
-    du: FloatArray,
-    dtapped: FloatArray,
-    dstates: FloatArray,
+    columns: Columns,
+    slopes: Slopes,
     gravity: FloatArray,
     dgravity: FloatArray,
     segments: FloatArray,
     dsegments: FloatArray,
 ) -> None:
-    """Fill `du` with LANES columns of derivatives of a finished run's output, and `dstates` with those of its states.
+    """Fill LANES columns of derivatives of a finished run.
 
-    `dtapped` is filled with those of the output behind the torque's limit where that is another; else it is (LANES, 0).
-
-    What drives the run is given as to `kernels.run`, and what it left behind as it left it; `rows` of the tape are
-    filled. The derivatives come by columns: `seeds` (14, columns) of the `drive`; `ddelay` (columns,)
-    of the controller's delay; `dlimits` (elements, columns) of its limits; `S` (4, columns) and `Z` (nz, columns) of
-    the first state of the drive and of the law. `explicit` (periods, elements, n) is how the elements depend on the
-    parameters of columns `first_explicit` and on, with the motor position and what limits and gates take away held.
-
-    `du` is (columns, periods), `dstates` (periods * parts, 4, columns), at the start of every part, or (0, 4, columns).
-    Of a drive in gravity, `dgravity` (3, columns) are the derivatives of the first of `gravity`. Of a spring or a
-    friction in pieces `segments` is as in `kernels.run`, and `dsegments` (segments, SEGMENT, columns) their
-    derivatives; `drive` and `seeds` are not read then. Where there is none of either, `gravity` and `segments` have no
-    length.
+    Args:
+        loop: what drove the run.
+        before: torque that acted before its first period.
+        trace: what it left behind.
+        rows: of the tape that are filled.
+        drive: (14,) of `kernels.drive.run`.
+        seeds: (14, columns) derivatives of the drive's coefficients.
+        columns: of what else depends on the parameters.
+        slopes: out.
+        gravity: of `kernels.drive.run`.
+        dgravity: (3, columns) derivatives of its first numbers.
+        segments: of `kernels.drive.run`; `drive` and `seeds` are not read where there are any.
+        dsegments: (segments, SEGMENT, columns) their derivatives.
     """
+    lengths, lags, feedback, post = loop.lengths, loop.lags, loop.feedback, loop.post
+    u, excess, states, modes, tape = trace.u, trace.excess, trace.states, trace.modes, trace.tape
+    explicit, first_explicit, ddelay, dlimits = columns.explicit, columns.first_explicit, columns.delay, columns.limits
+    S, Z, du, dtapped, dstates = columns.start, columns.memory, slopes.u, slopes.tapped, slopes.states
     wide_vectors()
     n, parts, nz, elements = u.size, lengths.size, feedback.A.shape[1], feedback.limits.size
     hanging, pieces = gravity.size > 0, segments.shape[0] > 0

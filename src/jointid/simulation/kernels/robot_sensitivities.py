@@ -19,6 +19,7 @@ The controllers are linear between limits, and where one acts its element does n
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,10 +28,29 @@ from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, compiled, inlined
 from jointid.models.robots.dynamics import regressor
 from jointid.models.robots.equations import ROOM, linearised_equations, of_joints
+from jointid.models.robots.robot import Tree
 from jointid.simulation.kernels.drive import IntArray
+from jointid.simulation.kernels.robot_loop import Bodies, Clock, Controllers, RobotTape
 
 OF_LINK, OF_MASS, OF_SPRING = range(3)
 """What a parameter is a number of: row of the inertials, the masses or the springs."""
+
+
+class Moved(NamedTuple):
+    """Derivatives at the first sample.
+
+    Attributes:
+        dq: (masses, parameters) of the positions.
+        dv: (masses, parameters) of the velocities.
+        dz: (n, states, parameters) of the controllers' states.
+        before: (n, parameters) of the torques before the first period.
+    """
+
+    dq: FloatArray
+    dv: FloatArray
+    dz: FloatArray
+    before: FloatArray
+
 
 _TURNING = 1e-9  # of the largest acceleration: a velocity that comes to 0 with less of its own hardly turns
 
@@ -66,13 +86,14 @@ def _solve(A: FloatArray, rows: FloatArray) -> None:
                 rows[i, c] -= factor * rows[k, c]
 
 
-@compiled
+@inlined
 def _control(
-    phase: int, A: FloatArray, Bq: FloatArray, F: FloatArray, C: FloatArray, D: FloatArray, E: FloatArray,
-    cut: NDArray[np.bool_], output: int, tap: int, moved: FloatArray, dz: FloatArray, fresh: FloatArray,
-    raw: FloatArray, command: FloatArray, tapped: FloatArray,
+    laws: Controllers, j: int, phase: int, cut: NDArray[np.bool_], moved: FloatArray, dz: FloatArray,
+    fresh: FloatArray, raw: FloatArray, command: FloatArray, tapped: FloatArray,
 ) -> None:  # fmt: skip
     """Fill the change of a controller's output and of the one behind its limit, and move the changes of its states."""
+    A, Bq, F, C, D, E = laws.A[j], laws.Bq[j], laws.F[j], laws.C[j], laws.D[j], laws.E[j]
+    output, tap = laws.outputs[j], laws.taps[j]
     elements, states, count = cut.size, len(dz), moved.size
     for e in range(elements):
         for c in range(count):
@@ -151,37 +172,35 @@ def _add_moved_links(
 
 @compiled
 def differentiate_run(
-    parents: IntArray, kinds: IntArray, axes: FloatArray, rotations: FloatArray, origins: FloatArray,
-    gravity: FloatArray, joints: FloatArray, inertials: FloatArray, rotors: IntArray, masses: FloatArray,
-    springs: FloatArray,
-    lags: IntArray, every: IntArray, A: FloatArray, Bq: FloatArray, F: FloatArray, C: FloatArray, D: FloatArray,
-    E: FloatArray,
-    outputs: IntArray, taps: IntArray, cuts: NDArray[np.bool_],
-    first: IntArray, lasting: FloatArray, places: FloatArray, speeds: FloatArray, begun: FloatArray,
-    ended: FloatArray, directions: FloatArray, stopped: IntArray,
-    parameters: IntArray, dq: FloatArray, dv: FloatArray, dz: FloatArray, before: FloatArray, command: FloatArray,
-    tapped: FloatArray, moved_links: FloatArray,
+    tree: Tree, bodies: Bodies, clock: Clock, laws: Controllers, cuts: NDArray[np.bool_], tape: RobotTape,
+    parameters: IntArray, moved: Moved, command: FloatArray, tapped: FloatArray, moved_links: FloatArray,
 ) -> None:  # fmt: skip
     """Fill the derivatives of the torques, step of the clock by step.
 
-    The arguments, those that belong together in a line::
-
-        parents, ..., every, ..., taps: of `kernels.robot_loop.run`, as the run had them.
-        cuts, first, lasting, places, speeds, begun, ended, directions, stopped: what it wrote.
+    Args:
+        tree: of `kernels.robot_loop.run`, as the run had it.
+        bodies: the same.
+        clock: the same.
+        laws: the same.
+        cuts: what it wrote.
+        tape: the same.
         parameters: (parameters, 3) what each is a number of, in which row and column.
-        dq, dv: (masses, parameters) derivatives of positions and velocities at the beginning, overwritten.
-        dz: (n, states, parameters) of the controllers' states there, overwritten.
-        before: (n, parameters) of the torques before the first period.
-        command: (n, clock, parameters) out; or (n, clock, 0) of motors that are moved, whatever it takes. tapped: the
-            same as command, or (n, 0, 0) where it is the same.
+        moved: derivatives at the beginning, overwritten.
+        command: (n, clock, parameters) out; or (n, clock, 0) of motors that are moved, whatever it takes.
+        tapped: the same as command, or (n, 0, 0) where it is the same.
         moved_links: (n, parts of all steps, parameters) out, mean over each: what the links' change of motion adds to
             the torque that a prescribed motion takes of a motor; or (n, 0, 0).
     """
-    n, nd, count = parents.size, len(dq), len(parameters)
-    parts, clock, pieces = lags.shape[1], command.shape[1], lasting.size
+    rotors, masses, springs, joints = bodies.rotors, bodies.masses, bodies.springs, tree.joints
+    lags, every, dq, dv, dz = clock.lags, clock.every, moved.dq, moved.dv, moved.dz
+    before = moved.before
+    first, lasting, places, speeds = tape.first, tape.lasting, tape.places, tape.speeds
+    begun, ended, directions, stopped = tape.begun, tape.ended, tape.directions, tape.stopped
+    n, nd, count = rotors.size, len(dq), len(parameters)
+    parts, steps, pieces = lags.shape[1], command.shape[1], lasting.size
     dtau, rows, other = np.zeros((n, count)), np.zeros((n, count)), np.zeros((nd, count))
     controlled, prescribed, gained = command.shape[2] > 0, moved_links.shape[1] > 0, np.zeros((n, count))
-    moved, fresh, raw = np.zeros(count), np.zeros((dz.shape[1], count)), np.zeros((cuts.shape[2], count))
+    turned, fresh, raw = np.zeros(count), np.zeros((dz.shape[1], count)), np.zeros((cuts.shape[2], count))
     nothing = np.zeros(count)
     q, v, a = np.zeros(nd), np.zeros(nd), np.zeros(nd)
     place, speed, turn, room, coupled = q[:n], v[:n], a[:n], np.empty((n, ROOM)), joints.shape[0] > 0  # of the links
@@ -191,7 +210,7 @@ def differentiate_run(
     linked = False
     for c in range(count):
         linked = linked or parameters[c, 0] == OF_LINK
-    for k in range(clock):
+    for k in range(steps):
         for j in range(n):
             own = k // every[j]
             if not controlled:
@@ -202,10 +221,10 @@ def differentiate_run(
                     tapped[j, k] = tapped[j, k - 1]
                 continue
             for c in range(count):
-                moved[c] = dq[rotors[j], c]
+                turned[c] = dq[rotors[j], c]
             _control(
-                own % A.shape[1], A[j], Bq[j], F[j], C[j], D[j], E[j], cuts[j, own], outputs[j], taps[j], moved,
-                dz[j], fresh, raw, command[j, k], tapped[j, k] if tapped.shape[1] > 0 else nothing,
+                laws, j, own % laws.A.shape[1], cuts[j, own], turned, dz[j], fresh, raw, command[j, k],
+                tapped[j, k] if tapped.shape[1] > 0 else nothing,
             )  # fmt: skip
         for part in range(parts):
             at = k * parts + part
@@ -230,20 +249,16 @@ def differentiate_run(
                         q[i] = 0.5 * (q0 + q1) + 0.125 * h * (v0 - v1)
                         v[i] = 0.5 * (v0 + v1) + 0.125 * h * (begun[piece, i] - ended[piece, i])
                         a[i] = 0.5 * (begun[piece, i] + ended[piece, i])
-                    linearised_equations(
-                        parents, kinds, axes, rotations, origins, gravity, joints, inertials, place, speed, turn, room,
-                        M, K, Cv,
-                    )  # fmt: skip
+                    linearised_equations(tree, bodies.inertials, place, speed, turn, room, M, K, Cv)
                     # G, and what the motors do.
                     if linked and coupled:
                         regressor(
-                            parents, kinds, axes, rotations, origins, gravity,
-                            of_joints(joints, place), of_joints(joints, speed), of_joints(joints, turn), of_links,
-                        )  # fmt: skip
+                            tree, of_joints(joints, place), of_joints(joints, speed), of_joints(joints, turn), of_links
+                        )
                         for c in range(10 * n):
                             assign(Y[:, c], of_joints(joints.T, of_links[:, c]))
                     elif linked:
-                        regressor(parents, kinds, axes, rotations, origins, gravity, place, speed, turn, Y)
+                        regressor(tree, place, speed, turn, Y)
                     for i in range(nd):
                         for c in range(count):
                             other[i, c] = 0.0
@@ -336,12 +351,12 @@ def differentiate_run(
                     slowing = ended[piece, event]
                     if abs(slowing) > _TURNING * largest:
                         for c in range(count):
-                            moved[c] = dv[event, c] / slowing
+                            turned[c] = dv[event, c] / slowing
                         for i in range(nd):
                             jump = begun[piece + 1, i] - ended[piece, i]
                             for c in range(count):
-                                dv[i, c] += jump * moved[c]
+                                dv[i, c] += jump * turned[c]
                                 if prescribed and i < n:
-                                    gained[i, c] += jump * moved[c]
+                                    gained[i, c] += jump * turned[c]
                 if prescribed:
                     _add_moved_links(rotors, springs, M, Cv, K, h, whole, dq, rows, gained, moved_links[:, at])

@@ -28,6 +28,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import inlined
+from jointid.models.smooth import SmoothLaws
 from jointid.simulation.kernels.drive import Drive
 
 TERMS = 8  # the order of the series
@@ -39,32 +40,6 @@ WOUND1, WOUND2, WOUND = 6, 7, 8
 SQUARE, CUBE, TORQUE, PUSH1, PUSH2, MORE1, MORE2 = 9, 10, 11, 12, 13, 14, 15
 ROWS = 16
 INVERSE = np.array([0.0, *(1.0 / k for k in range(1, TERMS + 2))])
-
-
-class Beyond(NamedTuple):
-    """What the laws have beyond lines: the row of numbers that `stepped_drive.run` is given."""
-
-    cubic: float
-    slope: float
-    limit: float
-    soft1: float
-    soft2: float
-    loss: float
-    drift1: float
-    drift2: float
-    share: float
-    stiffness2: float
-    damping2: float
-    fade1: float
-    fade2: float
-
-
-@inlined
-def beyond_of(row: FloatArray) -> Beyond:
-    """Return what the laws have beyond lines, of a row of numbers, (13,)."""
-    return Beyond(
-        row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9], row[10], row[11], row[12]
-    )
 
 
 class Modes(NamedTuple):
@@ -141,7 +116,7 @@ def _held_back(c: FloatArray, places: FloatArray, turns: FloatArray, side: int, 
 
 @inlined
 def fill_series(
-    p: Drive, b: Beyond, places: FloatArray, m: Modes, known: Known, y: FloatArray, time: float, torque: float,
+    p: Drive, b: SmoothLaws, places: FloatArray, m: Modes, known: Known, y: FloatArray, time: float, torque: float,
     h: float, c: FloatArray, turns: FloatArray,
 ) -> None:  # fmt: skip
     """Write the Taylor series of the motion over a step of `h` into `c`, time counted in steps.
@@ -154,26 +129,26 @@ def fill_series(
     for j in range(places.shape[0]):
         phase = places[j, 3] * y[2 if places[j, 4] == 1.0 else 0]
         turns[j, 0, 0], turns[j, 1, 0] = math.cos(phase), math.sin(phase)
-    viscous1 = (p.viscous1 if m.motor > 0 else p.viscous1_back) + b.drift1 * time
-    viscous2 = (p.viscous2 if m.load > 0 else p.viscous2_back) + b.drift2 * time
+    viscous1 = (p.viscous1 if m.motor > 0 else p.viscous1_back) + b.motor.viscous_drift * time
+    viscous2 = (p.viscous2 if m.load > 0 else p.viscous2_back) + b.load.viscous_drift * time
     coulomb1 = p.coulomb1 if m.motor > 0 else p.coulomb1_back
     coulomb2 = p.coulomb2 if m.load > 0 else p.coulomb2_back
-    faster1, faster2, lossy = b.drift1 * h, b.drift2 * h, b.loss * m.torque
-    mobility1, mobility2 = h / p.inertia1, h / ((1.0 - b.share) * p.inertia2)
-    swings = h / (b.share * p.inertia2) if b.share > 0.0 else 0.0
+    faster1, faster2, lossy = b.motor.viscous_drift * h, b.load.viscous_drift * h, b.load.per_torque * m.torque
+    mobility1, mobility2 = h / p.inertia1, h / ((1.0 - b.spring.swing_share) * p.inertia2)
+    swings = h / (b.spring.swing_share * p.inertia2) if b.spring.swing_share > 0.0 else 0.0
     before1, before2 = 0.0, 0.0  # coefficients of the velocities of one order less
     for k in range(TERMS + 1):
         v1, v2 = c[1, k], c[3, k]
         spring = p.stiffness * (c[2, k] - c[0, k]) + p.damping * (v2 - v1)
-        if b.cubic != 0.0:
+        if b.spring.cubic != 0.0:
             c[SQUARE, k] = _square(c, k)
             c[CUBE, k] = _cube(c, k)
-            spring += b.cubic * c[CUBE, k]
-        if b.slope > 0.0:
-            spring += b.limit * c[WOUND, k]
+            spring += b.spring.cubic * c[CUBE, k]
+        if b.spring.slider > 0.0:
+            spring += b.spring.slips * c[WOUND, k]
         pull = 0.0
-        if b.share > 0.0:
-            pull = b.stiffness2 * (c[4, k] - c[2, k]) + b.damping2 * (c[5, k] - v2)
+        if b.spring.swing_share > 0.0:
+            pull = b.spring.swing_stiffness * (c[4, k] - c[2, k]) + b.spring.swing_damping * (c[5, k] - v2)
         push1, push2, more1, more2, bound1, bound2 = spring, pull - spring, 0.0, lossy * spring, 0.0, 0.0
         if places.shape[0] > 0:
             push1 -= _held_back(c, places, turns, 0, k, h)
@@ -181,12 +156,12 @@ def fill_series(
         if k == 0:
             push1 += torque - p.offset1
             push2 -= p.offset2
-            more1 += b.fade1 * time
-            more2 += b.fade2 * time
+            more1 += b.motor.coulomb_drift * time
+            more2 += b.load.coulomb_drift * time
             bound1, bound2 = coulomb1, coulomb2
         elif k == 1:
-            more1 += b.fade1 * h
-            more2 += b.fade2 * h
+            more1 += b.motor.coulomb_drift * h
+            more2 += b.load.coulomb_drift * h
         c[TORQUE, k], c[PUSH1, k], c[PUSH2, k], c[MORE1, k], c[MORE2, k] = spring, push1, push2, more1, more2
         if k == TERMS:
             break
@@ -194,27 +169,27 @@ def fill_series(
         c[0, k + 1], c[2, k + 1] = h * v1 * inverse, h * v2 * inverse
         if m.motor != 0:
             held = m.motor * (bound1 + more1)
-            if b.soft1 > 0.0:
+            if b.motor.presliding > 0.0:
                 held = coulomb1 * c[WOUND1, k] + _product(c, MORE1, WOUND1, k)
-                c[WOUND1, k + 1] = h * inverse / b.soft1 * _winding(c, MOTOR, WOUND1, m.motor, k)
+                c[WOUND1, k + 1] = h * inverse / b.motor.presliding * _winding(c, MOTOR, WOUND1, m.motor, k)
             drag = viscous1 * v1 + faster1 * before1 + held
             c[1, k + 1] = 0.0 if k == 0 and known.motor == 2 else mobility1 * inverse * (push1 - drag)
         else:
             c[1, k + 1], c[WOUND1, k + 1] = 0.0, 0.0
         if m.load != 0:
             held = m.load * (bound2 + more2)
-            if b.soft2 > 0.0:
+            if b.load.presliding > 0.0:
                 held = coulomb2 * c[WOUND2, k] + _product(c, MORE2, WOUND2, k)
-                c[WOUND2, k + 1] = h * inverse / b.soft2 * _winding(c, LOAD, WOUND2, m.load, k)
+                c[WOUND2, k + 1] = h * inverse / b.load.presliding * _winding(c, LOAD, WOUND2, m.load, k)
             drag = viscous2 * v2 + faster2 * before2 + held
             c[3, k + 1] = 0.0 if k == 0 and known.load == 2 else mobility2 * inverse * (push2 - drag)
         else:
             c[3, k + 1], c[WOUND2, k + 1] = 0.0, 0.0
-        if b.share > 0.0:
+        if b.spring.swing_share > 0.0:
             c[4, k + 1], c[5, k + 1] = h * c[5, k] * inverse, -swings * inverse * pull
-        if b.slope > 0.0:
+        if b.spring.slider > 0.0:
             rate = 0.0
             for i in range(k + 1):
                 rate += (c[3, i] - c[1, i]) * c[WOUND, k - i]
-            c[WOUND, k + 1] = h * inverse * b.slope / b.limit * (v2 - v1 - m.rate * rate)
+            c[WOUND, k + 1] = h * inverse * b.spring.slider / b.spring.slips * (v2 - v1 - m.rate * rate)
         before1, before2 = v1, v2

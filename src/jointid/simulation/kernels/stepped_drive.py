@@ -13,14 +13,15 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, compiled, inlined
+from jointid.models.smooth import SmoothLaws
 from jointid.simulation.kernels.drive import (
     CHATTERING,
     DIVERGED,
     FINISHED,
     TOO_STIFF,
     Drive,
-    Feedback,
-    IntArray,
+    SampledLoop,
+    Trace,
     control_any,
     drive_of,
     mode_after,
@@ -39,10 +40,8 @@ from jointid.simulation.kernels.smooth_series import (
     WOUND,
     WOUND1,
     WOUND2,
-    Beyond,
     Known,
     Modes,
-    beyond_of,
     fill_series,
 )
 
@@ -105,7 +104,9 @@ def _clear(c: FloatArray, row: int, sign: float) -> bool:
 
 
 @inlined
-def _first_event(p: Drive, b: Beyond, m: Modes, known: Known, c: FloatArray, roots: FloatArray) -> tuple[float, int]:
+def _first_event(
+    p: Drive, b: SmoothLaws, m: Modes, known: Known, c: FloatArray, roots: FloatArray
+) -> tuple[float, int]:
     """Return when the first event is (2.0: not in this step), in steps, and its guard.
 
     Guards 0 and 1 are of the motor, 2 and 3 of the load: the first of both also where it moves and may stop, else a
@@ -132,11 +133,11 @@ def _first_event(p: Drive, b: Beyond, m: Modes, known: Known, c: FloatArray, roo
                     constant = p.coulomb2 if direction > 0 else p.coulomb2_back
                 other = MORE1 + mass
         elif guard == 4:
-            if b.slope == 0.0:
+            if b.spring.slider == 0.0:
                 continue
             row, other, sign, out = LOAD, MOTOR, float(m.rate), known.rate
         else:
-            if b.loss == 0.0:
+            if b.load.per_torque == 0.0:
                 continue
             row, sign, out = TORQUE, float(m.torque), known.torque
         if other < 0 and out == 0 and _clear(c, row, sign):
@@ -158,15 +159,15 @@ def _first_event(p: Drive, b: Beyond, m: Modes, known: Known, c: FloatArray, roo
 
 
 @inlined
-def _push(p: Drive, b: Beyond, places: FloatArray, y: FloatArray, mass: int, torque: float) -> tuple[float, float]:
+def _push(p: Drive, b: SmoothLaws, places: FloatArray, y: FloatArray, mass: int, torque: float) -> tuple[float, float]:
     """Return what pushes a mass but its friction, and the spring's torque."""
     e = y[2] - y[0]
-    spring = (p.stiffness + b.cubic * e * e) * e + p.damping * (y[3] - y[1]) + b.limit * y[WOUND]
+    spring = (p.stiffness + b.spring.cubic * e * e) * e + p.damping * (y[3] - y[1]) + b.spring.slips * y[WOUND]
     push = torque - p.offset1 + spring
     if mass == 1:
         push = -p.offset2 - spring
-        if b.share > 0.0:
-            push += b.stiffness2 * (y[4] - y[2]) + b.damping2 * (y[5] - y[3])
+        if b.spring.swing_share > 0.0:
+            push += b.spring.swing_stiffness * (y[4] - y[2]) + b.spring.swing_damping * (y[5] - y[3])
     for j in range(places.shape[0]):
         if places[j, 4] == mass:
             q = y[2 * mass]
@@ -176,21 +177,21 @@ def _push(p: Drive, b: Beyond, places: FloatArray, y: FloatArray, mass: int, tor
 
 
 @inlined
-def _bounds(p: Drive, b: Beyond, mass: int, spring: float, time: float) -> tuple[float, float]:
+def _bounds(p: Drive, b: SmoothLaws, mass: int, spring: float, time: float) -> tuple[float, float]:
     """Return the Coulomb force of a mass, forwards and backwards."""
-    more = b.fade1 * time if mass == 0 else b.fade2 * time + b.loss * abs(spring)
+    more = b.motor.coulomb_drift * time if mass == 0 else b.load.coulomb_drift * time + b.load.per_torque * abs(spring)
     forwards, backwards = (p.coulomb1, p.coulomb1_back) if mass == 0 else (p.coulomb2, p.coulomb2_back)
     return forwards + more, backwards + more
 
 
 @inlined
 def _settled(
-    p: Drive, b: Beyond, places: FloatArray, mode: int, y: FloatArray, mass: int, time: float, torque: float
+    p: Drive, b: SmoothLaws, places: FloatArray, mode: int, y: FloatArray, mass: int, time: float, torque: float
 ) -> int:
     """Return the mode of a mass at rest: 0 while friction can hold it, else the way it is pushed."""
     push, spring = _push(p, b, places, y, mass, torque)
     forwards, backwards = _bounds(p, b, mass, spring, time)
-    soft = b.soft1 if mass == 0 else b.soft2
+    soft = b.motor.presliding if mass == 0 else b.load.presliding
     new = 0
     if soft > 0.0:
         rest = push - y[WOUND1 + mass] * (forwards if mode > 0 else backwards)
@@ -204,7 +205,7 @@ def _settled(
 
 @inlined
 def accelerations_of(
-    p: Drive, b: Beyond, places: FloatArray, m: Modes, y: FloatArray, time: float, torque: float
+    p: Drive, b: SmoothLaws, places: FloatArray, m: Modes, y: FloatArray, time: float, torque: float
 ) -> tuple[float, float]:
     """Return the accelerations of motor and load."""
     found1, found2 = 0.0, 0.0
@@ -214,20 +215,20 @@ def accelerations_of(
             continue
         push, spring = _push(p, b, places, y, mass, torque)
         forwards, backwards = _bounds(p, b, mass, spring, time)
-        soft = b.soft1 if mass == 0 else b.soft2
+        soft = b.motor.presliding if mass == 0 else b.load.presliding
         held = (forwards if mode > 0 else backwards) * (y[WOUND1 + mass] if soft > 0.0 else mode)
         if mass == 0:
-            viscous = (p.viscous1 if mode > 0 else p.viscous1_back) + b.drift1 * time
+            viscous = (p.viscous1 if mode > 0 else p.viscous1_back) + b.motor.viscous_drift * time
             found1 = (push - viscous * y[1] - held) / p.inertia1
         else:
-            viscous = (p.viscous2 if mode > 0 else p.viscous2_back) + b.drift2 * time
-            found2 = (push - viscous * y[3] - held) / ((1.0 - b.share) * p.inertia2)
+            viscous = (p.viscous2 if mode > 0 else p.viscous2_back) + b.load.viscous_drift * time
+            found2 = (push - viscous * y[3] - held) / ((1.0 - b.spring.swing_share) * p.inertia2)
     return found1, found2
 
 
 @inlined
 def _begin_part(
-    p: Drive, b: Beyond, places: FloatArray, m: Modes, y: FloatArray, time: float, torque: float
+    p: Drive, b: SmoothLaws, places: FloatArray, m: Modes, y: FloatArray, time: float, torque: float
 ) -> tuple[Modes, Known]:
     """Return the modes, and what is known of the guards, where another torque begins to act."""
     motor, load, rate, sign = m.motor, m.load, m.rate, m.torque
@@ -238,7 +239,7 @@ def _begin_part(
     if y[3] == 0.0:
         load = _settled(p, b, places, load, y, 1, time, torque)
     still = y[3] == y[1]
-    if b.slope > 0.0 and still:
+    if b.spring.slider > 0.0 and still:
         a1, a2 = accelerations_of(p, b, places, Modes(motor, load, rate, sign), y, time, torque)
         rate = -rate if rate * (a2 - a1) < 0.0 else rate
     known1, known2 = int(motor != 0 and y[1] == 0.0), int(load != 0 and y[3] == 0.0)
@@ -247,7 +248,7 @@ def _begin_part(
 
 @inlined
 def _after(
-    p: Drive, b: Beyond, places: FloatArray, m: Modes, known: Known, y: FloatArray, which: int, time: float,
+    p: Drive, b: SmoothLaws, places: FloatArray, m: Modes, known: Known, y: FloatArray, which: int, time: float,
     torque: float, tape: FloatArray, taped: int,
 ) -> tuple[Modes, Known]:  # fmt: skip
     """Return the modes after the event of a guard, and what is then known; a velocity that fell to 0 is 0."""
@@ -259,7 +260,7 @@ def _after(
         sign, known4 = -sign, 1
     else:
         mass, loose = which // 2, 1 - 2 * (which % 2)
-        mode, known_mass, soft = (motor, known1, b.soft1) if mass == 0 else (load, known2, b.soft2)
+        mode, known_mass, soft = (motor, known1, b.motor.presliding) if mass == 0 else (load, known2, b.load.presliding)
         back = known_mass == 2
         stopped = mode != 0 and not back
         if stopped:
@@ -285,10 +286,14 @@ def _after(
 
 
 @inlined
-def _advance(b: Beyond, m: Modes, c: FloatArray, t: float, y: FloatArray) -> None:
+def _advance(b: SmoothLaws, m: Modes, c: FloatArray, t: float, y: FloatArray) -> None:
     """Write the state after a share of a step, in which what is all but wound up is wound up."""
     for i in range(STATES):
-        if (4 <= i <= 5 and b.share == 0.0) or (i == WOUND1 and b.soft1 == 0.0) or (i == WOUND2 and b.soft2 == 0.0):
+        if (
+            (4 <= i <= 5 and b.spring.swing_share == 0.0)
+            or (i == WOUND1 and b.motor.presliding == 0.0)
+            or (i == WOUND2 and b.load.presliding == 0.0)
+        ):
             continue
         y[i] = series_value(c, i, t)
     for i in (WOUND1, WOUND2, WOUND):
@@ -309,68 +314,53 @@ def _note(row: FloatArray, part: int, h: float, m: Modes, known: Known, y: Float
 @compiled
 def run(
     drive: FloatArray,
-    beyond: FloatArray,
+    b: SmoothLaws,
     places: FloatArray,
-    lengths: FloatArray,
-    lags: IntArray,
-    z: FloatArray,
-    feedback: Feedback,
-    w: FloatArray,
-    post: FloatArray,
+    loop: SampledLoop,
     before: float,
+    z: FloatArray,
     x: FloatArray,
     sliding: float,
     far: float,
-    u: FloatArray,
-    tapped: FloatArray,
-    excess: FloatArray,
-    states: FloatArray,
-    accelerations: FloatArray,
-    tape: FloatArray,
-    counts: IntArray,
+    trace: Trace,
 ) -> int:
-    """Simulate one loop; fill `u`, `tapped`, `excess`, `states`, `accelerations` and `tape` and return how it ended.
+    """Simulate one loop; fill the trace and return how it ended.
 
     Args:
         drive: (14,) the coefficients, as in `kernels.drive.run`.
-        beyond: (13,) a cubic stiffness; stiffness and limit of what a spring has that winds up, after Dahl; lengths
-            over which the Coulomb friction of motor and load winds up (0: it sticks); the load's friction per torque
-            through the spring; by how much the viscous coefficients of motor and load rise per second; the share of the
-            load that swings on a spring of its own, its stiffness and damping; by how much the Coulomb friction of
-            motor and load rises per second.
+        b: what the laws have beside their lines.
         places: (forces, 5) that follow a position, each as gravity in `kernels.drive.run`, on the side in the last
             column: 0 for the motor's.
-        lengths: of the parts of a period, as there.
-        lags: of the torque in each, as there.
-        z: state of the feedback, overwritten.
-        feedback: the controller.
-        w: response of its elements to its reference, as there.
-        post: what is added after the limit.
+        loop: what drives it.
         before: torque that acted before the first period.
+        z: state of the feedback, overwritten.
         x: (4,) initial state, overwritten.
         sliding: 1 or -1 where friction is wound up at the first sample, the direction of the motion; else 0.
         far: a motor position beyond which the loop counts as diverged.
-        u: (periods,) out, the torque that acts.
-        tapped: out, as there.
-        excess: out, as there.
-        states: out, as there.
-        accelerations: (periods * parts, 2) out, of motor and load, just after the torque of each part begins to act; or
-            (0, 2).
-        tape: (rows, STEP_TAPE) out, of as many steps as it holds.
-        counts: (4,) out: events, steps, periods simulated, periods at the limit.
+        trace: out; its tape is (rows, STEP_TAPE), of as many steps as it holds.
     """
+    w, post, lengths, lags, feedback = loop.w, loop.post, loop.lengths, loop.lags, loop.feedback
+    u, tapped, excess, states, tape, counts = (
+        trace.u,
+        trace.tapped,
+        trace.excess,
+        trace.states,
+        trace.tape,
+        trace.counts,
+    )
+    accelerations = trace.accelerations
     n, parts = w.shape[1], lengths.size
     p = drive_of(drive)
-    b = beyond_of(beyond)
     y, c, roots = np.zeros(STATES), np.zeros((ROWS, TERMS + 1)), np.empty(ROOM)
     turns = np.zeros((places.shape[0], 2, TERMS + 2))
     assign(y[:4], x)
-    if b.share > 0.0:
+    if b.spring.swing_share > 0.0:
         assign(y[4:6], x[2:])  # what swings moves with the load
-    y[WOUND1], y[WOUND2] = (sliding if b.soft1 > 0.0 else 0.0), (sliding if b.soft2 > 0.0 else 0.0)
+    y[WOUND1], y[WOUND2] = (sliding if b.motor.presliding > 0.0 else 0.0), (sliding if b.load.presliding > 0.0 else 0.0)
     first, second = (1 if x[1] >= 0.0 else -1), (1 if x[3] >= 0.0 else -1)
     m = Modes(
-        first if x[1] != 0.0 or b.soft1 > 0.0 else 0, second if x[3] != 0.0 or b.soft2 > 0.0 else 0, 1,
+        first if x[1] != 0.0 or b.motor.presliding > 0.0 else 0,
+        second if x[3] != 0.0 or b.load.presliding > 0.0 else 0, 1,
         1 if p.stiffness * (x[2] - x[0]) >= 0.0 else -1,
     )  # fmt: skip
     fresh, out, cut = np.empty(z.size), np.zeros(w.shape[0]), np.zeros(w.shape[0])

@@ -15,7 +15,8 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, compiled, inlined, wide_vectors
-from jointid.simulation.kernels.drive import Drive, Feedback, IntArray, drive_of
+from jointid.models.smooth import SmoothLaws
+from jointid.simulation.kernels.drive import Drive, SampledLoop, Trace, drive_of
 from jointid.simulation.kernels.drive_sensitivities import (
     LANES,
     MEMORY,
@@ -23,6 +24,8 @@ from jointid.simulation.kernels.drive_sensitivities import (
     OFTEN,
     POSITION,
     SCRATCH,
+    Columns,
+    Slopes,
     aligned,
     begin_small,
     control_slopes,
@@ -44,10 +47,8 @@ from jointid.simulation.kernels.smooth_series import (
     WOUND,
     WOUND1,
     WOUND2,
-    Beyond,
     Known,
     Modes,
-    beyond_of,
     fill_series,
 )
 from jointid.simulation.kernels.stepped_drive import accelerations_of, series_value
@@ -61,8 +62,12 @@ from jointid.simulation.kernels.stepped_drive import accelerations_of, series_va
 _S, _X, _E, _APART, _SPRING, _MORE, _PULL = (LANES * row for row in (0, 9, 18, 19, 20, 21, 22))
 _BENT, _PUSHED1, _PUSHED2, _WINDS, _PAST = (LANES * row for row in (23, 24, 25, 26, 27))
 _BEFORE1, _BEFORE2, _TORQUE, _VISCOUS1, _COULOMB1 = (LANES * row for row in (28, 29, 30, 31, 32))
-_VISCOUS2, _COULOMB2, _DRIVE, _BEYOND, _RELATIVE = (LANES * row for row in (33, 34, 35, 49, 62))
-_OLD1, _OLD2, _SCRATCH = LANES * 68, LANES * 69, LANES * 70
+_VISCOUS2, _COULOMB2, _DRIVE, _LAWS, _RELATIVE = (LANES * row for row in (33, 34, 35, 49, 63))
+_OLD1, _OLD2, _SCRATCH = LANES * 69, LANES * 70, LANES * 71
+# The derivatives of the laws' numbers, in the order of `SmoothLaws.numbers`; the motor's friction follows no torque.
+_WINDS_OVER1, _DRIFT1, _FADE1 = (_LAWS + LANES * row for row in range(3))
+_WINDS_OVER2, _DRIFT2, _FADE2, _PER_TORQUE = (_LAWS + LANES * row for row in range(4, 8))
+_CUBIC, _SLIDER, _SLIPS, _SHARE, _STIFFNESS3, _DAMPING3 = (_LAWS + LANES * row for row in range(8, 14))
 _Q1, _V1, _Q2, _V2, _Q3, _V3 = (_X + LANES * row for row in range(6))
 _STABLE = 3.0  # rad of a swing in one step: within it a series of this order does not make it grow
 _PIECES = 1000  # of a step at most: what is faster parts from its neighbours at once
@@ -131,7 +136,7 @@ def _wind(
 
 @compiled
 def _tangent(
-    q: FloatArray, past: FloatArray, p: Drive, b: Beyond, places: FloatArray, dplaces: FloatArray, m: Modes,
+    q: FloatArray, past: FloatArray, p: Drive, b: SmoothLaws, places: FloatArray, dplaces: FloatArray, m: Modes,
     time: float, h: float, c: FloatArray, turns: FloatArray,
 ) -> None:  # fmt: skip
     """Move the derivatives of the state over a step whose own series is filled.
@@ -140,26 +145,26 @@ def _tangent(
     """
     wide_vectors()
     back1, back2 = int(m.motor < 0), int(m.load < 0)
-    viscous1 = (p.viscous1_back if back1 else p.viscous1) + b.drift1 * time
-    viscous2 = (p.viscous2_back if back2 else p.viscous2) + b.drift2 * time
+    viscous1 = (p.viscous1_back if back1 else p.viscous1) + b.motor.viscous_drift * time
+    viscous2 = (p.viscous2_back if back2 else p.viscous2) + b.load.viscous_drift * time
     coulomb1, coulomb2 = p.coulomb1_back if back1 else p.coulomb1, p.coulomb2_back if back2 else p.coulomb2
     moves1, moves2 = 1.0 if m.motor != 0 else 0.0, 1.0 if m.load != 0 else 0.0
-    mobility1, mobility2 = moves1 * h / p.inertia1, moves2 * h / ((1.0 - b.share) * p.inertia2)
-    swings = h / (b.share * p.inertia2) if b.share > 0.0 else 0.0
-    hangs = 1.0 if b.share > 0.0 else 0.0
-    lossy, faster1, faster2 = b.loss * m.torque, b.drift1 * h, b.drift2 * h
-    soft1, soft2, winds = b.soft1 > 0.0, b.soft2 > 0.0, b.slope > 0.0
-    follows, begins = places.shape[0] > 0, b.slope == 0.0 and b.limit > 0.0
+    mobility1, mobility2 = moves1 * h / p.inertia1, moves2 * h / ((1.0 - b.spring.swing_share) * p.inertia2)
+    swings = h / (b.spring.swing_share * p.inertia2) if b.spring.swing_share > 0.0 else 0.0
+    hangs = 1.0 if b.spring.swing_share > 0.0 else 0.0
+    lossy, faster1, faster2 = b.load.per_torque * m.torque, b.motor.viscous_drift * h, b.load.viscous_drift * h
+    soft1, soft2, winds = b.motor.presliding > 0.0, b.load.presliding > 0.0, b.spring.slider > 0.0
+    follows, begins = places.shape[0] > 0, b.spring.slider == 0.0 and b.spring.slips > 0.0
     remembers = soft1 or soft2 or winds or follows
     bends = False
     for j in range(LANES):
-        bends = bends or q[_BEYOND + j] != 0.0
+        bends = bends or q[_CUBIC + j] != 0.0
     for j in range(LANES):  # a velocity that was not let begin does not come back
         q[_S + MOTOR * LANES + j] *= moves1
         q[_S + LOAD * LANES + j] *= moves2
     # What is wound up stays so, whatever it came from; its series would not hold for the long step that follows.
     winds1, winds2 = 1.0 if c[WOUND1, 0] != m.motor else 0.0, 1.0 if c[WOUND2, 0] != m.load else 0.0
-    winds3 = 1.0 if c[WOUND, 0] != m.rate or b.slope == 0.0 else 0.0
+    winds3 = 1.0 if c[WOUND, 0] != m.rate or b.spring.slider == 0.0 else 0.0
     for j in range(LANES):
         q[_S + WOUND1 * LANES + j] *= winds1
         q[_S + WOUND2 * LANES + j] *= winds2
@@ -177,25 +182,25 @@ def _tangent(
         e, v1, v2, spring = c[2, k] - c[0, k], c[MOTOR, k], c[LOAD, k], c[TORQUE, k] * m.torque
         apart, wound, wound1, wound2 = v2 - v1, c[WOUND, k], c[WOUND1, k], c[WOUND2, k]
         e2, apart2 = c[4, k] - c[2, k], c[5, k] - v2
-        cube = (c[CUBE, k] if b.cubic != 0.0 else _cube_alone(c, k)) if bends else 0.0
-        if b.cubic != 0.0:
+        cube = (c[CUBE, k] if b.spring.cubic != 0.0 else _cube_alone(c, k)) if bends else 0.0
+        if b.spring.cubic != 0.0:
             for j in range(LANES):
                 q[_E + j], q[_BENT + j] = q[_Q2 + j] - q[_Q1 + j], 0.0
             _keep(past, _OF_E, k, q, _E)
             for i in range(k + 1):
-                _add_product(q, _BENT, past, _OF_E, k - i, 3.0 * b.cubic * c[SQUARE, i])
+                _add_product(q, _BENT, past, _OF_E, k - i, 3.0 * b.spring.cubic * c[SQUARE, i])
         for j in range(LANES):
             de, da = q[_Q2 + j] - q[_Q1 + j], q[_V2 + j] - q[_V1 + j]
             given = q[_DRIVE + 2 * LANES + j] * e + q[_DRIVE + 3 * LANES + j] * apart
-            winding = b.limit * q[_X + WOUND * LANES + j] + q[_BEYOND + 2 * LANES + j] * wound
-            early = ((given + winding) + (q[_BEYOND + j] * cube + q[_BENT + j])) + p.stiffness * de
+            winding = b.spring.slips * q[_X + WOUND * LANES + j] + q[_SLIPS + j] * wound
+            early = ((given + winding) + (q[_CUBIC + j] * cube + q[_BENT + j])) + p.stiffness * de
             torque = early + p.damping * da
-            fades = q[_BEYOND + 12 * LANES + j] * grows + q[_BEYOND + 5 * LANES + j] * spring
+            fades = q[_FADE2 + j] * grows + q[_PER_TORQUE + j] * spring
             de2, da2 = q[_Q3 + j] - q[_Q2 + j], q[_V3 + j] - q[_V2 + j]
-            given2 = q[_BEYOND + 9 * LANES + j] * e2 + q[_BEYOND + 10 * LANES + j] * apart2
+            given2 = q[_STIFFNESS3 + j] * e2 + q[_DAMPING3 + j] * apart2
             q[_APART + j], q[_SPRING + j], q[_MORE + j] = da, torque, fades + lossy * torque
             q[_OLD1 + j], q[_OLD2 + j] = q[_X + WOUND1 * LANES + j], q[_X + WOUND2 * LANES + j]
-            q[_PULL + j] = hangs * (given2 + b.stiffness2 * de2 + b.damping2 * da2)
+            q[_PULL + j] = hangs * (given2 + b.spring.swing_stiffness * de2 + b.spring.swing_damping * da2)
         if remembers:
             _keep(past, _OF_APART, k, q, _APART)
             for i in range(STATES):
@@ -208,18 +213,18 @@ def _tangent(
             if soft1:
                 if k > 0:
                     _add_product(q, _PUSHED1, past, _OF_STATE + WOUND1, k - 1, -c[MORE1, 1])
-                _wind(q, past, WOUND1, _OF_STATE + MOTOR, _V1, m.motor, k, c, h / b.soft1, 3)
+                _wind(q, past, WOUND1, _OF_STATE + MOTOR, _V1, m.motor, k, c, h / b.motor.presliding, 3)
             if soft2:
                 _keep(past, _OF_MORE, k, q, _MORE)
                 for i in range(k + 1):
                     _add_product(q, _PUSHED2, past, _OF_STATE + WOUND2, k - i, -c[MORE2, i])
                     _add_product(q, _PUSHED2, past, _OF_MORE, k - i, -c[WOUND2, i])
-                _wind(q, past, WOUND2, _OF_STATE + LOAD, _V2, m.load, k, c, h / b.soft2, 4)
+                _wind(q, past, WOUND2, _OF_STATE + LOAD, _V2, m.load, k, c, h / b.load.presliding, 4)
             if winds:
-                _wind(q, past, WOUND, _OF_APART, _APART, m.rate, k, c, h * b.slope / b.limit, 5)
+                _wind(q, past, WOUND, _OF_APART, _APART, m.rate, k, c, h * b.spring.slider / b.spring.slips, 5)
         if begins:  # a slider without stiffness: of the first order in it, nothing is wound up
             for j in range(LANES):
-                wound_up = h / b.limit * inverse * apart * q[_BEYOND + LANES + j]
+                wound_up = h / b.spring.slips * inverse * apart * q[_SLIDER + j]
                 q[_X + WOUND * LANES + j] = wound_up
                 q[_S + WOUND * LANES + j] += wound_up
         # How the Coulomb force, its growth, what is wound up and what the load's torque adds count in the drag.
@@ -235,9 +240,9 @@ def _tangent(
         for j in range(LANES):
             # What waits for the order before is added last.
             old1, old2, old3, torque, pull = q[_V1 + j], q[_V2 + j], q[_V3 + j], q[_SPRING + j], q[_PULL + j]
-            drift1, drift2 = q[_BEYOND + 6 * LANES + j], q[_BEYOND + 7 * LANES + j]
+            drift1, drift2 = q[_DRIFT1 + j], q[_DRIFT2 + j]
             given1 = first * (q[_TORQUE + j] - q[_DRIVE + 12 * LANES + j]) - (q[_VISCOUS1 + j] + drift1 * time) * v1
-            given1 -= (h * before1) * drift1 + (holds1 * q[_COULOMB1 + j] + grown1 * q[_BEYOND + 11 * LANES + j])
+            given1 -= (h * before1) * drift1 + (holds1 * q[_COULOMB1 + j] + grown1 * q[_FADE1 + j])
             given1 = factor1 * given1 - q[_RELATIVE + j] * rate1
             later1 = (q[_PUSHED1 + j] - stores1 * q[_OLD1 + j]) - faster1 * q[_BEFORE1 + j]
             given2 = -first * q[_DRIVE + 13 * LANES + j] - (q[_VISCOUS2 + j] + drift2 * time) * v2
@@ -265,38 +270,50 @@ def _cube_alone(c: FloatArray, k: int) -> float:
 
 
 @inlined
-def _write_relative(p: Drive, b: Beyond, q: FloatArray) -> None:
+def _write_relative(p: Drive, b: SmoothLaws, q: FloatArray) -> None:
     """Write the relative derivatives of what divides: inertias of motor, load and what swings, and what winds up."""
     for j in range(LANES):
-        inertia2, share = q[_DRIVE + LANES + j] / p.inertia2, q[_BEYOND + 8 * LANES + j]
-        slope, limit = q[_BEYOND + LANES + j], q[_BEYOND + 2 * LANES + j]
+        inertia2, share = q[_DRIVE + LANES + j] / p.inertia2, q[_SHARE + j]
+        slope, limit = q[_SLIDER + j], q[_SLIPS + j]
         q[_RELATIVE + j] = q[_DRIVE + j] / p.inertia1
         # A share that is just beginning moves with the load on its spring; without one the load has lost it.
-        lost = 0.0 if b.share == 0.0 and b.stiffness2 + b.damping2 > 0.0 else share / (1.0 - b.share)
+        lost = (
+            0.0
+            if b.spring.swing_share == 0.0 and b.spring.swing_stiffness + b.spring.swing_damping > 0.0
+            else share / (1.0 - b.spring.swing_share)
+        )
         q[_RELATIVE + LANES + j] = inertia2 - lost
-        q[_RELATIVE + 2 * LANES + j] = inertia2 + (share / b.share if b.share > 0.0 else 0.0)
-        q[_RELATIVE + 3 * LANES + j] = -q[_BEYOND + 3 * LANES + j] / b.soft1 if b.soft1 > 0.0 else 0.0
-        q[_RELATIVE + 4 * LANES + j] = -q[_BEYOND + 4 * LANES + j] / b.soft2 if b.soft2 > 0.0 else 0.0
-        q[_RELATIVE + 5 * LANES + j] = slope / b.slope - limit / b.limit if b.slope > 0.0 else 0.0
+        q[_RELATIVE + 2 * LANES + j] = inertia2 + (share / b.spring.swing_share if b.spring.swing_share > 0.0 else 0.0)
+        q[_RELATIVE + 3 * LANES + j] = -q[_WINDS_OVER1 + j] / b.motor.presliding if b.motor.presliding > 0.0 else 0.0
+        q[_RELATIVE + 4 * LANES + j] = -q[_WINDS_OVER2 + j] / b.load.presliding if b.load.presliding > 0.0 else 0.0
+        q[_RELATIVE + 5 * LANES + j] = (
+            slope / b.spring.slider - limit / b.spring.slips if b.spring.slider > 0.0 else 0.0
+        )
 
 
 @inlined
-def _fastest_rate(p: Drive, b: Beyond, places: FloatArray, m: Modes, y: FloatArray) -> float:
+def _fastest_rate(p: Drive, b: SmoothLaws, places: FloatArray, m: Modes, y: FloatArray) -> float:
     """Bound in 1/s on how fast the motion can change here, that of masses which the run itself hardly moves, too."""
-    mobility1, mobility2 = 1.0 / p.inertia1, 1.0 / ((1.0 - b.share) * p.inertia2)
+    mobility1, mobility2 = 1.0 / p.inertia1, 1.0 / ((1.0 - b.spring.swing_share) * p.inertia2)
     e, both = y[2] - y[0], mobility1 + mobility2
-    stiffness = p.stiffness + max(3.0 * b.cubic * e * e, 0.0) + b.slope * abs(1.0 - m.rate * y[WOUND])
+    stiffness = p.stiffness + max(3.0 * b.spring.cubic * e * e, 0.0) + b.spring.slider * abs(1.0 - m.rate * y[WOUND])
     rate = math.sqrt(max(stiffness, 0.0) * both) + p.damping * both
     rate += max(p.viscous1, p.viscous1_back) * mobility1 + max(p.viscous2, p.viscous2_back) * mobility2
-    if b.share > 0.0:
-        other = mobility2 + 1.0 / (b.share * p.inertia2)
-        rate += math.sqrt(b.stiffness2 * other) + b.damping2 * other
-    if b.soft1 > 0.0 and y[WOUND1] != m.motor:
+    if b.spring.swing_share > 0.0:
+        other = mobility2 + 1.0 / (b.spring.swing_share * p.inertia2)
+        rate += math.sqrt(b.spring.swing_stiffness * other) + b.spring.swing_damping * other
+    if b.motor.presliding > 0.0 and y[WOUND1] != m.motor:
         left = abs(1.0 - m.motor * y[WOUND1])
-        rate += math.sqrt(max(p.coulomb1, p.coulomb1_back) * left / b.soft1 * mobility1) + abs(y[MOTOR]) / b.soft1
-    if b.soft2 > 0.0 and y[WOUND2] != m.load:
+        rate += (
+            math.sqrt(max(p.coulomb1, p.coulomb1_back) * left / b.motor.presliding * mobility1)
+            + abs(y[MOTOR]) / b.motor.presliding
+        )
+    if b.load.presliding > 0.0 and y[WOUND2] != m.load:
         left = abs(1.0 - m.load * y[WOUND2])
-        rate += math.sqrt(max(p.coulomb2, p.coulomb2_back) * left / b.soft2 * mobility2) + abs(y[LOAD]) / b.soft2
+        rate += (
+            math.sqrt(max(p.coulomb2, p.coulomb2_back) * left / b.load.presliding * mobility2)
+            + abs(y[LOAD]) / b.load.presliding
+        )
     for n in range(places.shape[0]):
         slope = abs(places[n, 3]) * (abs(places[n, 0]) + abs(places[n, 1])) + abs(places[n, 2])
         rate += math.sqrt(slope * max(mobility1, mobility2))
@@ -310,39 +327,40 @@ def _modes(tape: FloatArray, row: int) -> Modes:
 
 @compiled
 def follow_steps(
-    lengths: FloatArray,
-    lags: IntArray,
-    tape: FloatArray,
-    u: FloatArray,
-    post: FloatArray,
+    loop: SampledLoop,
     before: float,
-    excess: FloatArray,
-    feedback: Feedback,
+    trace: Trace,
     drive: FloatArray,
     seeds: FloatArray,
-    beyond: FloatArray,
-    dbeyond: FloatArray,
+    b: SmoothLaws,
+    dlaws: FloatArray,
     places: FloatArray,
     dplaces: FloatArray,
-    explicit: FloatArray,
-    first_explicit: int,
-    ddelay: FloatArray,
-    dlimits: FloatArray,
-    S: FloatArray,
-    Z: FloatArray,
-    du: FloatArray,
-    dtapped: FloatArray,
-    dstates: FloatArray,
+    columns: Columns,
+    slopes: Slopes,
 ) -> None:
-    """Fill `du`, `dtapped` and `dstates` as `kernels.drive_sensitivities.follow` does, of a run with smooth laws.
+    """Fill the derivatives as `kernels.drive_sensitivities.follow` does, of a run with smooth laws.
 
-    `tape` (steps, STEP_TAPE) is that of the whole run; `seeds` (14, columns), `dbeyond` (13, columns) and `dplaces`
-    (forces, 3, columns) are the derivatives of the numbers of the drive and its laws, `S` (4, columns) of motor and
-    load at the first sample.
+    Args:
+        loop: what drove the run.
+        before: torque that acted before its first period.
+        trace: what it left behind, with the tape of the whole run.
+        drive: (14,) of `kernels.stepped_drive.run`.
+        seeds: (14, columns) derivatives of the drive's coefficients.
+        b: of `kernels.stepped_drive.run`.
+        dlaws: (14, columns) their derivatives, in the order of `SmoothLaws.numbers`.
+        places: of `kernels.stepped_drive.run`.
+        dplaces: (forces, 3, columns) their derivatives.
+        columns: of what else depends on the parameters.
+        slopes: out.
     """
+    lengths, lags, feedback, post = loop.lengths, loop.lags, loop.feedback, loop.post
+    u, excess, tape = trace.u, trace.excess, trace.tape
+    explicit, first_explicit, ddelay, dlimits = columns.explicit, columns.first_explicit, columns.delay, columns.limits
+    S, Z, du, dtapped, dstates = columns.start, columns.memory, slopes.u, slopes.tapped, slopes.states
     wide_vectors()
     n, parts, nz, elements = u.size, lengths.size, feedback.A.shape[1], feedback.limits.size
-    p, b = drive_of(drive), beyond_of(beyond)
+    p = drive_of(drive)
     c, turns = np.zeros((ROWS, TERMS + 1)), np.zeros((places.shape[0], 2, TERMS + 2))
     q, past, scratch = aligned(_SCRATCH), np.zeros(_KEPT * (TERMS + 1) * LANES), aligned(SCRATCH)
     z, e = np.zeros((2 * nz, LANES)), np.zeros((elements, LANES))
@@ -352,16 +370,18 @@ def follow_steps(
     law = begin_small(scratch, feedback, nz if small else 0, Z, dlimits)
     for i in range(seeds.shape[0]):
         assign(q[_DRIVE + i * LANES : _DRIVE + (i + 1) * LANES], seeds[i])
-    for i in range(dbeyond.shape[0]):
-        assign(q[_BEYOND + i * LANES : _BEYOND + (i + 1) * LANES], dbeyond[i])
+    for i in range(dlaws.shape[0]):
+        assign(q[_LAWS + i * LANES : _LAWS + (i + 1) * LANES], dlaws[i])
     _write_relative(p, b, q)
-    for i in range(6 if b.share > 0.0 else 4):  # what swings begins with the load
+    for i in range(6 if b.spring.swing_share > 0.0 else 4):  # what swings begins with the load
         assign(q[_S + i * LANES : _S + (i + 1) * LANES], S[i if i < 4 else i - 2])
     delayed, last = False, before
     for j in range(LANES):
         delayed = delayed or ddelay[j] != 0.0
     m = Modes(0, 0, 1, 1)
-    if tape.shape[0] > 0 and (tape[0, 9] != 0.0 or b.soft1 > 0.0):  # it moves as the first torque begins to act
+    if tape.shape[0] > 0 and (
+        tape[0, 9] != 0.0 or b.motor.presliding > 0.0
+    ):  # it moves as the first torque begins to act
         m = Modes(int(tape[0, 2]), 0, 1, 1)
     y, keep, period, row = np.empty(STATES), dstates.shape[0] > 0, np.sum(lengths), 0
     for k in range(n):

@@ -1,0 +1,71 @@
+"""Numbers of the smooth laws: what a friction or a spring has beside its lines.
+
+A law of friction or of a spring states them (`Friction.smooth`, `Spring.smooth`). Where a joint has any, its motion is
+followed by Taylor series, in steps of a controlled error; all else is exact.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class SmoothFriction(NamedTuple):
+    """What the friction of one side has beside its lines; 0 where it has nothing.
+
+    Attributes:
+        presliding: the displacement over which the Coulomb force winds up, m or rad; 0 of one that sticks.
+        viscous_drift: by how much the viscous coefficient grows per second.
+        coulomb_drift: by how much the Coulomb force grows per second.
+        per_torque: the share of the spring's torque that the Coulomb force grows by.
+    """
+
+    presliding: float = 0.0
+    viscous_drift: float = 0.0
+    coulomb_drift: float = 0.0
+    per_torque: float = 0.0
+
+
+class SmoothSpring(NamedTuple):
+    """What a spring has beside its line; 0 where it has nothing.
+
+    Attributes:
+        cubic: torque per cube of the deflection.
+        slider: stiffness of what winds up beside the spring.
+        slips: torque at which that slips.
+        swing_share: share of an elastic load that swings on a spring of its own.
+        swing_stiffness: of that spring.
+        swing_damping: of that spring.
+    """
+
+    cubic: float = 0.0
+    slider: float = 0.0
+    slips: float = 0.0
+    swing_share: float = 0.0
+    swing_stiffness: float = 0.0
+    swing_damping: float = 0.0
+
+
+class SmoothLaws(NamedTuple):
+    """What the laws of a joint have beside their lines.
+
+    Attributes:
+        motor: friction of the motor's side.
+        load: friction of the load's side.
+        spring: between them.
+    """
+
+    motor: SmoothFriction
+    load: SmoothFriction
+    spring: SmoothSpring
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """All of them, in the order of the fields, as derivatives are."""
+        return (*self.motor, *self.load, *self.spring)
+
+
+def smooth_laws(motor: SmoothFriction, load: SmoothFriction, spring: SmoothSpring) -> SmoothLaws:
+    """Return the numbers as floats: a kernel has one form, and an integer would ask for another."""
+    return SmoothLaws(
+        SmoothFriction(*map(float, motor)), SmoothFriction(*map(float, load)), SmoothSpring(*map(float, spring))
+    )
