@@ -1,22 +1,20 @@
-"""The fields of the page's form: which key of the joint file each one is, and what it is called in plain words.
+"""Fields of the page's form: the key of the joint file that each one sets, and how its text is read.
 
-A field's name begins with the path of its key. How it is entered, its unit and the words it chooses among are those of
-the setting's declaration, and so is its help where none is written here; what it is called, and what a word means to
-someone who never read a joint file, is said here. What has no field can be said in the lines of the joint file that the
-form keeps as they are, "extra".
+The type, the words and the unit of a field come from the JSON schema of the joint file. `form.toml` has its label and
+explains its words. Keys without a field stay in further lines of the joint file ("extra").
 """
 
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib.resources import files
 from typing import Any, Literal, TypeAlias
 
-from jointid import PD, PID, Cascade, Column, Drive, Filtering, FlexibleDIDIM, Gravity, Transmission, filters
-from jointid.common.settings import Declared, settings_of
 from jointid.common.units import UnitError, spelled, unit, units_of
-from jointid.config.schema_record import Source
+from jointid.config import json_schema
 from jointid.models.friction import FRICTIONS
 from jointid.models.springs import SPRINGS
 from jointid.records.columns import known_units, unit_in_name
@@ -37,6 +35,7 @@ LEARN, WITHOUT, EXTRA_LAW = "learn", "none", "extra"
 _DIGITS = r"[+-]?([0-9]+[.,]?[0-9]*|[.,][0-9]+)([eE][+-]?[0-9]+)?"
 _NUMBER = re.compile(_DIGITS)
 _WITH_UNIT = re.compile(rf"({_DIGITS})\s*([^\s0-9.,;][^;]*)")
+_UNIT = re.compile(r"\[([^\[\]]*)\]$")  # at the end of a description
 _BETWEEN = re.compile(r"\s*;\s*|\s*,\s+|\s+")  # numbers of a list, each of which may have a decimal comma
 
 
@@ -182,246 +181,89 @@ def _factor(name: str, own: str) -> float:
     return given.factor / wanted.factor
 
 
-def _of(
-    owner: type,
-    key: str,
-    label: str,
-    help: str | None = None,  # noqa: A002
-    words: Mapping[str, str] | None = None,
-    **further: Any,
-) -> Field:
-    """Return the field of a setting.
+def _find_property(key: str, table: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the JSON schema of a key in a table; empty for an unknown key.
 
-    Args:
-        owner: the dataclass that declares it.
-        key: its path in the joint file.
-        label: what it is called.
-        help: what it means; as it is declared when None.
-        words: what each of the words means that the setting chooses among; "" leaves the key out.
-        further: the other attributes of the field.
-
-    Raises:
-        KeyError: a word is not told.
+    If several controllers have the key, the first one is returned.
     """
-    one = next(one for one in settings_of(owner) if one.name == key.rpartition(".")[2])
-    words = words or {}
-    choices = tuple((word, words[word]) for word in (*([""] if "" in words else []), *_words(one)))
-    meaning = one.setting.help.partition(";")[0]
-    said = f"{meaning[:1].upper()}{meaning[1:]}." if help is None else help
+    if "$ref" in table:
+        table = _SCHEMA["$defs"][table["$ref"].rpartition("/")[2]]
+    if not key:
+        return table
+    name, _, rest = key.partition(".")
+    if name in table.get("properties", {}):
+        return _find_property(rest, table["properties"][name])
+    return next(filter(None, (_find_property(key, law) for law in table.get("oneOf", ()))), {})
+
+
+def _make_field(name: str, said: Mapping[str, Any], key: str = "") -> Field:
+    """Return the field of a key; `said` is its entry in `form.toml`, which goes before the schema."""
+    path, _, variant = name.partition("@")
+    known = _find_property(key or path, _SCHEMA)
+    meant = _LABELS.get(path, said.get("words", {}))
+    others = {word: word for word in map(str, known.get("enum", ())) if word not in meant}
+    unit = _UNIT.search(known.get("description", ""))
     return Field(
-        key,
-        label,
-        said,
-        **{"form": _form(one), "unit": _units(one.setting.unit), "choices": choices, "whole": one.type is int}
-        | further,
+        key or path,
+        said["label"],
+        said.get("help", ""),
+        said.get("form") or _find_form(known),
+        tuple(said["unit"]) if "unit" in said else _split_unit(unit[1] if unit else ""),
+        tuple({**meant, **others}.items()),
+        {other: tuple(values) for other, values in said.get("when", {}).items()},
+        said.get("usual", ""),
+        said.get("whole", known.get("type") == "integer"),
+        variant,
     )
 
 
-def _words(one: Declared) -> tuple[str, ...]:
-    """Return the words among which a setting chooses, as a form sends them."""
-    if one.type is bool:
-        return "true", "false"
-    return tuple(map(str, one.setting.only)) or one.choices
+def _find_form(known: Mapping[str, Any]) -> Form:
+    """Return how a value is entered."""
+    kind = known.get("type", "number")  # a schema of several types is a number, or a text with a number and its unit
+    if "enum" in known:
+        return "sign" if kind == "integer" else "choice"
+    forms: dict[str, Form] = {"boolean": "flag", "string": "text", "array": "numbers"}
+    return forms.get(kind, "number")
 
 
-def _form(one: Declared) -> Form:
-    """Return how a setting is entered."""
-    if one.choices:
-        return "choice"
-    if one.setting.only:
-        return "sign"
-    return {bool: "flag", str: "text", float: "number", int: "number"}.get(one.type, "numbers")  # type: ignore[return-value]
-
-
-def _units(unit: str) -> tuple[str, str]:
+def _split_unit(unit: str) -> tuple[str, str]:
     """Return a declared unit for a prismatic and for a revolute joint: "controller units per m/s or rad/s"."""
     straight, _, turning = unit.partition(" or ")
     before, per, _ = straight.rpartition(" per ")
     return straight, f"{before}{per}{turning}" if turning else straight
 
 
-_LAWED = {"controller.law": LAWS}
-
-KIND = Field(
-    "joint.kind", "How it moves", "As its motor does, if there is a gear or a screw. The units to choose "
-    "from follow it.", "choice",
-    choices=(("", "choose ..."), ("prismatic", "straight: m and N (a linear axis)"),
-             ("revolute", "it turns: rad and N m")),
-)  # fmt: skip
-
-_SIDES = {"": "the usual", "motor": "the motor's", "load": "the load's"}
-
-CHANNEL_WORDS = {
-    "torque": ("Motor torque or force", "What the controller asks of the motor: a torque, a force, a current."),
-    "reference": ("Commanded position", "Where the axis was told to be at each instant: the reference."),
-    "motor_position": (
-        "Motor position",
-        "The motor's encoder. Not needed if you know the controller; it lets the page learn the controller.",
-    ),
-    "load_position": ("Load position", "A second encoder behind the gear or the spring, if there is one."),
-    "reference_velocity": ("Commanded velocity", "Only if the controller reads one beside the commanded position."),
-    "injected": ("Added test signal", "A known signal that was added to the controller's output, such as pulses."),
-}
-"""What each channel is called, and what it is."""
-
-CLOCK = (
-    _of(Source, "record.time", "Time", "The column with the time of each row.", form="column"),
-    _of(Source, "record.time_unit", "Unit of the time", "Left open: as the column's name says, or seconds.",
-        {"": "as named, or s", **{unit: unit for unit in units_of("time")}}),
-    _of(Source, "record.sample_time", "Time between rows", "Needed where there is no time column."),
-)  # fmt: skip
-
-TEXT = (
-    Field("record.delimiter", "Between the cells", "Of a text file: such as ; or ,  - found by itself if left empty.",
-          "text"),
-    Field("record.decimal", "Decimal mark", "Of a text file.", "choice",
-          choices=(("", "found by itself"), (".", "point: 1.5"), (",", "comma: 1,5"))),
-    Field("record.header", "First line", "Of a text file.", "flag",
-          choices=(("", "found by itself"), ("true", "names the columns"), ("false", "is numbers already"))),
-)  # fmt: skip
+def _make_fields(group: str) -> tuple[Field, ...]:
+    return tuple(_make_field(name, said) for name, said in _FORM[group].items())
 
 
-def channel_fields(channel: str) -> tuple[Field, ...]:
-    """Return the fields of one channel of the record."""
+def _make_channel_fields(channel: str) -> tuple[Field, ...]:
+    """Return the fields of one channel of the record: its column, its unit for either kind of joint, and the rest."""
     path = f"record.channels.{channel}"
     units = tuple(
         Field(f"{path}.unit", "Unit", "", "unit", when={"joint.kind": (kind,)}, variant=kind,
               choices=(("", "choose ..."), *((u, u) for u in known_units(channel, kind))))
         for kind in ("prismatic", "revolute")
     )  # fmt: skip
-    made = [
-        _of(Column, f"{path}.column", *CHANNEL_WORDS[channel], form="column"),
-        *units,
-        _of(Column, f"{path}.gain", "Multiply by", "What takes the column to the unit; empty for 1."),
-        _of(Column, f"{path}.sign", "Direction", "", {"1": "as it is", "-1": "turned round"}),
-        _of(Column, f"{path}.timing", "A value stands for", "",
-            {"": "the usual", "sampled": "its instant", "held": "the time until the next one",
-             "averaged": "the mean since the last one"}),
-    ]  # fmt: skip
-    if channel == "torque":
-        made.append(
-            _of(Column, f"{path}.tap", "Where it was logged", "",
-                {"": "the controller's output", "command": "the controller's output",
-                 "filtered": "behind the drive's torque filters", "measured": "a measured current"})
-        )  # fmt: skip
-    if channel == "injected":
-        made += [
-            _of(Column, f"{path}.at", "It is added", "",
-                {"": "after the torque limit", "after_limit": "after the torque limit",
-                 "before_limit": "before the torque limit"}),
-            _of(Column, f"{path}.in_torque", "The logged torque", "",
-                {"": "contains it", "true": "contains it", "false": "does not contain it"}),
-        ]  # fmt: skip
-    elif channel.endswith("position") or channel == "reference":
-        made.append(_of(Column, f"{path}.wrap", "Begins again at", "Of an encoder that wraps round: 65536, or 360."))
-    made.append(_of(Column, f"{path}.side", "Side of the gear", "Only with a gear.", _SIDES))
-    return tuple(made)
+    rest = tuple(
+        _make_field(key, said, f"{path}.{key}")
+        for key, said in _FORM["of_channel"].items()
+        if channel in said.get("of", CHANNELS) and _find_property(f"{path}.{key}", _SCHEMA)
+    )
+    return (_make_field("column", {**_FORM["channel"][channel], "form": "column"}, f"{path}.column"), *units, *rest)
 
 
-CHANNEL_FIELDS = {channel: channel_fields(channel) for channel in CHANNELS}
-
-DRIVE = (
-    Field(
-        "joint.torque_constant",
-        "Torque constant",
-        "Takes a current to a torque, and the controller's output too.",
-        "number",
-        unit=("N per A", "N m per A"),
-    ),
-    _of(Drive, "drive.rated_torque", "Rated torque", "What % and per mille are a share of."),
-    _of(Drive, "drive.counts_per_turn", "Encoder counts in one turn", "", when={"joint.kind": ("revolute",)}),
-    _of(Drive, "drive.counts_per_metre", "Encoder counts in one metre", "", when={"joint.kind": ("prismatic",)}),
+_SCHEMA = json_schema()
+_FORM: dict[str, dict[str, dict[str, Any]]] = tomllib.loads(
+    files("jointid.apps.web").joinpath("form.toml").read_text(encoding="utf-8")
 )
-
-JOINT = (
-    Field("joint.model", "What is looked for", "Flexible needs a motion that excites the spring.", "choice",
-          choices=(("rigid", "rigid: one mass and its friction"),
-                   ("flexible", "flexible: two masses, a spring")), usual="rigid"),
-    Field("joint.friction", "Friction", "jointid diagnose friction says which one a record shows.", "choice",
-          choices=tuple((law.name, law.label) for law in FRICTIONS.values()),
-          usual="symmetric"),
-    Field("joint.spring", "Spring", "jointid diagnose springs says which one a record shows.", "choice",
-          when={"joint.model": ("flexible",)}, usual="linear",
-          choices=tuple((name, law.label) for name, law in SPRINGS.items())),
-    _of(Gravity, "gravity.load", "Gravity", "",
-        {"": "does not matter", "constant": "a vertical axis: a constant weight",
-         "link": "an arm that swings up and down"}),
-    _of(Transmission, "transmission.ratio", "Gear ratio",
-        "How far the motor goes while the load goes 1; empty without a gear."),
-    Field("joint.name", "Name", "What the report calls the axis.", "text"),
-)  # fmt: skip
-
-
-def _filter_fields(path: str, label: str, where: str) -> tuple[Field, ...]:
-    """Return the fields of a filter, of the kinds that a number or two describe."""
-
-    def of(kind: str) -> dict[str, tuple[str, ...]]:
-        return {**_LAWED, f"{path}.kind": (kind,)}
-
-    return (
-        Field(f"{path}.kind", label, where, "choice", when=_LAWED,
-              choices=(("", "none"), ("first_order", "first order, by its time constant"),
-                       ("moving_average", "mean of some samples"), ("digital", "by its numbers (taps)"))),
-        _of(filters.FirstOrder, f"{path}.time_constant", "Its time constant", "Such as 0.0008 or 0.8 ms; 1 / (2 pi f) "
-            "of a cut-off frequency f.", when=of("first_order")),
-        _of(filters.MovingAverage, f"{path}.samples", "Mean of so many samples", "", when=of("moving_average")),
-        _of(filters.DigitalFilter, f"{path}.numerator", "Its numbers", "They weigh this and earlier values: 0.5; 0.5 "
-            "is the mean of two.", when=of("digital")),
-    )  # fmt: skip
-
-
-LAW = Field(
-    "controller.law", "Its law", "Most servo drives have a cascade: P for the position, P or PI for the speed. What "
-    "is not known can be learned, or done without, less exactly, from a record with the motor position.", "choice",
-    choices=(
-        ("", "choose ..."),
-        ("cascade", "cascade: position and speed loop"),
-        ("pd", "PD on the position"),
-        ("pid", "PID on the position"),
-        (LEARN, "not known: learn it from this record"),
-        (WITHOUT, "not known: do without it"),
-        (EXTRA_LAW, "in the further lines below"),
-    ),
-)  # fmt: skip
-
-_OF_CASCADE = {"controller.law": ("cascade",)}
-
-CONTROLLER = (
-    _of(Cascade, "controller.position_gain", "Position gain Kv", "Of the position loop: velocity per position error. "
-        "A Kv in 1000/min is 16.67 times as large in 1/s.", when=_OF_CASCADE),
-    _of(Cascade, "controller.velocity_gain", "Velocity gain Kp", "Of the speed loop: torque, current or voltage per "
-        "velocity error.", unit=("N s/m, A s/m or V s/m", "N m s/rad, A s/rad or V s/rad"), when=_OF_CASCADE),
-    Field("controller.integral_time", "Integral time Tn", "Of the speed loop, such as 0.006 or 6 ms; empty for none.",
-          "number", unit=("s", "s"), when=_OF_CASCADE),
-    _of(Cascade, "controller.velocity_feedforward", "Velocity feed-forward", "A share: 1 is all of it; empty for none.",
-        when=_OF_CASCADE),
-    _of(PD, "controller.position_gain", "Proportional gain", "Torque, current or voltage per position error.",
-        unit=("N/m, A/m or V/m", "N m/rad, A/rad or V/rad"), when={"controller.law": ("pd", "pid")}, variant="pd"),
-    _of(PID, "controller.integral_gain", "Integral gain", "", variant="pid", when={"controller.law": ("pid",)},
-        unit=("N/(m s), A/(m s) or V/(m s)", "N m/(rad s), A/(rad s) or V/(rad s)")),
-    _of(PD, "controller.derivative_gain", "Derivative gain", "", when={"controller.law": ("pd", "pid")},
-        unit=("N s/m, A s/m or V s/m", "N m s/rad, A s/rad or V s/rad")),
-    *_filter_fields("controller.velocity_filter", "Velocity filter", "Of the measured velocity."),
-    *_filter_fields("controller.torque_filters.0", "Torque filter", "Of the torque or current setpoint."),
-    _of(PD, "controller.gain", "Torque per controller unit", "Empty if the gains above give N or N m; or else what "
-        "1 A or 1 V of theirs is in N or N m.", unit=("N per A or V", "N m per A or V"),
-        when={"controller.law": (*LAWS, LEARN), "joint.torque_constant": ("",)}),
-    _of(PD, "controller.limit", "Torque limit", "Of the controller's output, both ways; empty for none.",
-        unit=("N, A or V", "N m, A or V"), when=_LAWED),
-    _of(PD, "controller.delay", "Delay", "From the sampled position to the torque; empty for none.", when=_LAWED),
-    _of(PD, "controller.period", "Period", "Of the controller, if it is not that of the log.", when=_LAWED),
-    Field("controller.side", "Side of the gear", "Only with a gear: whose positions and torque these numbers are of.",
-          "choice", choices=tuple(_SIDES.items()), when=_LAWED),
-)  # fmt: skip
-
-METHOD = (
-    _of(FlexibleDIDIM, "method.frequency", "Resonance, roughly", "Where the search for the spring begins; empty tries "
-        "several.", when={"joint.model": ("flexible",), "controller.law": ("", *LAWS, LEARN, EXTRA_LAW)}),
-    _of(Filtering, "filtering.cutoff", "Look up to", "The highest frequency that is compared; empty for a share of the "
-        "rate of the log."),
-    _of(Transmission, "transmission.side", "Values on the side of", "Only with a gear: where they are told.",
-        {"": "the load", "load": "the load", "motor": "the motor"}),
-)  # fmt: skip
+_LABELS = {
+    "joint.friction": {law.name: law.label for law in FRICTIONS.values()},
+    "joint.spring": {name: law.label for name, law in SPRINGS.items()},
+}
+(KIND,), CLOCK, TEXT, DRIVE = map(_make_fields, ("kind", "clock", "text", "drive"))
+JOINT, (LAW,), CONTROLLER, METHOD = map(_make_fields, ("joint", "law", "controller", "method"))
+CHANNEL_FIELDS = {channel: _make_channel_fields(channel) for channel in CHANNELS}
 
 CHANNEL_STEP: tuple[Field, ...] = (
     KIND, *CLOCK, *TEXT, *(one for fields in CHANNEL_FIELDS.values() for one in fields), *DRIVE,

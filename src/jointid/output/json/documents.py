@@ -16,10 +16,10 @@ import numpy as np
 from jointid import Record
 from jointid.common.errors import MethodError
 from jointid.config import controller_text
-from jointid.models.controllers import Controller, numbers_of
+from jointid.models.controllers import numbers_of
 from jointid.models.joints import Joint
 from jointid.models.robots.robot import Robot
-from jointid.output.json.estimates import Json, Shape, always, estimate_shape, named, percent, same, take
+from jointid.output.json.estimates import Json, Shape, always, document, estimate_shape, keys, named, take
 
 REPORT_SCHEMA = "jointid.report/1"
 REPORT_ELEMENT = "jointid-answer"
@@ -34,390 +34,226 @@ def _initial(state: Any) -> Json:
 
 def _margins(found: Any) -> Json:
     """Return the margins of a loop; one that is not stable has none."""
-    shape: dict[str, Shape] = {
-        "gain": "gain",
-        "reduction": "reduction",
-        "phase_degrees": lambda margins: math.degrees(margins.phase),
-        "delay": "delay",
-        "distance_from_minus_one": "modulus",
-    }
-    return {"stable": found.stable} | (take(found, shape) if found.stable else dict.fromkeys(shape))
+    shape = keys("gain reduction delay distance_from_minus_one=modulus")
+    shown = take(found, shape) | {"phase_degrees": math.degrees(found.phase)}
+    return {"stable": found.stable} | (shown if found.stable else dict.fromkeys(shown))
 
 
-def _law(controller: Controller) -> Json:
-    return {"name": type(controller).__name__, "numbers": numbers_of(controller)}
+def _law(learned: Any) -> Json:
+    return {"name": type(learned.controller).__name__, "numbers": numbers_of(learned.controller)}
 
 
 SHAPES: Mapping[str, Shape] = {
     # Estimates
     "Estimate": estimate_shape,
-    "EstimatedParameter": {
-        **same("symbol", "value"),
-        "std": "stderr",
-        **same("unit", "free", "identifiable", "lower_bound", "at_bound", "lack_of_fit"),
-    },
-    "Gravity": same("load", "angle"),  # its numbers are parameters
+    "EstimatedParameter": keys(
+        "symbol value std=stderr unit free identifiable lower_bound at_bound lack_of_fit",
+    ),
+    "Gravity": keys("load angle"),  # its numbers are parameters
     "Transmission": {
-        **same("motor_per_load", "lead"),
-        "motor_kind": "motor",
-        "load_kind": "load",
-        "side": "side",
+        **keys("motor_per_load lead motor_kind=motor load_kind=load side"),
         "efficiency": always(1.0),
     },
-    "PositionHarmonics": {"kind": always("harmonics"), **same("period", "harmonics", "side")},
-    "Drift": {"kind": always("drift"), **same("of", "side")},
-    "EncoderOffset": {"kind": always("encoder_offset"), **same("side")},
+    "PositionHarmonics": {"kind": always("harmonics"), **keys("period harmonics side")},
+    "Drift": {"kind": always("drift"), **keys("of side")},
+    "EncoderOffset": {"kind": always("encoder_offset"), **keys("side")},
     "Initial": _initial,
     "Resampled": {
-        **same("sample_time", "longest_gap"),
+        **keys("sample_time longest_gap clocks"),
         "channels": lambda resampled: {
             name: {"method": method, "time": resampled.channels[name]} for name, method in resampled.methods.items()
         },
-        "clocks": "clocks",
     },
-    "Iteration": {
-        "iteration": "number",
-        **same("values", "residual_norm"),
-        "residual_change": "change",
-        "largest_step": "step",
-        **same("simulations", "gain_scale"),
-    },
-    "Message": same("code", "values", "words"),
-    "Verdict": same("subject", "good", "said", "status", "reasons"),
+    "Iteration": keys(
+        "iteration=number values residual_norm residual_change=change largest_step=step simulations gain_scale"
+    ),
+    "Message": keys("code values words"),
+    "Verdict": keys("subject good said status reasons"),
     "Identifiability": lambda known: [*known.physical, *known.directions],
-    "Known": {
-        "name": "combination.name",
-        "formula": "combination.formula",
-        "kind": "combination.kind",
-        "weights": "combination.weights",
-        **same("value", "std"),
-        "unit": "combination.unit",
-        "known": "verdict",
-    },
-    "StiffnessBound": {"load_share": "share", "stiffness": "stiffness", "free_free_hz": "frequency"},
-    "ResidualReport": {
-        "relative_percent": percent("relative"),
-        "mean_removed_percent": percent("centred"),
-        **same("rms", "mean", "unit", "bands"),
-        "against_rigid_percent": percent("against_rigid"),
-        "whiteness_p": "whiteness.p_value",
-        "repeatable": "repeatable",
-    },
-    "ResidualBand": {
-        "low_hz": "low",
-        "high_hz": "high",
-        "error_percent": percent("error"),
-        "share_percent": percent("share"),
-    },
-    "Repeatable": {"rms": "rms", "share_percent": percent("share"), "p": "p_value"},
+    "Known": keys(
+        "combination.name combination.formula combination.kind combination.weights value std combination.unit "
+        "known=verdict"
+    ),
+    "StiffnessBound": keys("load_share=share stiffness free_free_hz=frequency"),
+    "ResidualReport": keys(
+        "relative_percent=100*relative mean_removed_percent=100*centred rms mean unit bands "
+        "against_rigid_percent=100*against_rigid whiteness_p=whiteness.p_value repeatable"
+    ),
+    "ResidualBand": keys("low_hz=low high_hz=high error_percent=100*error share_percent=100*share"),
+    "Repeatable": keys("rms share_percent=100*share p=p_value"),
     "Agreement": {
+        **keys("differs chi_square=statistic degrees_of_freedom=degrees p_value"),
         "sentence": str,
-        "differs": "differs",
-        "chi_square": "statistic",
-        "degrees_of_freedom": "degrees",
-        "p_value": "p_value",
         "parameters": named("parameters"),
     },
-    "Scatter": {
-        "records": "records",
-        "chi_square": "statistic",
-        **same("p_value", "differs"),
-        "std_between": "between",
-        "unit": "unit",
-    },
-    "Segment": {
-        **same("begin", "end", "windows", "values", "std"),
-        "filtered_error_percent": percent("filtered_error"),
-    },
+    "Scatter": keys("records chi_square=statistic p_value differs std_between=between unit"),
+    "Segment": keys("begin end windows values std filtered_error_percent=100*filtered_error"),
     # Diagnostics
-    "Validation": {
-        "schema": always("jointid.validation/1"),
-        **same("test", "method", "transmission", "record", "resampled", "identified_from", "channels"),
-        "relative_error_percent": percent("relative_error"),
-        "filtered_error_percent": percent("filtered_error"),
-        "attainable_error_percent": percent("attainable_error"),
-        **same("answer"),
-        "tracking_error_percent": percent("tracking_error"),
-        "samples_left_out": "borders",
-        **same("autocorrelation", "white_band"),
-        "outside_band_percent": percent("outside_band"),
-        **same("initial", "simulations", "warnings"),
-    },
-    "MethodComparison": {
-        "schema": always("jointid.comparison/1"),
-        **same("record", "model", "methods", "disagreements"),
-    },
-    "SpringComparison": {
-        "schema": always("jointid.springs/1"),
-        **same("record", "transmission", "declared"),
-        "shown": "shown.name",
-        **same("answer"),
-        "springs": "laws",
-    },
-    "FrictionComparison": {
-        "schema": always("jointid.frictions/1"),
-        **same("record", "transmission", "declared"),
-        "shown": "shown.name",
-        **same("answer"),
-        "frictions": "laws",
-    },
-    "JudgedLaw": {
-        **same("name", "parameters", "values", "std"),
-        "fitted_error_percent": percent("fitted"),
-        "kept_error_percent": percent("kept"),
-        **same("worse"),
-        "worse_std": "error",
-        **same("predicts_as_well", "refusal"),
-    },
-    "Design": {
-        "schema": always("jointid.design/1"),
-        **same("record", "goal", "sentence", "description", "transmission", "tests", "reached", "limits", "passed"),
-        **same("present_passes", "from_present", "floor", "modes", "interrupted"),
-    },
-    "Goal": same("name", "weights"),
-    "Foretold": {**same("name", "values", "std", "units"), "correlation": "covariance.correlation"},
-    "Examination": {
-        "schema": always("jointid.examination/1"),
-        **same("record", "healthy", "sentence", "logged", "transmission"),
-        "questions": "looked",
-        **same("parameters", "changes"),
-    },
-    "Looked": same("question", "good", "said", "fault"),
-    "Determined": {**same("name", "symbol", "unit"), "two_sigma_percent": "percent", "known": "remark"},
-    "LoopCheck": {
-        "schema": always("jointid.loop/1"),
-        **same("as_declared", "level", "sentences", "reasons", "findings", "undecided"),
-        "suspects": "tests",
-    },
-    "Finding": {"suspect": "test", **same("value", "rivals", "changes")},
-    "FaultTest": {
-        **same("name", "alike", "declared"),
-        "more_than_declared": "size",
-        **same("std", "statistic", "p_value", "shape"),
-    },
-    "Advice": {
-        "schema": always("jointid.advice/1"),
-        **same("record", "noise", "transmission"),
-        "parameters": lambda advice: {
+    "Validation": document(
+        "jointid.validation/1",
+        "test method transmission record resampled identified_from channels relative_error_percent=100*relative_error "
+        "filtered_error_percent=100*filtered_error attainable_error_percent=100*attainable_error answer "
+        "tracking_error_percent=100*tracking_error samples_left_out=borders autocorrelation white_band "
+        "outside_band_percent=100*outside_band initial simulations warnings",
+    ),
+    "MethodComparison": document("jointid.comparison/1", "record model methods disagreements"),
+    "SpringComparison": document(
+        "jointid.springs/1", "record transmission declared shown=shown.name answer springs=laws"
+    ),
+    "FrictionComparison": document(
+        "jointid.frictions/1", "record transmission declared shown=shown.name answer frictions=laws"
+    ),
+    "JudgedLaw": keys(
+        "name parameters values std fitted_error_percent=100*fitted kept_error_percent=100*kept worse worse_std=error "
+        "predicts_as_well refusal"
+    ),
+    "Design": document(
+        "jointid.design/1",
+        "record goal sentence description transmission tests reached limits passed present_passes from_present floor "
+        "modes interrupted",
+    ),
+    "Foretold": keys("name values std units covariance.correlation"),
+    "Examination": document(
+        "jointid.examination/1", "record healthy sentence logged transmission questions=looked parameters changes"
+    ),
+    "Determined": keys("name symbol unit two_sigma_percent=percent known=remark"),
+    "LoopCheck": document("jointid.loop/1", "as_declared level sentences reasons findings undecided suspects=tests"),
+    "Finding": keys("suspect=test value rivals changes"),
+    "FaultTest": keys("name alike declared more_than_declared=size std statistic p_value shape"),
+    "Advice": document(
+        "jointid.advice/1",
+        "record noise transmission sensors tests sentences",
+        parameters=lambda advice: {
             name: {"symbol": advice.symbols[name], "unit": advice.units[name], "std": std}
             for name, std in advice.std.items()
         },
-        **same("sensors", "tests", "sentences"),
-    },
-    "Prediction": {
-        "name": "name",
-        "described": "description",
-        "std": lambda prediction: dict(prediction.std) or None,
-    },
-    "StiffnessTestDesign": {
-        "schema": always("jointid.revealing/1"),
-        **same("record", "transmission"),
-        "pulses": {"height": "height", "width": "width", "told": "pulses"},
-        "load_encoder": {"step": "step", "told": "encoder"},
-        "sentence": str,
-    },
+    ),
+    "Prediction": {**keys("name described=description"), "std": lambda prediction: dict(prediction.std) or None},
+    "StiffnessTestDesign": document(
+        "jointid.revealing/1",
+        "record transmission",
+        pulses=keys("height width told=pulses"),
+        load_encoder=keys("step told=encoder"),
+        sentence=str,
+    ),
     "DetectableMode": {
-        "load_share": "share",
-        "excluded_below_hz": "softest",
+        **keys("load_share=share excluded_below_hz=softest told_below_hz=mode"),
         "relative_std": lambda mode: mode.deviation if math.isfinite(mode.deviation) else None,
-        "told_below_hz": "mode",
     },
-    "EstimateComparison": {
-        "schema": always("jointid.drift/1"),
-        "a": "before",
-        "b": "after",
-        **same("same_record", "level"),
-        "quantities": lambda comparison: {
-            row.name: {
-                "symbol": row.symbol,
-                "unit": row.unit,
-                "a": row.before,
-                "b": row.after,
-                "difference": row.difference,
-                "std": row.std,
-                "p_value": row.p_value,
-                "changed": row in comparison.changed,
-                "said": row.reason or None,
-            }
+    "EstimateComparison": document(
+        "jointid.drift/1",
+        "a=before b=after same_record level sentences",
+        quantities=lambda comparison: {
+            row.name: take(row, keys("symbol unit a=before b=after difference std p_value"))
+            | {"changed": row in comparison.changed, "said": row.reason or None}
             for row in comparison.rows
         },
-        "sentences": "sentences",
-    },
-    "ReportedEstimate": {"file": "label", "record": "record", "torque_sha256": "fingerprint"},
+    ),
+    "ReportedEstimate": keys("file=label record torque_sha256=fingerprint"),
     # Controller and tuning
-    "LearnedLoop": {
-        "schema": always("jointid.learned_loop/1"),
-        **same("record", "resampled"),
-        "structure": lambda learned: str(learned.structure),
-        "law": lambda learned: _law(learned.controller),
-        **same("numbers", "correlation"),
-        "in_drive": lambda learned: [
-            {
-                **{name: getattr(one, name) for name in ("name", "value", "lower", "upper", "unit", "declared")},
-                "percent_from_declared": None if one.difference is None else 100 * one.difference,
-            }
-            for one in learned.in_drive
-        ],
-        "equivalent": "equivalent_laws",
-        "alternatives": "alternatives",
-        "sentences": lambda learned: [str(one) for one in learned.limitations],
-        "residual": {"rms": "rms", "percent": percent("share"), "unit": "torque_unit"},
-        "regression_percent": percent("regression_share"),
-        "noise": {"torque": "torque_noise", "position": "position_noise", "heard_up_to_hz": "band"},
-        "table": lambda learned: controller_text(learned.controller, learned.transmission),
-    },
+    "LearnedLoop": document(
+        "jointid.learned_loop/1",
+        "record resampled numbers correlation in_drive equivalent=equivalent_laws alternatives "
+        "regression_percent=100*regression_share",
+        structure=lambda learned: str(learned.structure),
+        law=_law,
+        sentences=lambda learned: [str(one) for one in learned.limitations],
+        residual=keys("rms percent=100*share unit=torque_unit"),
+        noise=keys("torque=torque_noise position=position_noise heard_up_to_hz=band"),
+        table=lambda learned: controller_text(learned.controller, learned.transmission),
+    ),
+    "NumberInDrive": keys("name value lower upper unit declared percent_from_declared=100*difference"),
     "Alternative": {
+        **keys("worse apart_percent=100*apart alike"),
         "structure": lambda alternative: str(alternative.structure),
-        "law": lambda alternative: _law(alternative.controller),
-        "worse": "worse",
-        "apart_percent": percent("apart"),
-        "alike": "alike",
+        "law": _law,
     },
-    "Tuned": {
-        "schema": always("jointid.tuning/1"),
-        **same("record", "model", "transmission", "interval"),
-        "asked": {
-            "gain_margin": "settings.gain_margin",
-            "phase_margin_degrees": "settings.phase_margin",
-            "distance_from_minus_one": "settings.modulus",
-            "confidence": "settings.confidence",
-        },
-        **same("present", "proposed", "gains", "notch", "feedforward", "detectable", "notes"),
-    },
+    "Tuned": document(
+        "jointid.tuning/1",
+        "record model transmission interval present proposed gains notch feedforward detectable notes",
+        asked=keys(
+            "settings.gain_margin phase_margin_degrees=settings.phase_margin "
+            "distance_from_minus_one=settings.modulus settings.confidence"
+        ),
+    ),
     "Gain": {
-        **same("key", "formula", "unit", "before", "after"),
+        **keys("key formula unit before after"),
         "in_drive": lambda gain: dict(zip(("name", "before", "after", "unit"), gain.in_drive, strict=True)),
     },
     "FeedForward": {
-        **same("key", "formula", "value", "std", "unit", "before", "after", "after_std", "drive", "drive_unit"),
+        **keys("key formula value std unit before after after_std drive drive_unit"),
         "in_drive": lambda one: dict(zip(("before", "after", "after_std", "unit"), one.in_drive, strict=True)),
     },
-    "LoopMargins": {
-        **same("estimate", "worst"),
-        "crossover_hz": "crossover",
-        "response": {
-            "hertz": "response.hertz",
-            "size": lambda loop: abs(loop.response.nominal),
-            "smallest": lambda loop: loop.response.size[0],
-            "largest": lambda loop: loop.response.size[1],
-            "phase_lowest_degrees": lambda loop: [math.degrees(angle) for angle in loop.response.phase[0]],
-            "phase_highest_degrees": lambda loop: [math.degrees(angle) for angle in loop.response.phase[1]],
-        },
+    "LoopMargins": keys("estimate worst crossover_hz=crossover response"),
+    "ResponseBand": {
+        "hertz": "hertz",
+        "size": lambda band: abs(band.nominal),
+        "smallest": lambda band: band.size[0],
+        "largest": lambda band: band.size[1],
+        "phase_lowest_degrees": lambda band: np.degrees(band.phase[0]),
+        "phase_highest_degrees": lambda band: np.degrees(band.phase[1]),
     },
     "Margins": _margins,
-    "ProposedNotch": {
-        "frequency": "notch.frequency",
-        "bandwidth": "notch.bandwidth",
-        "depth": "notch.depth",
-        **same("period", "numerator", "denominator"),
-    },
-    "MinimumDetectableChange": same("false_alarm", "power", "changes"),
+    "ProposedNotch": keys("notch.frequency notch.bandwidth notch.depth period numerator denominator"),
+    "MinimumDetectableChange": keys("false_alarm power changes"),
     # Robots
-    "RobotEstimate": {
-        "schema": always("jointid.robot_estimate/1"),
-        "robot": "robot.name",
-        "joints": "robot.names",
-        "estimator": "settings.estimator",
-        "converged": "converged",
-        "parameters": "rows",
-        "left": "joint_errors",
-        "nominal_left": "nominal_errors",
-    },
-    "RobotTorqueEstimate": {
-        "schema": always("jointid.robot_torque_estimate/1"),
-        "robot": "robot.name",
-        "joints": "robot.names",
-        "converged": "fit.converged",
-        "parameters": "rows",
-        "left": "joint_errors",
-        "nominal_left": "nominal_errors",
-    },
-    "RobotValidation": {
-        "schema": always("jointid.robot_validation/1"),
-        "robot": "robot.name",
-        "joints": "robot.names",
-        "better_than_nominal": "better",
-        "bodies_better_than_nominal": "bodies_better",
-        "left": "joint_errors",
-        "nominal_left": "nominal_errors",
-        "bodies_left": "body_errors",
-    },
-    "RobotDiagnosis": {
-        "schema": always("jointid.robot_diagnosis/1"),
-        "robot": "robot.name",
-        **same("method", "answer", "explained", "as_declared", "feed_forward", "sentences", "joints"),
-    },
+    "RobotEstimate": document(
+        "jointid.robot_estimate/1",
+        "robot=robot.name joints=robot.names estimator=settings.estimator converged parameters=rows left=joint_errors "
+        "nominal_left=nominal_errors",
+    ),
+    "RobotTorqueEstimate": document(
+        "jointid.robot_torque_estimate/1",
+        "robot=robot.name joints=robot.names fit.converged parameters=rows left=joint_errors "
+        "nominal_left=nominal_errors",
+    ),
+    "RobotValidation": document(
+        "jointid.robot_validation/1",
+        "robot=robot.name joints=robot.names better_than_nominal=better bodies_better_than_nominal=bodies_better "
+        "left=joint_errors nominal_left=nominal_errors bodies_left=body_errors",
+    ),
+    "RobotDiagnosis": document(
+        "jointid.robot_diagnosis/1",
+        "robot=robot.name method answer explained as_declared feed_forward sentences joints",
+    ),
     "JointDiagnosis": {
-        **same("name", "left", "explained"),
-        "white": "whiteness.white",
+        **keys("name left explained white=whiteness.white travel speed moving law_holds law"),
         "follows": lambda joint: None if joint.follows is None else joint.follows[0],
         "follows_share": lambda joint: None if joint.follows is None else joint.follows[1].explained,
-        **same("travel", "speed", "moving", "law_holds"),
-        "law": "law",
-        "parameters": lambda joint: {one.name: one for one in joint.parameters},
+        "parameters": named("parameters"),
     },
-    "ParameterOfJoint": same("value", "std", "unit", "nominal", "formula", "known", "at_least"),
-    "LawOnPosition": same("left", "gain", "late", "left_in_time", "noise"),
-    "RobotDesign": {
-        "schema": always("jointid.robot_design/1"),
-        "robot": "robot.name",
-        "joints": "robot.names",
-        **same("sentence", "sample_time"),
-        "samples": lambda design: len(design.reference),
-        **same("parameters", "noise", "of_record", "limits", "reached", "passed", "modes", "tried"),
-    },
+    "ParameterOfJoint": keys("value std unit nominal formula known at_least"),
+    "RobotDesign": document(
+        "jointid.robot_design/1",
+        "robot=robot.name joints=robot.names sentence sample_time parameters noise of_record limits reached passed "
+        "modes tried",
+        samples=lambda design: len(design.reference),
+    ),
     "RobotSimulation": {
+        **keys("sample_time explanation=outcome.value events"),
         "samples": lambda simulation: len(simulation.torque),
-        "sample_time": "sample_time",
         "outcome": lambda simulation: simulation.outcome.name.lower(),
-        "explanation": "outcome.value",
-        "events": "events",
-        "peak_torque": lambda simulation: [float(one) for one in abs(simulation.torque).max(axis=0)],
-        "peak_speed": lambda simulation: [float(one) for one in abs(simulation.motor_velocity).max(axis=0)],
+        "peak_torque": lambda simulation: abs(simulation.torque).max(axis=0),
+        "peak_speed": lambda simulation: abs(simulation.motor_velocity).max(axis=0),
     },
-    "JointLimits": same("lower", "upper", "speed", "acceleration", "torque"),
-    "WeighedPayload": {
-        "schema": always("jointid.payload/1"),
-        "link": "link",
-        "parameters": "rows",
-        "ways_agree": "agrees",
-        "body_possible": "possible",
-    },
-    "DriveGains": {"schema": always("jointid.drive_gains/1"), "gains": "rows"},
+    "WeighedPayload": document("jointid.payload/1", "link parameters=rows ways_agree=agrees body_possible=possible"),
+    "DriveGains": document("jointid.drive_gains/1", "gains=rows"),
     # Files and reports
-    "Inspection": {
-        "schema": always("jointid.inspection/1"),
-        **same("file", "format"),
-        "bytes": "size",
-        **same("channels", "scalars"),
-        "not_read": "passed",
-    },
-    "InspectedChannel": {
-        "name": "name",
-        "rows": "outline.rows",
-        "unit": "unit",
-        "minimum": "outline.minimum",
-        "maximum": "outline.maximum",
-        "missing": "outline.missing",
-        **same("time", "sample_time", "jitter"),
-    },
+    "Inspection": document("jointid.inspection/1", "file format bytes=size channels scalars not_read=passed"),
+    "InspectedChannel": keys(
+        "name outline.rows unit outline.minimum outline.maximum outline.missing time sample_time jitter"
+    ),
     "Simulation": {
-        "samples": "torque.size",
-        "sample_time": "sample_time",
+        **keys("samples=torque.size sample_time explanation=outcome.value events at_limit_percent=100*at_limit"),
         "outcome": lambda simulation: simulation.outcome.name.lower(),
-        "explanation": "outcome.value",
-        "events": "events",
-        "at_limit_percent": percent("at_limit"),
         "peak_torque": lambda simulation: float(abs(simulation.torque).max()),
     },
     "ProfileInterval": {
-        **same("name", "formula", "unit", "estimate", "level", "interval", "reached"),
-        "values": "points",
-        **same("rise", "threshold"),
+        **keys("name formula unit estimate level interval reached values=points rise threshold"),
         "estimate_was_minimum": lambda profile: not profile.improved,
     },
 }
-"""By the name of the class: what a document has of an object of it."""
+"""Keys of the documents by the name of the class; a class that is not here has all its fields."""
 
 
 def to_dict(result: object) -> Json:

@@ -39,9 +39,21 @@ def always(value: object) -> Callable[[Any], object]:
     return lambda _: value
 
 
-def same(*names: str) -> dict[str, str]:
-    """Return the part of a shape whose keys are the attributes' own names."""
-    return dict(zip(names, names, strict=True))
+def keys(text: str) -> dict[str, Shape]:
+    """Return a shape of words: an attribute by its path, or "key=path"; "100*path" is a share in percent.
+
+    Without a key of its own an attribute has the last name of its path.
+    """
+    shape: dict[str, Shape] = {}
+    for word in text.split():
+        key, _, path = word.rpartition("=")
+        shape[key or path.rpartition(".")[2]] = percent(path[4:]) if path.startswith("100*") else path
+    return shape
+
+
+def document(schema: str, text: str, **others: Shape) -> dict[str, Shape]:
+    """Return the shape of a document, of `keys` and others."""
+    return {"schema": always(schema), **keys(text), **others}
 
 
 def percent(path: str) -> Callable[[Any], float | None]:
@@ -148,126 +160,67 @@ def _drift(estimate: Estimate) -> Json:
     }
 
 
-_JOINT: dict[str, Shape] = {
-    "model": "settings.joint.model",
-    "kind": "settings.joint.kind",
-    "friction": "settings.joint.friction.name",
+def _warnings(estimate: Estimate) -> tuple[str, ...]:
+    return (*estimate.checks.warnings, *estimate.checks.notes)
+
+
+_ALWAYS: dict[str, Shape] = {
+    **keys(
+        "answer settings.joint.model settings.joint.kind friction=settings.joint.friction.name settings.joint.gravity "
+        "settings.joint.ripple settings.joint.transmission fit.simulations fit.converged fit.stop "
+        "intervals=params.basis"
+    ),
     "spring": lambda estimate: estimate.settings.joint.spring_name,
-    "gravity": "settings.joint.gravity",
-    "ripple": "settings.joint.ripple",
+    "parameters": named("params"),
+    "warnings": _warnings,
 }
 
-_OF_ONE_RECORD: Shape = {
-    "schema": always(ESTIMATE_SCHEMA),
-    "method": "settings.method",
-    "variant": "settings.variant",
-    "answer": "answer",
-    **_JOINT,
-    "transmission": "settings.joint.transmission",
-    "record": {
-        "name": "data.record",
-        "samples": "fit.measured.size",
-        "sample_time": "data.sample_time",
-        "torque_unit": "data.torque_unit",
-        "torque_sha256": "data.fingerprint",
-        "resampled": "data.resampled",
-    },
-    "channels": "data.channels",
-    "parameters": named("params"),
-    "free": "params.names",
-    "correlation": lambda estimate: (
+_OF_ONE_RECORD: Shape = document(
+    ESTIMATE_SCHEMA,
+    "settings.method settings.variant data.channels free=params.names relative_error_percent=100*fit.relative_error "
+    "filtered_error_percent=100*fit.filtered_error fit.compared samples_left_out=fit.borders fit.rows "
+    "condition_numbers=fit.conditioning settings.filtering settings.delay fit.iterations fit.trace checks.tests "
+    "checks.verdicts combinations=checks.known fit.residuals stiffness_bounds=checks.bounds",
+    **_ALWAYS,
+    record=keys(
+        "name=data.record samples=fit.measured.size data.sample_time data.torque_unit torque_sha256=data.fingerprint "
+        "data.resampled"
+    ),
+    correlation=lambda estimate: (
         estimate.params.correlation if np.all(np.isfinite(estimate.params.correlation)) else None
     ),
-    "other_side": _all_of_other_side,
-    "relative_error_percent": percent("fit.relative_error"),
-    "filtered_error_percent": percent("fit.filtered_error"),
-    "compared": "fit.compared",
-    "samples_left_out": "fit.borders",
-    "rows": "fit.rows",
-    "condition_numbers": "fit.conditioning",
-    "filtering": "settings.filtering",
-    "delay": "settings.delay",
-    "controller_sha256": _controller_sha256,
-    "iterations": "fit.iterations",
-    "simulations": "fit.simulations",
-    "converged": "fit.converged",
-    "stop": "fit.stop",
-    "intervals": "params.basis",
-    "trace": "fit.trace",
-    "tests": "checks.tests",
-    "effects": _effects,
-    "warnings": lambda estimate: (*estimate.checks.warnings, *estimate.checks.notes),
-    "verdicts": "checks.verdicts",
-    "combinations": "checks.known",
-    "residuals": "fit.residuals",
-    "stiffness_bounds": "checks.bounds",
-}
+    other_side=_all_of_other_side,
+    controller_sha256=_controller_sha256,
+    effects=_effects,
+)
 
-_OF_SEVERAL_RECORDS: Shape = {
-    "schema": always(TOGETHER_SCHEMA),
-    "answer": "answer",
-    **_JOINT,
-    "torque_unit": "data.torque_unit",
-    "transmission": "settings.joint.transmission",
-    "parameters": named("params"),
-    "other_side": _other_side,
-    "records": _records,
-    "agreement": "checks.agreement",
-    "free": "params.names",
-    "correlation": "params.correlation",
-    "simulations": "fit.simulations",
-    "converged": "fit.converged",
-    "stop": "fit.stop",
-    "weighting": "settings.weighting",
-    "intervals": "params.basis",
-    "warnings": lambda estimate: (*estimate.checks.warnings, *estimate.checks.notes),
-}
+_OF_SEVERAL_RECORDS: Shape = document(
+    TOGETHER_SCHEMA,
+    "data.torque_unit checks.agreement free=params.names params.correlation settings.weighting",
+    **_ALWAYS,
+    other_side=_other_side,
+    records=_records,
+)
 
-_OF_A_LOG: Shape = {
-    "schema": always(LONG_SCHEMA),
-    "answer": "answer",
-    **_JOINT,
-    "transmission": "settings.joint.transmission",
-    "record": {"name": "data.record", "sample_time": "data.sample_time", "torque_unit": "data.torque_unit"},
-    "channels": "data.channels",
-    "parameters": named("params"),
-    "other_side": _other_side,
-    "combinations": "checks.known",
-    "correlation": "params.correlation",
-    "repeatable": "checks.repeatable",
-    "drift": _drift,
-    "window": "data.windows.length",
-    "settling": "data.windows.settling",
-    "windows": "data.windows.count",
-    "windows_without_motion": "data.windows.still",
-    "duration": "data.windows.duration",
-    "rows": "fit.rows",
-    "filtered_error_percent": percent("fit.filtered_error"),
-    "filtering": "settings.filtering",
-    "at_limit": "fit.at_limit",
-    "controller_sha256": _controller_sha256,
-    "passes": "fit.passes",
-    "simulations": "fit.simulations",
-    "converged": "fit.converged",
-    "stop": "fit.stop",
-    "interrupted": "fit.interrupted",
-    "intervals": "params.basis",
-    "warnings": lambda estimate: (*estimate.checks.warnings, *estimate.checks.notes),
-}
+_OF_A_LOG: Shape = document(
+    LONG_SCHEMA,
+    "data.channels combinations=checks.known params.correlation checks.repeatable window=data.windows.length "
+    "data.windows.settling windows=data.windows.count windows_without_motion=data.windows.still data.windows.duration "
+    "fit.rows filtered_error_percent=100*fit.filtered_error settings.filtering fit.at_limit fit.passes fit.interrupted",
+    **_ALWAYS,
+    record=keys("name=data.record data.sample_time data.torque_unit"),
+    other_side=_other_side,
+    drift=_drift,
+    controller_sha256=_controller_sha256,
+)
 
 _RECORD: Shape = {
-    "name": "name",
-    "samples": "measured.size",
-    "sample_time": "sample_time",
-    "torque_sha256": "fingerprint",
-    **same("resampled", "channels", "added_inertia"),
-    "parameters": always(None),
+    **keys(
+        "name samples=measured.size sample_time torque_sha256=fingerprint resampled channels added_inertia values "
+        "initial residual_level=level filtering rows relative_error_percent=100*relative_error "
+        "filtered_error_percent=100*filtered_error filtered_error_alone_percent=100*alone_error"
+    ),
+    "parameters": always(None),  # see `_records`
     "alone": named("alone"),
-    **same("values", "initial"),
-    "residual_level": "level",
-    "repeatable": {"rms": "repeatable.rms", "share": "repeatable.share", "p_value": "repeatable.p_value"},
-    **same("filtering", "rows"),
-    "relative_error_percent": percent("relative_error"),
-    "filtered_error_percent": percent("filtered_error"),
-    "filtered_error_alone_percent": percent("alone_error"),
+    "repeatable": keys("repeatable.rms repeatable.share repeatable.p_value"),
 }
