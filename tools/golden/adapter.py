@@ -14,12 +14,11 @@ import io
 import json
 import math
 import re
-import subprocess
-import sys
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
+from unittest.mock import patch
 from xml.etree import ElementTree as ET
 from zlib import crc32
 
@@ -28,6 +27,12 @@ import tomli_w
 
 import jointid as ji
 from jointid.apps.cli import main
+from jointid.apps.web import worker
+from jointid.campaigns.campaign_file import load_campaign
+from jointid.campaigns.export import export_rows
+from jointid.campaigns.folder import Results
+from jointid.campaigns.report import CampaignReport
+from jointid.campaigns.run_case import run_case
 from jointid.diagnostics.check_loop import add_loop_verdict
 from jointid.diagnostics.report_data import collect_report_data as collect
 from jointid.models.disturbances import Drift
@@ -90,6 +95,9 @@ VARIANTS: Mapping[str, Json] = {
             {"file": "twin_heavier.csv", "added_inertia": 10.0},
         ],
     },
+    "wrong_gain": {"controller": {"position_gain": "200 1/s"}},
+    "wrong_sign": {"record": {"channels": {"torque": {"sign": -1}}}},
+    "wrong_limit": {"controller": {"limit": "2 V"}},
     "with_pulses": {"records": [{"file": "emps.mat"}, {"file": "emps_pulses.mat"}]},
 }
 """What is changed in a joint file, by the name under which cases ask for it; None takes a key away."""
@@ -241,24 +249,35 @@ def _paths(found: Any, above: str = "") -> Iterable[str]:
             yield from _paths(value, f"{above}/*")
 
 
-_LEFT_OUT = re.compile(r"^(!\[.*|#+ .*|\*[^*]*\*)$")  # figures, headings and captions
+_LEFT_OUT = re.compile(r"!\[.*|#+ .*|\*[^*]*\*")  # figures, headings and captions
 
 
 def text(said: str) -> Json:
-    """Return the first line of an answer, its sentences, and the numbers in its tables; of Markdown their rows."""
-    said = re.split(r"\n## (?:Appendix|Settings and data)\n", said)[0].replace("\u2212", "-")
+    """Return what an answer says first, its other texts, and of its tables the numbers; of Markdown the rows."""
+    said = said.partition("\n## Settings and data\n")[0].replace("\u2212", "-")
     said = re.sub(r"^Written:?\s.*?(?:\n\s*\n|\Z)", "\n", said, flags=re.DOTALL | re.MULTILINE)
-    blocks = [block for block in re.split(r"\n\s*\n", said.strip()) if not _LEFT_OUT.match(" ".join(block.split()))]
-    sentences = [" ".join(block.split()) for block in blocks if block.rstrip().endswith((".", ":"))]
-    tables = [block for block in blocks if not block.rstrip().endswith((".", ":"))]
-    return {
-        "first": " ".join(blocks[0].splitlines()[0].split()),
-        "sentences": sentences,
-        "tables": [
-            block.splitlines()[2:] if block.startswith("|") else numbers(map(float, _NUMBER.findall(block)))
-            for block in tables
-        ],
-    }
+    texts: list[str] = []
+    tables: list[list[Any]] = []
+    for block in re.split(r"\n\s*\n", said.strip()):
+        above, rule, below = block.partition("\n---")
+        if block.startswith("|"):
+            tables.append(block.splitlines()[2:])
+        elif rule:
+            texts += [" ".join(line.split()) for line in above.splitlines()[:-1]]
+            tables.append(numbers(map(float, _NUMBER.findall(below))))
+        elif not _LEFT_OUT.fullmatch(line := " ".join(block.split())):
+            texts.append(line)
+    return {"first": texts[0], "texts": texts[1:], "tables": tables}
+
+
+def failure(*words: object) -> str:
+    """Return what a command says that refuses, without the places of files."""
+    try:
+        command(*words, "--quiet")
+    except Refused as error:
+        said = str(error).partition(f"ended with {_MISTAKE}: ")[2]
+        return " ".join(re.sub(r"\S*/(?=[\w.]+)", "", said).split())
+    raise RuntimeError(f"jointid {' '.join(map(str, words))} did not refuse")
 
 
 def demo(folder: Path) -> Json:
@@ -463,7 +482,7 @@ def report(folder: Path, joint: Path, record: Path, *, profiles: bool = True) ->
 
 
 def report_text(folder: Path, file: Path, *words: object) -> Json:
-    """Write a report as Markdown, and return its text up to the appendix."""
+    """Write a report as Markdown, and return its text up to settings and data."""
     place = folder / "markdown"
     place.mkdir(exist_ok=True)
     found = answer(folder, "report", file, *words, "--markdown", place, "--quiet")
@@ -471,12 +490,13 @@ def report_text(folder: Path, file: Path, *words: object) -> Json:
 
 
 def page_answer(folder: Path, joint: Path, record: Path) -> Json:
-    """Identify as the page does, in its process, and return what it shows."""
+    """Identify as the page does, and return what it shows."""
     (folder / "joint.toml").write_bytes(joint.read_bytes())
     (folder / record.name).write_bytes(record.read_bytes())
     (folder / "work.json").write_text(json.dumps({"file": record.name, "learn": False}), encoding="utf-8")
-    ran = [sys.executable, "-m", "jointid.apps.web.worker", "identify", str(folder), str(2**33)]
-    subprocess.run(ran, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, check=True, cwd=ROOT)
+    with patch.multiple(worker, _write_report=lambda *_: None, _tell=lambda _: None):  # the report is a case of its own
+        if worker.main("identify", folder):
+            raise Refused((folder / "fault.json").read_text(encoding="utf-8"))
     found = json.loads((folder / "answer.json").read_text(encoding="utf-8"))
     said = (folder / "answer.txt").read_text(encoding="utf-8")
     return {"text": text(said), "document": digest(found), "estimate": estimate(found)}
@@ -491,7 +511,7 @@ def robot_files(folder: Path, model: str, tables: Json, references: Mapping[str,
     channels = {"torque": "tau{axis}", "reference": "r{axis}", "motor_position": "q{axis}"}
     record = {"sample_time": 1e-3, "channels": {name: {"column": column} for name, column in channels.items()}}
     path = folder / "robot.toml"
-    path.write_text(tomli_w.dumps({"robot": {"model": "robot.xml"}, "record": record} | tables), encoding="utf-8")
+    write_toml(path, {"robot": {"model": "robot.xml"}, "record": record} | tables)
     for name, columns in references.items():
         header = ",".join(f"r{k + 1}" for k in range(columns.shape[1]))
         np.savetxt(folder / name, columns, fmt="%.12g", delimiter=",", header=header, comments="")
@@ -562,14 +582,14 @@ def report_robot(robot: Path, record: str, held_out: str, **method: object) -> J
 
 
 def campaign(folder: Path, name: str, tables: Json) -> Json:
-    """Run a campaign in one process, and return its rows and its report."""
-    path, results, table = folder / f"{name}.toml", folder / f"{name}_results", folder / f"{name}.csv"
-    path.write_text(tomli_w.dumps(tables), encoding="utf-8")
-    command("campaign", "run", path, "--out", results, "--workers", 1, "--quiet")
-    command("campaign", "export", results, "--out", table)
+    """Run a campaign in this process, and return its rows and its report."""
+    path, table = folder / f"{name}.toml", folder / f"{name}.csv"
+    write_toml(path, tables)
+    rows = tuple(run_case(one) for one in load_campaign(path).cases())
+    export_rows(rows, table)
+    report = CampaignReport(Results(name, len(rows), rows, ())).document(details=True)
     with table.open(encoding="utf-8", newline="") as file:
-        rows = [_campaign_row(row) for row in csv.DictReader(file)]
-    return {"rows": rows, "report": text(command("campaign", "report", results, "--details"))}
+        return {"rows": [_campaign_row(row) for row in csv.DictReader(file)], "report": text(report.markdown())}
 
 
 def _campaign_row(row: Mapping[str, str]) -> Json:
@@ -582,13 +602,12 @@ def _campaign_row(row: Mapping[str, str]) -> Json:
     return {word: code(row[word]) for word in words} | {"values": values, "simulations": row["simulations"]}
 
 
-def write_joint(path: Path, tables: Json) -> Path:
-    """Write a joint file."""
-    path.write_text(tomli_w.dumps(tables), encoding="utf-8")
-    return path
-
-
 # Joint files
+
+
+def write_toml(path: Path, tables: Json) -> None:
+    """Write a file of tables."""
+    path.write_text(tomli_w.dumps(tables), encoding="utf-8")
 
 
 def joint_file(folder: Path, example: str, *variants: str, name: str = "joint.toml") -> Path:
@@ -596,9 +615,8 @@ def joint_file(folder: Path, example: str, *variants: str, name: str = "joint.to
     made = tomllib.loads(EXAMPLES[example].read_text(encoding="utf-8"))
     for variant in variants:
         _change(made, VARIANTS[variant])
-    path = folder / name
-    path.write_text(tomli_w.dumps(made), encoding="utf-8")
-    return path
+    write_toml(folder / name, made)
+    return folder / name
 
 
 def _change(table: Json, changes: Mapping[str, Any]) -> None:
@@ -1367,6 +1385,12 @@ def dossier(found: Any, record: Any) -> Json:
             "modes": _named(answering.modes),
         },
     }
+
+
+def predicted(driven: Any, values: Mapping[str, float], reference: Any, **noise: Any) -> Json:
+    """Return the deviations that a test of a reference of 1 ms will give, and what is said of them."""
+    made = ji.foretell(driven, _valued(values), ji.planned_record(driven, reference, 1e-3), ji.Noise(**noise))
+    return {"text": text(str(made)), "std": numbers(made.covariance.std)}
 
 
 def revealing(found: Any, record: Any) -> Json:

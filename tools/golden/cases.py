@@ -1322,3 +1322,141 @@ def robot_of_six_joints(at: Workspace) -> Any:
     """The KR300's own record, identified by IDIM."""
     robot = ask.MODEL.with_name("robot.toml")
     return ask.identify_robot(robot, at.kr300, folder=at.folder("kr300_robot"), name="idim")
+
+
+# Texts, documents and campaigns
+
+
+@case
+def answers_emps(at: Workspace) -> Any:
+    """What the commands say of the EMPS record, and the documents that they write."""
+    joint, folder = ask.EXAMPLES["emps"], at.folder("answers_emps")
+    given, of = (joint, "--record", at.emps, "--quiet"), ("--estimate", at.estimate("emps"))
+    return {
+        "identify": ask.answer(folder, "identify", *given),
+        "idim": ask.answer(folder, "identify", *given, "--method", "idim"),
+        "doctor": ask.answer(folder, "doctor", *given),
+        "loop": ask.answer(folder, "diagnose", "loop", *given),
+        "sensors": ask.answer(folder, "diagnose", "sensors", *given),
+        "simulate": ask.answer(folder, "simulate", *given, *of),
+        "validate": ask.answer(folder, "validate", joint, "--record", at.emps_pulses, "--quiet", *of),
+    }
+
+
+@case
+def answer_on_friction(at: Workspace) -> Any:
+    """Which law of friction the EMPS record shows."""
+    given = ask.EXAMPLES["emps"], "--record", at.emps, "--quiet"
+    return ask.answer(at.folder("answer_on_friction"), "diagnose", "friction", *given)
+
+
+@case
+def answers_twin(at: Workspace) -> Any:
+    """The same of a flexible joint, and of other records and methods."""
+    folder = at.folder("answers_twin")
+    given = ask.EXAMPLES["twin"], "--record", at.twin(), "--quiet"
+    joint = ask.joint_file(folder, "twin", "idim")
+    return {
+        "identify": ask.answer(folder, "identify", *given),
+        "idim": ask.answer(folder, "identify", joint, *given[1:]),
+        "doctor": ask.answer(folder, "doctor", *given),
+        "kr300": ask.answer(folder, "identify", ask.EXAMPLES["kr300"], "--record", at.kr300, "--quiet"),
+        "drive_side": ask.answer(folder, "identify", ask.EXAMPLES["motorbench"], "--record", at.motorbench, "--quiet"),
+    }
+
+
+@case
+def answers_of_several_records(at: Workspace) -> Any:
+    """What is said of a long record in windows, and of what changed between two estimates."""
+    folder = at.folder("answers_several")
+    ask.convert(at.emps, folder / "emps.csv")
+    given = ask.EXAMPLES["emps"], "--record", folder / "emps.csv", "--quiet"
+    heavier = ask.estimate_file(folder, ask.EXAMPLES["twin"], at.twin(added_mass=True, seed=2), "heavier.json")
+    return {
+        "long": ask.answer(folder, "identify", *given, "--window", 6.0),
+        "compare": ask.answer(folder, "compare", at.estimate("twin"), heavier),
+    }
+
+
+@case
+def answers_to_mistakes(at: Workspace) -> Any:
+    """What is said of a joint file that is wrong: a gain, a sign, and a limit that the torque passes."""
+    folder, given = at.folder("mistakes"), ("--record", at.emps)
+    return {
+        "gain": ask.answer(folder, "identify", ask.joint_file(folder, "emps", "wrong_gain"), *given, "--quiet"),
+        "gain_loop": ask.answer(folder, "diagnose", "loop", folder / "joint.toml", *given, "--quiet"),
+        "sign": ask.failure("identify", ask.joint_file(folder, "emps", "wrong_sign", name="sign.toml"), *given),
+        "limit": ask.failure("identify", ask.joint_file(folder, "emps", "wrong_limit", name="limit.toml"), *given),
+    }
+
+
+@case
+def answer_of_the_page(at: Workspace) -> Any:
+    """What the page shows of the EMPS record."""
+    return ask.page_answer(at.folder("page"), ask.EXAMPLES["emps"], at.emps)
+
+
+def _report_text(at: Workspace, example: str, record: Path) -> Any:
+    words = "--record", record, "--no-profiles", "--no-tuning"
+    return ask.report_text(at.folder(f"report_text_{example}"), ask.EXAMPLES[example], *words)
+
+
+@case
+def report_text_emps(at: Workspace) -> Any:
+    """The text of the report of a rigid joint."""
+    return _report_text(at, "emps", at.emps)
+
+
+@case
+def report_text_twin(at: Workspace) -> Any:
+    """The text of the report of a flexible joint."""
+    return _report_text(at, "twin", at.twin())
+
+
+@case
+def predicted_intervals(_: Workspace) -> Any:
+    """The intervals that a test of a rigid joint will give, and those of a flexible one."""
+    loop, _record = _rigid_arm(ask.law("pd", position_gain=3000.0, derivative_gain=250.0), _ARM)
+    _twin, flexible, truth = ask.twin(noise="none")
+    paper = ask.trapezoids([0.042, 0.083, 0.125], 0.83, 0.1, 1e-3, duration=8.0)
+    return {
+        "rigid": ask.predicted(loop, _ARM, _turned(), log=0.5),
+        "flexible": ask.predicted(flexible, truth, paper, log=1.0, force=2.0),
+    }
+
+
+@case
+def campaigns(at: Workspace) -> Any:
+    """A fleet of two joints, of which one drifts, and of a robot; runs with noise; and searches from many starts."""
+    robot, _ = _robot(at, "campaigns")
+    folder = robot.parent
+    gains = {"position_gain": 100.0, "velocity_gain": 2000.0}
+    channels = {"torque": {"column": "torque", "unit": "N", "timing": "held"}}
+    channels["reference"] = {"column": "reference", "unit": "m"}
+    joint = {"joint": {"kind": "prismatic"}, "record": {"file": "axis-a/2026-11-01.csv", "channels": channels}}
+    loop = ask.loop(ask.joint("rigid"), ask.law("cascade", **gains))
+    reference = ask.trapezoids([0.1, 0.2], 2.0, 0.1, 1e-3, rest=0.1)
+    values = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
+    begins = {"inertia": {"start": 25.0}, "viscous": {"start": 60.0}, "coulomb": {"start": 12.0}}
+    for number, name in enumerate(("axis-a", "axis-b")):
+        at.folder(f"campaigns/{name}")
+        ask.write_toml(
+            folder / f"{name}.toml", joint | {"controller": {"law": "cascade"} | gains, "parameters": begins}
+        )
+        for day in range(1, 11):
+            worn = values | {"coulomb": 15.0 if number == 0 or day < 6 else 18.0}
+            noise = _noise(reference.size, 3.0, 100 * number + day)
+            made = ask.simulated(loop, reference, worn, sample_time=1e-3, torque_noise=noise)
+            ask.write(made, folder / name / f"2026-11-{day:02}.csv")
+    at.folder("campaigns/robot")
+    for day, record in ((1, "one.csv"), (2, "two.csv")):
+        shutil.copyfile(folder / record, folder / "robot" / f"2026-11-{day:02}.csv")
+    own = {"joint": "axis-a.toml", "runs": 3, "seed": 7}
+    asked: dict[str, dict[str, Any]] = {
+        "fleet": {"fleet": {"joint": "{joint}.toml", "records": "{joint}/{day}.csv"}},
+        "runs": {"monte_carlo": own | {"noise_log": 3.0, "values": values}},
+        "robot_runs": {"monte_carlo": {"joint": "robot.toml", "record": "r1.csv", "runs": 2, "noise_log": 0.5}},
+        "resampled": {"bootstrap": own},
+        "starts": {"multistart": own},
+    }
+    return {name: ask.campaign(folder, name, tables) for name, tables in asked.items()}
