@@ -28,11 +28,7 @@ def is_remote(address: str) -> bool:
 
 
 def require_known(address: str) -> None:
-    """Refuse a URL of a kind that is not known to hold files and nothing else: some of fsspec's run templates.
-
-    Raises:
-        RecordError: it is one.
-    """
+    """Refuse a URL of a kind that is not known to hold files and nothing else: some of fsspec's run templates."""
     kind = address.partition("://")[0]
     if is_remote(address) and kind not in _REMOTE:
         raise RecordError(f"{address} begins with {kind}://; expected a path, or one of {either(_REMOTE)}: correct it.")
@@ -40,12 +36,7 @@ def require_known(address: str) -> None:
 
 @contextlib.contextmanager
 def fetched(address: str) -> Iterator[Path]:
-    """Yield the path of a record; one behind a URL is fetched into a folder that is removed afterwards.
-
-    Raises:
-        RecordError: it cannot be fetched.
-        ExtraError: fsspec is not installed.
-    """
+    """Yield the path of a record; one behind a URL is fetched into a folder that is removed afterwards."""
     if not is_remote(address):
         yield Path(address)
         return
@@ -69,10 +60,6 @@ def listed(pattern: str, folder: Path) -> dict[str, str]:
     Args:
         pattern: a path, from the folder if it is not absolute, or a URL.
         folder: of the campaign file.
-
-    Raises:
-        RecordError: they cannot be listed.
-        ExtraError: fsspec is not installed.
     """
     if not is_remote(pattern):
         root = Path(pattern).anchor
@@ -96,11 +83,7 @@ def listed(pattern: str, folder: Path) -> dict[str, str]:
 
 
 def stamp_of(path: Path) -> str:
-    """Return by what a record that was replaced is known: bytes, and the time of its change in ms; of a bag all files.
-
-    Raises:
-        RecordError: there is no such file.
-    """
+    """Identify a version of a record by size and change time [ms], of a bag over all files."""
     try:
         files = sorted(path.iterdir()) if path.is_dir() else [path]
         about = [each.stat() for each in files]
@@ -118,11 +101,7 @@ def _stamp_or_none(path: Path) -> str:
 
 
 def digest(path: Path) -> str:
-    """Return the SHA-256 of a record's bytes, of a bag those of its files in their order.
-
-    Raises:
-        RecordError: it cannot be read.
-    """
+    """Return the SHA-256 of a record's bytes, of a bag those of its files in their order."""
     made = hashlib.sha256()
     try:
         for each in sorted(path.iterdir()) if path.is_dir() else [path]:

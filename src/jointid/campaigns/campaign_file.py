@@ -40,16 +40,17 @@ class Campaign:
     folder: Path
 
     def cases(self) -> Iterator[Case]:
-        """Yield the cases, in an order that depends on the file and the records alone.
-
-        Raises:
-            JointFileError: a joint file cannot be read, or there is no record.
-        """
+        """Yield the cases, in an order that depends on the file and the records alone."""
         for changes in self._combinations:
             if self.table.fleet is not None:
                 yield from self._of_fleet(changes)
             elif self.table.monte_carlo is not None:
-                yield from self._of_runs(changes)
+                asked = self.table.monte_carlo
+                assert asked is not None
+                text, motion, values = self._run_once
+                for number in range(asked.runs):
+                    simulated = Simulated(values, asked.noise_force, asked.noise_log, asked.seed + number)
+                    yield Case(motion.joint, text, motion.address, motion.stamp, "", changes, simulated)
             elif self.table.bootstrap is not None:
                 yield from self._of_resamples(changes, self.table.bootstrap)
             elif self.table.multistart is not None:
@@ -75,14 +76,6 @@ class Campaign:
     def _fleet(self) -> FleetRecords:
         assert self.table.fleet is not None
         return FleetRecords(self.table.fleet, self.folder)
-
-    def _of_runs(self, changes: tuple[str, ...]) -> Iterator[Case]:
-        asked = self.table.monte_carlo
-        assert asked is not None
-        text, motion, values = self._run_once
-        for number in range(asked.runs):
-            simulated = Simulated(values, asked.noise_force, asked.noise_log, asked.seed + number)
-            yield Case(motion.joint, text, motion.address, motion.stamp, "", changes, simulated)
 
     @cached_property
     def _run_once(self) -> tuple[str, Logged, tuple[tuple[str, float], ...]]:
@@ -147,9 +140,6 @@ def load_campaign(path: Path) -> Campaign:
 
     Args:
         path: of the TOML file, in UTF-8.
-
-    Raises:
-        JointFileError: the file cannot be read, is no TOML, or has faults; `faults` has a sentence for each.
     """
     path = Path(os.path.abspath(path))  # noqa: PTH100 - without the .. that another spelling of it has
     raw = parse_toml(read_text(path))
@@ -161,19 +151,10 @@ def load_campaign(path: Path) -> Campaign:
     if faults:
         raise JointFileError(faults)
     campaign = Campaign(table.name or path.stem, table, path.parent)
-    _check_changes(campaign)
-    return campaign
-
-
-def _check_changes(campaign: Campaign) -> None:
-    """Refuse what no joint file can be changed to, as the first case shows it, before thousands of rows say so.
-
-    Raises:
-        JointFileError: a change cannot be made, or the joint file has faults.
-    """
     first = next(campaign.cases())
     own = {one.partition("=")[0] for one in first.settings}
     if both := [key for key in campaign.table.sweep if key in own]:
         raise JointFileError(f"{in_a_row(both)} is set by [sweep] and by the fleet's table; leave one of them out.")
     for changes in campaign._combinations:
         load_any(first.joint_file, (*first.settings, *changes))
+    return campaign

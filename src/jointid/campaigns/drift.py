@@ -83,7 +83,11 @@ def best_change(series: Series) -> Change | None:
     kept = series.without_outlying()
     if not kept.enough:
         return None
-    shapes = _shapes(kept.days)
+    runs = kept.days.size
+    steps = [np.arange(runs) >= first for first in range(_SIDE, runs - _SIDE + 1)]
+    span = kept.days[-1] - kept.days[0]
+    trend = [(kept.days - kept.days[0]) / span] if span > 0 else []
+    shapes = np.array([*steps, *trend], dtype=np.float64)
     slopes, levels, stds = _fit(kept, shapes)
     freedom = kept.values.size - 2
     best = int(np.argmax(np.abs(slopes) / stds))
@@ -109,15 +113,6 @@ def judge(series: Iterable[Series], false_alarm: float = FALSE_ALARM) -> tuple[C
     return tuple(
         Change(d.series, d.kind, d.since, d.before, d.after, d.std, d.p_value, k < named) for k, d in enumerate(found)
     )
-
-
-def _shapes(days: FloatArray) -> FloatArray:
-    """Return the shapes of change, (shapes, runs), each from 0 to 1: steps, and last a trend where the days differ."""
-    runs = days.size
-    steps = [np.arange(runs) >= first for first in range(_SIDE, runs - _SIDE + 1)]
-    span = days[-1] - days[0]
-    trend = [(days - days[0]) / span] if span > 0 else []
-    return np.array([*steps, *trend], dtype=np.float64)
 
 
 def _fit(series: Series, shapes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -16,12 +16,7 @@ ENDINGS = (".csv", ".parquet")
 
 
 def export_rows(rows: Sequence[Row], path: Path) -> None:
-    """Write results as CSV or Parquet, as the ending of the file says.
-
-    Raises:
-        RecordError: the ending is another, or the file cannot be written.
-        ExtraError: pyarrow, which writes Parquet, is not installed.
-    """
+    """Write results as CSV or Parquet, as the ending of the file says."""
     require_ending(path)
     columns = table_of(rows)
     if path.suffix.lower() == ".csv":
@@ -43,12 +38,7 @@ def _harmless(cell: Any) -> Any:
 
 
 def require_ending(path: Path) -> None:
-    """Refuse a file whose ending says no format that results are written in.
-
-    Raises:
-        RecordError: it does not.
-        ExtraError: pyarrow, which writes Parquet, is not installed.
-    """
+    """Refuse a file whose ending says no format that results are written in."""
     if path.suffix.lower() not in ENDINGS:
         raise RecordError(f"{path} ends in no known format; expected {' or '.join(ENDINGS)}: name it so.")
     if path.suffix.lower() == ".parquet":

@@ -63,13 +63,7 @@ class FleetRecords:
 
     @cached_property
     def found(self) -> tuple[Logged, ...]:
-        """The records, in an order that depends on campaign file, table and records alone.
-
-        Raises:
-            JointFileError: there are none, or joint files or the table have faults.
-            RecordError: they cannot be listed.
-            ExtraError: what reads the table, or lists the records, is not installed.
-        """
+        """The records, in an order that depends on campaign file, table and records alone."""
         return tuple(self._of_pattern() if self.asked.table is None else self._of_table(self.folder / self.asked.table))
 
     @property
@@ -148,11 +142,7 @@ class FleetRecords:
         return made
 
     def _joint_of(self, row: FleetRow, place: Path) -> tuple[Path, str]:
-        """Return a row's joint file, and the folder from which its path is taken.
-
-        Raises:
-            JointFileError: none is named.
-        """
+        """Return a row's joint file, and the folder from which its path is taken."""
         if row.joint or self.asked.joint is None:
             if not row.joint:
                 raise JointFileError("it names no joint file; fill in joint, or add joint to [fleet] for all.")
@@ -160,11 +150,7 @@ class FleetRecords:
         return self.folder, self.asked.joint
 
     def _of_row(self, row: FleetRow, text: str, place: Path) -> list[Logged]:
-        """Return the records of a row of a table in a folder.
-
-        Raises:
-            JointFileError, RecordError: the row has faults.
-        """
+        """Return the records of a row of a table in a folder."""
         if row.record:
             return [Logged(row.name, text, *_single(row.record, place, row.day), row.settings)]
         folder, pattern = (place, row.records) if row.records else (self.folder, self.asked.records)
@@ -185,11 +171,7 @@ class FleetRecords:
         return self._texts[path]
 
     def _match(self, pattern: str, folder: Path) -> Mapping[str, list[tuple[str, str, str]]]:
-        """Return address, stamp and day of what a pattern matches, by joint.
-
-        Raises:
-            JointFileError: nothing does, where the campaign file has the pattern.
-        """
+        """Return address, stamp and day of what a pattern matches, by joint."""
         if (pattern, folder) not in self._matched:
             self._matched[pattern, folder] = dict[str, list[tuple[str, str, str]]]()
             for joint, address, stamp, day in self._matches(pattern, folder):
@@ -219,10 +201,6 @@ def named_record(joint: Path, record: Path | None, settings: tuple[str, ...] = (
         joint: path of the joint file.
         record: path of the record; the joint file's when None.
         settings: keys of the joint file that are set, of which one may be record.file.
-
-    Raises:
-        JointFileError: the joint file cannot be read, or names none.
-        RecordError: the record is not there.
     """
     path = joint.absolute()
     text = carried(read_text(path), path.parent)

@@ -57,11 +57,7 @@ class RowFaults:
             self._found.setdefault(sentence, []).append(number)
 
     def require_none(self) -> None:
-        """Refuse the table if there are any.
-
-        Raises:
-            JointFileError: there are; of many the first twenty are said.
-        """
+        """Refuse the table if there are any."""
         found = sorted(self._found.items(), key=lambda one: one[1])
         said = [f"{self._path.name}, {_rows(numbers)}: {one}" for one, numbers in found]
         if said:
@@ -75,10 +71,6 @@ def read_fleet_table(path: Path) -> tuple[tuple[FleetRow, ...], RowFaults]:
 
     Args:
         path: of a CSV file in UTF-8, with commas, semicolons or tabs, or of a Parquet file.
-
-    Raises:
-        JointFileError: it cannot be read, is too large, or its header has faults; `faults` has a sentence for each.
-        ExtraError: pyarrow, which reads Parquet, is not installed.
     """
     if path.suffix.lower() not in _ENDINGS:
         raise JointFileError(f"{path} ends in no known format; expected {either(_ENDINGS)}: name it so.")
@@ -132,11 +124,7 @@ def _value(key: str, cell: str) -> str:
 
 
 def _check_header(path: Path, header: Sequence[str]) -> None:
-    """Refuse a header that does not say what each column is.
-
-    Raises:
-        JointFileError: it does not.
-    """
+    """Refuse a header that does not say what each column is."""
     faults = [f"{path} has {count} columns {name}; leave one of them out." for name, count in Counter(header).items()
               if count > 1]  # fmt: skip
     if "name" not in header:

@@ -49,11 +49,7 @@ class Results:
 
 
 def read_results(folder: Path) -> Results:
-    """Read the results in a folder of a campaign, of a client or of shards, while it runs, too.
-
-    Raises:
-        RecordError: there are none, or they cannot be read.
-    """
+    """Read the results in a folder of a campaign, of a client or of shards, while it runs, too."""
     if (folder / DATABASE).exists():
         name, cases, found = read_database(folder)
     elif has_shards(folder):

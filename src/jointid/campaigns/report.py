@@ -183,10 +183,6 @@ def report_of(folder: Path, false_alarm: float = FALSE_ALARM) -> CampaignReport:
     Args:
         folder: of the results.
         false_alarm: chance that any joint of a fleet without drift is named.
-
-    Raises:
-        RecordError: there are no results.
-        MethodError: the chance is none.
     """
     if not 0 < false_alarm < 1:
         raise MethodError(f"--false-alarm is {false_alarm:g}; expected a chance between 0 and 1, as 0.01.")

@@ -60,11 +60,7 @@ def carried(text: str, folder: Path) -> str:
 
 
 def load_any(text: str, changes: Sequence[str] = ()) -> JointFile | RobotFile:
-    """Return the joint file, or the robot file, that a text is.
-
-    Raises:
-        JointFileError: it has faults.
-    """
+    """Return the joint file, or the robot file, that a text is."""
     return _robot_file(text, tuple(changes)) if is_robot(text) else loads(text, changes=changes)
 
 
@@ -86,10 +82,6 @@ def identify_robot_case(case: Case, path: Path) -> dict[str, Any]:
     Args:
         case: whose joint file is a robot file.
         path: of its record.
-
-    Raises:
-        MethodError: of a robot neither errors nor starts are drawn; or it cannot be simulated, or identified.
-        RecordError: the record lacks a channel.
     """
     if case.varied is not None and not isinstance(case.varied, Simulated):
         raise MethodError(

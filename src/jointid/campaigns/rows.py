@@ -97,11 +97,7 @@ class Row:
 
     @classmethod
     def read(cls, text: str) -> Self:
-        """Return the row that `text` gave.
-
-        Raises:
-            ValueError: it is no row.
-        """
+        """Return the row that `text` gave."""
         try:
             raw = json.loads(text)
             found = {str(name): Found(_number(one["value"]), _number(one["std"]), str(one["unit"]))

@@ -71,9 +71,6 @@ def run_cases(
         has: whether a case, by its hash, is to be carried out here: that of a shard.
         carry: the function of a case.
         progress: is told how many are done, the rate and the time left.
-
-    Raises:
-        JointidError: a result cannot be kept, or the engine is gone; what is finished is kept.
     """
     results.list_cases(name, (case.content_hash for case in cases()))
     finished = Counter(results.is_finished(one) for case in cases() if has(one := case.content_hash))
@@ -195,11 +192,7 @@ def _run_alone(case: Case, engine: Engine, results: Results, carry: Carry, keep:
 
 
 def _result(future: Future[list[Row]], engine: Engine) -> list[Row] | None:
-    """Return the rows of some cases, None if their worker died.
-
-    Raises:
-        RecordError: the engine could not carry it out for another reason.
-    """
+    """Return the rows of some cases, None if their worker died."""
     try:
         return future.result()
     except JointidError:

@@ -77,11 +77,7 @@ def _joint_file(text: str, changes: tuple[str, ...]) -> JointFile:
 
 @lru_cache(maxsize=8)
 def _explained(text: str, changes: tuple[str, ...], path: Path, record_sha256: str) -> tuple[FloatArray, FloatArray]:
-    """Return the torque that the joint identified from a record explains, and what it leaves, (samples,) each.
-
-    Raises:
-        MethodError: the method does not give them sample by sample.
-    """
+    """Return the torque that the joint identified from a record explains, and what it leaves, (samples,) each."""
     file = _joint_file(text, changes)
     record = file.record(path)
     fit = file.identify(record).fit
@@ -91,21 +87,6 @@ def _explained(text: str, changes: tuple[str, ...], path: Path, record_sha256: s
             "give it so: use didim or idim on a uniform record."
         )
     return fit.predicted, fit.measured - fit.predicted
-
-
-def _resample(case: Case, record: Record, record_sha256: str, path: Path, seed: int) -> Record:
-    """Return a record whose error is drawn anew, in blocks that may begin anywhere and go on at the beginning.
-
-    H. R. Kuensch, The jackknife and the bootstrap for general stationary observations, Annals of Statistics 17, 1989;
-    circular as by D. N. Politis and J. P. Romano. A block is as long as those of the intervals' own bootstrap.
-    """
-    explained, left = _explained(case.joint_file, case.changes, path, record_sha256)
-    length = min(BANDWIDTHS * bandwidth(left.size), left.size)
-    begins = np.random.default_rng([seed]).integers(left.size, size=-(-left.size // length))
-    at = (begins[:, np.newaxis] + np.arange(length)).ravel()[: left.size]
-    assert record.torque is not None
-    torque = replace(record.torque, values=explained + np.take(left, at, mode="wrap"))
-    return replace(record, torque=torque)
 
 
 def _identify(case: Case, path: Path, record_sha256: str) -> dict[str, Any]:
@@ -124,7 +105,13 @@ def _identify(case: Case, path: Path, record_sha256: str) -> dict[str, Any]:
     if isinstance(case.varied, Simulated):
         record = _simulate(file, record, case.varied)
     elif isinstance(case.varied, Redrawn):
-        record = _resample(case, record, record_sha256, path, case.varied.seed)
+        explained, left = _explained(case.joint_file, case.changes, path, record_sha256)
+        length = min(BANDWIDTHS * bandwidth(left.size), left.size)
+        begins = np.random.default_rng([case.varied.seed]).integers(left.size, size=-(-left.size // length))
+        at = (begins[:, np.newaxis] + np.arange(length)).ravel()[: left.size]
+        assert record.torque is not None
+        torque = replace(record.torque, values=explained + np.take(left, at, mode="wrap"))
+        record = replace(record, torque=torque)
     estimate = file.identify(record)
     return {
         "outcome": Outcome.IDENTIFIED,

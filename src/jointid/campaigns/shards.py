@@ -45,11 +45,7 @@ class Shard:
 
     @classmethod
     def of(cls, text: str) -> Shard:
-        """Return the shard that a text such as 2/4 says.
-
-        Raises:
-            MethodError: it says none.
-        """
+        """Return the shard that a text such as 2/4 says."""
         said = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
         if said is None or not 1 <= int(said[1]) <= int(said[2]):
             raise MethodError(f'--shard is "{text}"; expected its number and how many there are, as 1/4 to 4/4.')
@@ -74,11 +70,7 @@ class _Contents:
     deaths: dict[str, int] = field(default_factory=dict)
 
     def take(self, line: bytes) -> None:
-        """Take a line in.
-
-        Raises:
-            ValueError: it is torn, or none of ours.
-        """
+        """Take a line in."""
         said: Any = json.loads(line)
         if not isinstance(said, dict):
             raise ValueError("no line of a shard")
@@ -142,11 +134,7 @@ class ShardFile:
 
 @contextlib.contextmanager
 def open_shard(folder: Path, shard: Shard) -> Iterator[ShardFile]:
-    """Yield the file of a shard, in a folder that is there and may be in a network.
-
-    Raises:
-        RecordError: it cannot be read or written.
-    """
+    """Yield the file of a shard, in a folder that is there and may be in a network."""
     path = shard.path(folder)
     if (folder / DATABASE).exists():
         raise RecordError(f"{folder} has the results of campaign run; name another folder by --out, or go on with run.")
@@ -165,11 +153,7 @@ def open_shard(folder: Path, shard: Shard) -> Iterator[ShardFile]:
 
 
 def _lock(descriptor: int, path: Path) -> None:
-    """Keep a shard for this process, where the system has locks; it lets go of it however that ends.
-
-    Raises:
-        RecordError: another process has it.
-    """
+    """Keep a shard for this process, where the system has locks; it lets go of it however that ends."""
     try:
         import fcntl
     except ImportError:  # Windows
@@ -191,9 +175,6 @@ def read_shards(folder: Path) -> tuple[str, int, list[tuple[float, Row]]]:
     """Return what `store.read_database` does, merged by hash from the files of all shards in a folder.
 
     The campaign's cases are those of the file that listed them last.
-
-    Raises:
-        RecordError: a file cannot be read.
     """
     name, cases, rows = "", dict[str, None](), dict[str, tuple[float, Row]]()
     for path in sorted(folder.glob(SHARD_FILES), key=lambda one: one.stat().st_mtime_ns):

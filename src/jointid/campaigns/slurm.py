@@ -124,7 +124,11 @@ class _NamedJobs(Executor):
 
         ended = f"{name}_o.h5" in _names_in(self._folder)
         if ended:
-            _forget_failure(self._folder / f"{name}_o.h5")
+            result = self._folder / f"{name}_o.h5"
+            with extra("h5py", "slurm", "SLURM").File(result, "r") as file:
+                failed = "error" in file
+            if failed:
+                result.unlink()
         elif (own / _CASES).exists():
             # executorlib looks for a result, and then at the queue: what ends in between it would make again.
             future: Future[Any] = Future()
@@ -170,14 +174,6 @@ def _name_of(carry: Callable[..., Any], cases: Sequence[Case]) -> str:
 def _names_in(folder: Path) -> set[str]:
     """Return the names in a folder; a disk in a network shows by this what is new, where it may not by one name."""
     return {path.name for path in folder.iterdir()}
-
-
-def _forget_failure(result: Path) -> None:
-    """Remove what a job left that was not taken or could not begin: a case gives a row, whatever becomes of it."""
-    with extra("h5py", "slurm", "SLURM").File(result, "r") as file:
-        failed = "error" in file
-    if failed:
-        result.unlink()
 
 
 def _queue() -> set[str] | None:

@@ -102,11 +102,7 @@ class Database:
 
 @contextlib.contextmanager
 def open_database(folder: Path) -> Iterator[Database]:
-    """Yield the database in a folder that is there, for the one client that may write it.
-
-    Raises:
-        RecordError: the folder is on a network's disk, another client is at work in it, or it takes nothing.
-    """
+    """Yield the database in a folder that is there, for the one client that may write it."""
     require_local_disk(folder)
     if any(folder.glob(SHARD_FILES)):
         raise RecordError(f"{folder} has the results of shards; name another folder by --out, or go on with work.")
@@ -129,11 +125,7 @@ def _connect(path: Path) -> sqlite3.Connection:
 
 
 def _lock(folder: Path) -> sqlite3.Connection:
-    """Return what holds a folder for one client; the system lets go of it however that ends.
-
-    Raises:
-        RecordError: another one holds it.
-    """
+    """Return what holds a folder for one client; the system lets go of it however that ends."""
     connection = sqlite3.connect(folder / _LOCK, timeout=0.0, isolation_level=None)
     try:
         connection.execute("BEGIN EXCLUSIVE")
@@ -148,11 +140,7 @@ def _lock(folder: Path) -> sqlite3.Connection:
 
 
 def read_database(folder: Path) -> tuple[str, int, list[tuple[float, Row]]]:
-    """Return the name of a campaign, how many cases it has, and the results of these with when each was stored.
-
-    Raises:
-        RecordError: the database cannot be read.
-    """
+    """Return the name of a campaign, how many cases it has, and the results of these with when each was stored."""
     path = folder / DATABASE
     with _explain(path), contextlib.closing(sqlite3.connect(path, timeout=_PATIENCE)) as connection:
         if not connection.execute("SELECT 1 FROM sqlite_master WHERE name = 'listed'").fetchone():
@@ -186,9 +174,6 @@ def require_local_disk(folder: Path, mounts: str | None = None) -> None:
     Args:
         folder: that is there.
         mounts: text of /proc/self/mountinfo; that of this machine when None, where the system has one.
-
-    Raises:
-        RecordError: it is on one.
 
     Example:
         >>> from pathlib import Path

@@ -130,11 +130,7 @@ def truth_blocks(found: Sequence[AgainstTruth]) -> Iterator[Block]:
 
 
 def truth_csv(found: Sequence[AgainstTruth]) -> str:
-    """Return bias, scatter and coverage of every quantity as CSV, a row for each.
-
-    Raises:
-        RecordError: of no quantity the truth is known.
-    """
+    """Return bias, scatter and coverage of every quantity as CSV, a row for each."""
     if not found:
         raise RecordError(
             "--csv has the errors against the truth, and these runs have none that is known; it needs [monte_carlo] "

@@ -58,7 +58,9 @@ class Room(threading.local):
         size = math.prod(shape) * np.dtype(dtype).itemsize
         held = self._bytes.get(name)
         if held is None or not size <= held.size <= _WASTE * (size + _LINE):
-            held = self._bytes[name] = _allocate_aligned(size)
+            room = np.empty(size + _LINE, dtype=np.uint8)
+            first = -room.ctypes.data % _LINE
+            held = self._bytes[name] = room[first : first + size]
         return held[:size].view(dtype).reshape(shape)
 
 
@@ -68,9 +70,3 @@ class Fresh:
     def array(self, name: str, shape: tuple[int, ...], dtype: type = np.float64) -> NDArray[Any]:
         """Return an array of undefined content; the name does not matter."""
         return np.empty(shape, dtype)
-
-
-def _allocate_aligned(size: int) -> NDArray[np.uint8]:
-    room = np.empty(size + _LINE, dtype=np.uint8)
-    first = -room.ctypes.data % _LINE
-    return room[first : first + size]

@@ -226,11 +226,7 @@ def _fewer(block: Block) -> Block:
 
 
 def data_frame(rows: Mapping[str, Mapping[str, object]], index: str) -> DataFrame:
-    """Return a pandas data frame of rows by their names, which `index` calls.
-
-    Raises:
-        ExtraError: pandas is not installed.
-    """
+    """Return a pandas data frame of rows by their names, which `index` calls."""
     pandas = extra("pandas", "dataframe", "A data frame")
     frame: DataFrame = pandas.DataFrame.from_dict(rows, orient="index").rename_axis(index)
     return frame
@@ -292,7 +288,9 @@ def _render_markdown(block: Block) -> str:
     if isinstance(block, Paragraph):
         return _plain(block.text)
     if isinstance(block, Table):
-        return _render_markdown_table(block)
+        rule = tuple("---" if i in block.words else "---:" for i in range(len(block.header)))
+        lines = [f"| {' | '.join(row)} |" for row in (_cells(block.header), rule, *map(_cells, block.rows))]
+        return _add_caption(f"*{_plain(block.caption)}*" if block.caption else "", "\n".join(lines))
     if isinstance(block, Code):
         fence = "`" * max(3, 1 + max((len(run) for run in re.findall("`+", block.text)), default=0))
         return _add_caption(_plain(block.caption), f"{fence}\n{block.text.rstrip()}\n{fence}")
@@ -307,12 +305,6 @@ def _points(block: Listing | Verdicts | Facts) -> list[str]:
     if isinstance(block, Verdicts):
         return [f"**{_ANSWERS[good]}** — {_plain(asked)} {_plain('; '.join(why))}" for asked, good, why in block.rows]
     return [f"{_plain(name)}: {_plain(value)}" for name, value in block.pairs]
-
-
-def _render_markdown_table(block: Table) -> str:
-    rule = tuple("---" if i in block.words else "---:" for i in range(len(block.header)))
-    lines = [f"| {' | '.join(row)} |" for row in (_cells(block.header), rule, *map(_cells, block.rows))]
-    return _add_caption(f"*{_plain(block.caption)}*" if block.caption else "", "\n".join(lines))
 
 
 def _add_caption(caption: str, text: str) -> str:

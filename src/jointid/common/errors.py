@@ -81,9 +81,6 @@ def extra(module: str, name: str, purpose: str) -> Any:
         module: its dotted name.
         name: of the extra that brings it.
         purpose: what it is needed for, the beginning of the sentence.
-
-    Raises:
-        ExtraError: the package is not installed.
     """
     try:
         return import_module(module)

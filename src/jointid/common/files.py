@@ -30,9 +30,6 @@ def beside(path: str | os.PathLike[str]) -> Iterator[Path]:
     Args:
         path: the place. A file that is there is replaced, a folder is not.
 
-    Raises:
-        RecordError: it cannot be written; the sentence says why, and what was there is as it was.
-
     Example:
         >>> import tempfile
         >>> from pathlib import Path
@@ -63,9 +60,6 @@ def require_room(path: str | os.PathLike[str]) -> None:
 
     An existing folder is tested itself, otherwise the nearest one above. A pipe is not tested: its reader would see
     the end.
-
-    Raises:
-        RecordError: see `beside`.
     """
     path = Path(path)
     with _explain(path):
@@ -82,11 +76,7 @@ def require_room(path: str | os.PathLike[str]) -> None:
 
 
 def write_whole(path: str | os.PathLike[str], content: str | bytes) -> None:
-    """Write a file atomically, text as UTF-8.
-
-    Raises:
-        RecordError: see `beside`.
-    """
+    """Write a file atomically, text as UTF-8."""
     data = content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content
     with beside(path) as fresh:
         fresh.write_bytes(data)
@@ -96,9 +86,6 @@ def write_folder(folder: str | os.PathLike[str], files: Mapping[str, bytes]) -> 
     """Write files by name into a folder, and return their paths.
 
     A new folder appears complete. In an existing folder, no file is replaced until all are written.
-
-    Raises:
-        RecordError: see `beside`.
     """
     folder = Path(folder)
     with _explain(folder):

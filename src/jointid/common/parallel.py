@@ -65,11 +65,7 @@ class Aside(Generic[Result]):
         return self._answer is not None and self._answer.poll(within)
 
     def result(self) -> Result:
-        """Wait for the result.
-
-        Raises:
-            JointidError: the call did.
-        """
+        """Wait for the result."""
         if self._answer is not None and self._process is not None:
             try:
                 good, found = self._answer.recv()

@@ -93,11 +93,7 @@ def unit_of(quantity: Quantity, kind: Kind, torque_unit: str) -> str:
 
 
 def adjusted(parameters: Iterable[Parameter], changes: Mapping[str, Parameter]) -> tuple[Parameter, ...]:
-    """Replace the parameters named in `changes`.
-
-    Raises:
-        MethodError: a name is not one of the parameters; the sentence lists them.
-    """
+    """Replace the parameters named in `changes`."""
     wrong = [name for name, change in changes.items() if not isinstance(change, Parameter)]
     if wrong:
         raise MethodError(

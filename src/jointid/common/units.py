@@ -38,11 +38,7 @@ class DriveUnits(Protocol):
     """Converts drive units: encoder counts, shares of rated torque."""
 
     def resolve_unit(self, unit: Unit, kind: str) -> Unit:
-        """Return a unit with its factor to SI, for a kind of motion.
-
-        Raises:
-            UnitError: a number of the drive is missing.
-        """
+        """Return a unit with its factor to SI, for a kind of motion."""
 
 
 def _family(dimension: str, si: str, **factors: float) -> dict[str, Unit]:
@@ -81,11 +77,7 @@ TORQUE_UNITS = {
 
 
 def unit(name: str) -> Unit:
-    """Return the unit of that name.
-
-    Raises:
-        UnitError: the name is not in the table; the sentence lists the names there are.
-    """
+    """Return the unit of that name."""
     try:
         return _UNITS[name]
     except KeyError:
@@ -192,12 +184,7 @@ class Quantity:
 
 
 def parse_quantity(text: str) -> Quantity:
-    """Parse a number with a unit, such as ``0.8 A s/rad`` or ``1000/min``.
-
-    Raises:
-        UnitError: it does not begin with a number, that is not finite, there is no unit behind it, or that is not
-            known.
-    """
+    """Parse a number with a unit, such as ``0.8 A s/rad`` or ``1000/min``."""
     found = _QUANTITY.fullmatch(text)
     if found is None or not found["unit"].strip():
         raise UnitError('expected a number with its unit, as "0.8 A s/rad"')

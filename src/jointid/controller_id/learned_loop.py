@@ -142,16 +142,6 @@ class LearnedLoop(Documented):
             said += f"; it spans {others} that the record does not distinguish from this one"
         return f"{said}; [controller] has gain = {number(gain)} {self.torque_unit}" if gain != 1.0 else said
 
-    def _in_si(self) -> Table:
-        """Return the numbers in SI: those in controller units times the controller's gain."""
-        gain, rows = getattr(self.controller, "gain", 1.0), []
-        for n in self.numbers:
-            ours = CONTROLLER_UNITS in n.unit
-            factor, unit = (gain, in_torque(n.unit, self.torque_unit)) if ours else (1.0, n.unit)
-            percent = number(100 * n.spread / abs(n.value), 2) if n.value else "-"
-            rows.append((n.name, number(factor * n.value, 6), number(factor * n.spread, 2), unit, percent))
-        return Table(("parameter in SI", "value", "+-", "unit", "%"), tuple(rows), words=(0, 3))
-
     def _others(self) -> Iterator[Block]:
         """Yield the laws that the record does not distinguish from this one, and how many it does."""
         if self.alike:
@@ -175,11 +165,7 @@ class LearnedLoop(Documented):
         return f"The controller is {self.structure}; it leaves {100 * self.share:.2g} % of the torque.{open_ones}"
 
     def to_dataframe(self) -> DataFrame:
-        """Return the numbers of the law as a pandas data frame: a row each, with value and standard error.
-
-        Raises:
-            ExtraError: pandas is not installed.
-        """
+        """Return the numbers of the law as a pandas data frame: a row each, with value and standard error."""
         return data_frame({n.name: {"value": n.value, "stderr": n.std} for n in self.numbers}, "number")
 
     def document(self, *, details: bool = False) -> Document:
@@ -199,11 +185,17 @@ class LearnedLoop(Documented):
         )
         elsewhere = (LimitationCode.INDISTINGUISHABLE, LimitationCode.ANOTHER_LAW)
         left_open = [one for one in self.limitations if one.code not in elsewhere]
+        gain, rows = getattr(self.controller, "gain", 1.0), []
+        for n in self.numbers:
+            ours = CONTROLLER_UNITS in n.unit
+            factor, unit = (gain, in_torque(n.unit, self.torque_unit)) if ours else (1.0, n.unit)
+            percent = number(100 * n.spread / abs(n.value), 2) if n.value else "-"
+            rows.append((n.name, number(factor * n.value, 6), number(factor * n.spread, 2), unit, percent))
         blocks: list[Block] = [
             *([Paragraph(self.sentence)] if self.another_law else []),
             Facts(facts),
             *([drive_table(self.in_drive)] if self.in_drive else []),
-            self._in_si(),
+            Table(("parameter in SI", "value", "+-", "unit", "%"), tuple(rows), words=(0, 3)),
             Paragraph(self._said_of_intervals),
             Paragraph(residual),
             *self._others(),

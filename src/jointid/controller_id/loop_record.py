@@ -127,11 +127,7 @@ def _delay_samples(signals: FloatArray, samples: int) -> FloatArray:
 
 
 def prepare_loop_record(record: Record) -> LoopRecord:
-    """Prepare a record for learning.
-
-    Raises:
-        RecordError: a channel is missing, the record is too short, or nothing moves in it.
-    """
+    """Prepare a record for learning."""
     missing = [name for name in _NEEDED if getattr(record, name) is None]
     if missing:
         raise RecordError(

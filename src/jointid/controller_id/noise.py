@@ -161,9 +161,6 @@ def estimate_noise(
         kept: (samples,) 1 where the residual counts, else 0.
         most: bound of the variance of the position's error.
         informative: (frequencies,) 1 where the record tells of its law, else 0.
-
-    Raises:
-        MethodError: the residual, or the response, is beyond all numbers.
     """
     size, share = error.size, float(np.mean(kept))
     with np.errstate(over="ignore", invalid="ignore"):

@@ -127,9 +127,6 @@ class Regression:
             weighting: what it is judged under.
             late: samples by which the log may show the torque late; those of the structure when None.
             free: whether all coefficients are free, or only those of the structure's law.
-
-        Raises:
-            MethodError: the filters cannot be.
         """
         late = [structure.late] if late is None else late
         mixed, given = design(structure, numbers.get("integral_gain", 0.0), free), without_taps(numbers)
@@ -160,9 +157,6 @@ class Regression:
             numbers: of the filters, and of the reference's delay where the laws have one.
             weighting: what the laws are judged under.
             late: samples by which the log may show the torque late.
-
-        Raises:
-            MethodError: the filters cannot be.
         """
         base = columns(self.log, frame, numbers)
         blocks = [base]

@@ -175,21 +175,17 @@ def reproduction_document(run: Reproduction, draw: Callable[[Validation], bytes]
             f"force of {run.first.axis.noise:.1f} N at 1 kHz inside the loop, which leaves the paper's 8 %."
         ),
     ]
-    blocks += _rigid(run)
+    fit = run.rigid.fit
+    blocks += [
+        Heading("Table 1: the rigid joint"),
+        compare_table(TABLES[1]).beside(("value", "2 sigma", "%"), _parameters(run.rigid)),
+        Paragraph(f"{fit.iterations} iterations, {fit.simulations} simulations; {fit.stop}."),
+    ]
     for numbers, part in (((2, 3), run.first), ((4, 5), run.second)):
         blocks += _experiment(numbers, part)
     blocks += _variations(run) + _relative_errors(run) + _validation(run, draw) + _excitation(run) + _damping(run)
     blocks += _errata()
     return Document("The paper, reproduced", tuple(blocks))
-
-
-def _rigid(run: Reproduction) -> list[Block]:
-    fit = run.rigid.fit
-    return [
-        Heading("Table 1: the rigid joint"),
-        compare_table(TABLES[1]).beside(("value", "2 sigma", "%"), _parameters(run.rigid)),
-        Paragraph(f"{fit.iterations} iterations, {fit.simulations} simulations; {fit.stop}."),
-    ]
 
 
 def _experiment(numbers: tuple[int, int], part: ReproducedExperiment) -> list[Block]:

@@ -99,10 +99,6 @@ def least_deviation(
         samples: of the test.
         sample_time: of its log, s.
         cutoff: of the filter, Hz.
-
-    Raises:
-        MethodError: the joint is rigid, its friction is not symmetric, the noise is that of a record, the goal is no
-            linear parameter, or neither torque nor stroke is limited.
     """
     power = limits.rms_torque or limits.torque
     if not isinstance(loop.joint, FlexibleJoint) or any(name not in values for name in _PARAMETERS):

@@ -212,11 +212,7 @@ class Design(Charted, Documented):
         return Chart("test", "", panels, title="the proposed test")
 
     def write(self, folder: Path) -> tuple[Path, ...]:
-        """Write the test into a folder, and return the paths: a CSV and a MAT table, and a page on how to run it.
-
-        Raises:
-            RecordError: they cannot be written.
-        """
+        """Write the test into a folder, and return the paths: a CSV and a MAT table, and a page on how to run it."""
         return write_folder(folder, self.files())
 
     def files(self) -> dict[str, bytes]:
@@ -445,11 +441,7 @@ def _search(
 
 
 def _take(purpose: Purpose, limits: AxisLimits, motion: Record) -> _Chosen:
-    """Return a test of the user's own, or a past record: only what is stated limits it.
-
-    Raises:
-        MethodError: it cannot be simulated, or does not tell a parameter.
-    """
+    """Return a test of the user's own, or a past record: only what is stated limits it."""
     reference = motion.reference
     if reference is None:
         raise MethodError("A test of your own has a reference; give the position that the axis is to follow.")
@@ -478,9 +470,6 @@ def plan_from_estimate(
         noise: instead of what the residual says.
         progress: is told.
         asked: the other arguments of `design_test`.
-
-    Raises:
-        MethodError: the estimate refuses a parameter; see `Noise.of`, and `design_test`.
     """
     loop = estimate.settings.loop
     disturbed = noise or Noise.of(estimate, record)

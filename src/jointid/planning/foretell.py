@@ -211,7 +211,12 @@ def foretell(
     matrix = _scatter(problem, x, J, noise, runs, seed)
     steps = [step for step in (motor_encoder, load_encoder) if step is not None]
     if steps:
-        disturbed = _with_error(problem, x, noise, seed)
+        if noise.left is None:
+            added = _errors(problem, x, noise, 1, seed)[0]
+        else:
+            size = float(np.sqrt(np.mean(noise.left**2)))
+            added = size * np.random.default_rng(seed).standard_normal(problem.measured.size)
+        disturbed = replace(problem, measured=problem.measured + added)
         source = find_noise_source(test) if noise.left is not None else "log" if noise.log > noise.force else "loop"
         motor, load = compute_encoder_information(disturbed, x, source, steps[0], steps[-1])
         read = (motor if motor_encoder is not None else None, load if load_encoder is not None else None)
@@ -399,13 +404,3 @@ def _errors(problem: ClosedLoopProblem, x: FloatArray, noise: Noise, runs: int, 
         return added
 
     return in_threads(error, range(runs))
-
-
-def _with_error(problem: ClosedLoopProblem, x: FloatArray, noise: Noise, seed: int) -> ClosedLoopProblem:
-    """Return the problem of a torque with noise, as an encoder's information asks for its size."""
-    if noise.left is None:
-        added = _errors(problem, x, noise, 1, seed)[0]
-    else:
-        size = float(np.sqrt(np.mean(noise.left**2)))
-        added = size * np.random.default_rng(seed).standard_normal(problem.measured.size)
-    return replace(problem, measured=problem.measured + added)

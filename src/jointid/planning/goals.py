@@ -54,9 +54,6 @@ def goal_named(name: str, units: Mapping[str, str]) -> Goal:
     Args:
         name: of a parameter, a sum or a difference such as "motor_viscous - load_viscous", "weakest" or "all".
         units: of the joint's free parameters, by name.
-
-    Raises:
-        MethodError: there is no such parameter, or the sum is of several units.
     """
     if name in (WEAKEST, ALL):
         return Goal(name, {})

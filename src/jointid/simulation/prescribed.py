@@ -237,7 +237,8 @@ class _Load:
         """Return the simulated load; None where the values are no joint's, or too fast to be simulated."""
         from jointid.simulation.kernels import drive as kernels
 
-        drive, gravity = _drive(joint, values), _gravity(joint, values)
+        whole = joint.gravity_coefficients(values)
+        drive, gravity = _drive(joint, values), None if whole is None else np.array([*whole[:4], 0.0])
         possible = np.all(np.isfinite(drive)) and min(drive[2:4]) >= 0 and drive[6] + drive[7] >= 0
         if not (possible and values["motor_inertia"] > 0 and drive[0] > 0):
             return None
@@ -341,12 +342,6 @@ def _drive(joint: FlexibleJoint, values: Mapping[str, float]) -> FloatArray:
     """Return the load on its spring, fixed to a wall, as the kernels see it."""
     whole = joint.coefficients(values)
     return np.array([whole[1], 1.0, *whole[2:4], *whole[8:12], 0.0, 0.0, _WALL, _WALL, whole[13], 0.0])
-
-
-def _gravity(joint: FlexibleJoint, values: Mapping[str, float]) -> FloatArray | None:
-    """Return the load's gravity, which is that of the kernels' first mass."""
-    whole = joint.gravity_coefficients(values)
-    return None if whole is None else np.array([*whole[:4], 0.0])
 
 
 def _start(joint: FlexibleJoint, motion: PrescribedMotion, values: Mapping[str, float]) -> FloatArray:

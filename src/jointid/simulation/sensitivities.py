@@ -95,9 +95,6 @@ def simulate_sensitivities(
     where two neighbours part at once and a derivative says nothing (above 1e100). At a delay of a whole number of
     periods the derivative is that towards longer delays; for a motor at rest, that by its velocity is of a load that
     moves along.
-
-    Raises:
-        MethodError: a name is none of these, or of a part that is not there, as a `integral_gain` of 0.
     """
     return _derived(_taped(loop, experiment, values, names, initial), names, positions)
 
@@ -348,9 +345,6 @@ def _explicit(out: ClosedLoopRun, name: str) -> tuple[FloatArray, FloatArray]:
     """Return how the elements, (periods, elements), and their limits, (elements,), depend on a number of the law.
 
     The position, and what limits and gates take away, are held.
-
-    Raises:
-        MethodError: the law has another structure beside the number, as without an integral.
     """
     experiment, controller = out.experiment, out.loop.controller
     value = number(controller, name)

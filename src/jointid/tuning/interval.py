@@ -83,9 +83,6 @@ def possible_joints(estimate: Estimate, confidence: float, sample_time: float) -
         estimate: with deviations and correlations.
         confidence: of all its parameters together.
         sample_time: of the controller, seconds: springs are tried up to half its frequency.
-
-    Raises:
-        MethodError: the estimate has no deviations, or a stiffness that is refused and not bounded.
     """
     if estimate.checks.bounds:
         return _springs(estimate, confidence, 0.5 / sample_time)

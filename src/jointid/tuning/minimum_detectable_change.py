@@ -93,9 +93,6 @@ def compute_minimum_detectable_change(
         false_alarm: share of comparisons in which a change is reported where there is none, two-sided.
         power: share in which one is reported where there is one.
 
-    Raises:
-        MethodError: a share is not between 0 and 1, or no quantity of the estimate has a deviation.
-
     Limits: a change so large that the estimate's slopes are others at its end is detected a little sooner or later; one
     that a friction law of another shape makes is not a change of these parameters.
     """

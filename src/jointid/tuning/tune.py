@@ -131,6 +131,11 @@ def tune(
     whole, in_drive = lumped_parameters(estimate), {one.number: one for one in shown}
     notes = [*refusal, *_notes(case, present, proposed)]
     work.reach(work.total)
+    joints = linear_joints(case.interval.joint, [*case.interval.at(case.points), *case.interval.others])
+    found = [
+        state_response(A, B, np.asarray(2j * np.pi * present.response.hertz))[:, 1]
+        for A, B in zip(joints.A, joints.B, strict=True)
+    ]
     return Tuned(
         record=estimate.data.record,
         model=estimate.settings.joint.model,
@@ -143,7 +148,7 @@ def tune(
         notch=None if notch is None else ProposedNotch(notch, *notch.coefficients(period), period),
         feedforward=feedforward(estimate, controller, whole, drive, in_drive),
         detectable=compute_minimum_detectable_change(estimate, false_alarm=settings.false_alarm, power=settings.power),
-        joint=_joint_band(case, present.response.hertz),
+        joint=_band(present.response.hertz, np.array(found)),
         position_unit=POSITION_UNIT[estimate.settings.joint.kind],
         torque_unit=estimate.data.torque_unit,
         notes=tuple(notes),
@@ -283,12 +288,3 @@ def _band(hertz: FloatArray, response: ComplexArray) -> ResponseBand:
         np.array([size.min(axis=0), size.max(axis=0)])[:, kept_at],
         np.array([phase.min(axis=0), phase.max(axis=0)])[:, kept_at],
     )
-
-
-def _joint_band(case: _Case, hertz: FloatArray) -> ResponseBand:
-    """Return the response from torque to the motor's velocity, in continuous time."""
-    joints = linear_joints(case.interval.joint, [*case.interval.at(case.points), *case.interval.others])
-    found = [
-        state_response(A, B, np.asarray(2j * np.pi * hertz))[:, 1] for A, B in zip(joints.A, joints.B, strict=True)
-    ]
-    return _band(hertz, np.array(found))

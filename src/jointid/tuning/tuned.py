@@ -162,11 +162,7 @@ class Tuned(Charted, Documented):
         return f"The loop as it is comes, in the worst case, {where}; {proposal}{notch}."
 
     def to_dataframe(self) -> DataFrame:
-        """Return the gains as a pandas data frame: a row each, before and after, with unit and formula.
-
-        Raises:
-            ExtraError: pandas is not installed.
-        """
+        """Return the gains as a pandas data frame: a row each, before and after, with unit and formula."""
         rows = {g.key: {"before": g.before, "after": g.after, "unit": g.unit, "formula": g.formula} for g in self.gains}
         return data_frame(rows, "gain")
 

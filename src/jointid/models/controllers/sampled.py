@@ -372,9 +372,6 @@ def invert(
         inputs: (periods, INPUTS) as for `run`; the position column is not read.
         state: (states,) at the first period.
         element: whose value the torque is; the one behind the torque's limit when None.
-
-    Raises:
-        MethodError: the law has no direct gain from position, or its inverse is unstable.
     """
     element = law.tap if element is None else element
     gain = law.D[:, element, POSITION]

@@ -133,11 +133,7 @@ class Diagram:
         return self.filtered(signal, [1.0, -1.0], slow=slow) * (1.0 / span)  # so the difference itself is exact
 
     def delayed(self, signal: BlockSignal, seconds: float) -> BlockSignal:
-        """Return the signal later by any time: between two of its values it is taken as a straight line.
-
-        Raises:
-            MethodError: the time is of more than 400 periods.
-        """
+        """Return the signal later by any time: between two of its values it is taken as a straight line."""
         if seconds == 0.0:
             return signal
         if seconds > LONGEST_DELAY * self.period:  # each period of it is a state
@@ -393,11 +389,7 @@ def declared_unit(controller: Controller, name: str) -> str:
 
 
 def number(controller: Controller, name: str) -> float:
-    """Return one of a controller's numbers.
-
-    Raises:
-        MethodError: it has no number of that name; the sentence lists those it has.
-    """
+    """Return one of a controller's numbers."""
     known = numbers_of(controller)
     if name not in known:
         raise MethodError(
