@@ -1,4 +1,4 @@
-"""The campaign file (TOML): of which joints and records a campaign is made, or which runs it simulates."""
+"""The campaign file (TOML): joints and records, or simulated runs."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from jointid.config.table import faults_of
 
 @dataclass(frozen=True)
 class Campaign:
-    """A campaign as its file says it; the files it names are listed when they are first asked for.
+    """A campaign file; the files it names are listed on demand.
 
     Attributes:
         name: of it.
@@ -40,7 +40,7 @@ class Campaign:
     folder: Path
 
     def cases(self) -> Iterator[Case]:
-        """Yield the cases, in an order that depends on the file and the records alone."""
+        """Yield the cases in a reproducible order."""
         for changes in self._combinations:
             if self.table.fleet is not None:
                 yield from self._of_fleet(changes)
@@ -58,7 +58,7 @@ class Campaign:
 
     @property
     def left_out(self) -> str:
-        """Sentences on what a fleet names and has no case; empty if there is none."""
+        """Describe skipped files of a fleet; empty if none."""
         return "" if self.table.fleet is None else self._fleet.left_out
 
     @cached_property
@@ -79,7 +79,7 @@ class Campaign:
 
     @cached_property
     def _run_once(self) -> tuple[str, Logged, tuple[tuple[str, float], ...]]:
-        """The joint file of simulated runs, the record that they follow, and the truth."""
+        """Joint file, reference record and truth of simulated runs."""
         asked = self.table.monte_carlo
         assert asked is not None
         text = read_text(self.folder / asked.joint)
@@ -136,11 +136,7 @@ class Campaign:
 
 
 def load_campaign(path: Path) -> Campaign:
-    """Load a campaign file, checked completely but for the records it names.
-
-    Args:
-        path: of the TOML file, in UTF-8.
-    """
+    """Load and validate a campaign file, without the records."""
     path = Path(os.path.abspath(path))  # noqa: PTH100 - without the .. that another spelling of it has
     raw = parse_toml(read_text(path))
     corrected, faults = CampaignTable.corrected(raw)

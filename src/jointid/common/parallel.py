@@ -32,7 +32,7 @@ def threads() -> int:
 
 
 class Aside(Generic[Result]):
-    """A call that runs in a forked process, or on demand where that is impossible.
+    """A call in a forked process, or on demand without one.
 
     Only Linux forks safely. The process ends with its parent. The result must be picklable; prints are lost.
     """

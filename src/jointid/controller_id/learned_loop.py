@@ -130,7 +130,7 @@ class LearnedLoop(Documented):
 
     @property
     def another_law(self) -> bool:
-        """Whether a plain regression is so much better that the law must be another."""
+        """Whether a plain regression is so much better as to exclude this law."""
         return any(one.code is LimitationCode.ANOTHER_LAW for one in self.limitations)
 
     @property

@@ -26,7 +26,12 @@ _EVALUATIONS = 6  # of a search for filters' numbers: the law is fitted exactly 
 
 
 class Weighting(NamedTuple):
-    """Noise and response that weight a regression."""
+    """Noise and response that weight a regression.
+
+    Attributes:
+        noise: of torque and position.
+        response: |G| of the law that it is the noise of, by which a regression is weighted.
+    """
 
     noise: Noise
     response: FloatArray

@@ -48,7 +48,7 @@ _SMALLEST, _LONGEST = 2e-3, 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Purpose:
-    """What a test is planned for.
+    """Purpose of a test.
 
     Attributes:
         loop: joint and controller.

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 class Timing(StrEnum):
-    """What instants a logged value represents."""
+    """Instants represented by a logged value."""
 
     SAMPLED = "sampled"  # the value at the sample's instant
     HELD = "held"  # the value from this instant to the next

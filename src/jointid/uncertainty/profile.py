@@ -124,6 +124,10 @@ class ByCompliance:
     """A problem parametrised by the compliance 1/K, nearly linear for stiff joints.
 
     An unidentifiable stiffness has no upper bound; its compliance has 0 in its interval.
+
+    Attributes:
+        problem: with one free parameter that is a stiffness.
+        least: the compliance that is as good as none: nothing stiffer is simulated.
     """
 
     problem: Problem

@@ -38,7 +38,15 @@ _TWO_SIGMA = 0.9772498680518208  # of a normal distribution below two deviations
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Bands:
-    """Quantities of one record by frequency band."""
+    """Quantities of one record by frequency band.
+
+    Attributes:
+        influences: (bands, parameters, parameters) A E_b A'.
+        asked: (bands, parameters, parameters), likewise of what is asked for.
+        sensitivities: (bands, parameters, parameters) J' E_b J.
+        left: (bands,) degrees of freedom, less twice what the fit takes.
+        power: (bands,) of the residual.
+    """
 
     influences: FloatArray
     asked: FloatArray

@@ -139,7 +139,7 @@ def join_tables(tables: Sequence[Table]) -> Table:
 
 
 class Holds(Flag):
-    """What a file can hold beside columns of one length."""
+    """Optional contents of a file beside columns of one length."""
 
     NOTHING = 0
     SCALARS = auto()
