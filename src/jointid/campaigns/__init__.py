@@ -1,1 +1,1 @@
-"""Campaigns: the same verb for many joints and many runs, on one machine and on a cluster."""
+"""Campaigns: identification of many joints and runs, locally or on a cluster."""

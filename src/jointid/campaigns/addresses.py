@@ -1,4 +1,4 @@
-"""Addresses of records: paths of this machine or of a shared folder, and URLs that fsspec opens on the worker."""
+"""Record addresses: local or shared paths, and URLs opened by fsspec."""
 
 from __future__ import annotations
 
@@ -23,16 +23,12 @@ _BLOCK = 2**20
 
 
 def is_remote(address: str) -> bool:
-    """Return whether an address is a URL."""
+    """Test for a URL."""
     return "://" in address
 
 
 def require_known(address: str) -> None:
-    """Refuse a URL of a kind that is not known to hold files and nothing else: some of fsspec's run templates.
-
-    Raises:
-        RecordError: it is one.
-    """
+    """Refuse URL schemes that are not plain file storage, since some execute templates."""
     kind = address.partition("://")[0]
     if is_remote(address) and kind not in _REMOTE:
         raise RecordError(f"{address} begins with {kind}://; expected a path, or one of {either(_REMOTE)}: correct it.")
@@ -40,12 +36,7 @@ def require_known(address: str) -> None:
 
 @contextlib.contextmanager
 def fetched(address: str) -> Iterator[Path]:
-    """Yield the path of a record; one behind a URL is fetched into a folder that is removed afterwards.
-
-    Raises:
-        RecordError: it cannot be fetched.
-        ExtraError: fsspec is not installed.
-    """
+    """Yield the local path of a record; a remote one is downloaded temporarily."""
     if not is_remote(address):
         yield Path(address)
         return
@@ -64,15 +55,11 @@ def fetched(address: str) -> Iterator[Path]:
 
 
 def listed(pattern: str, folder: Path) -> dict[str, str]:
-    """Return the addresses that a pattern with * and ? matches, in their order, each with its stamp.
+    """List addresses that match a pattern with * and ?, with stamps.
 
     Args:
-        pattern: a path, from the folder if it is not absolute, or a URL.
+        pattern: a path, relative to the folder, or a URL.
         folder: of the campaign file.
-
-    Raises:
-        RecordError: they cannot be listed.
-        ExtraError: fsspec is not installed.
     """
     if not is_remote(pattern):
         root = Path(pattern).anchor
@@ -96,11 +83,7 @@ def listed(pattern: str, folder: Path) -> dict[str, str]:
 
 
 def stamp_of(path: Path) -> str:
-    """Return by what a record that was replaced is known: bytes, and the time of its change in ms; of a bag all files.
-
-    Raises:
-        RecordError: there is no such file.
-    """
+    """Identify a version of a record by size and change time [ms], of a bag over all files."""
     try:
         files = sorted(path.iterdir()) if path.is_dir() else [path]
         about = [each.stat() for each in files]
@@ -110,7 +93,7 @@ def stamp_of(path: Path) -> str:
 
 
 def _stamp_or_none(path: Path) -> str:
-    """Return the stamp of a record, none of one that cannot be opened: its own case says so."""
+    """Stamp of a record; empty if it cannot be opened, which its case reports."""
     try:
         return stamp_of(path)
     except RecordError:
@@ -118,11 +101,7 @@ def _stamp_or_none(path: Path) -> str:
 
 
 def digest(path: Path) -> str:
-    """Return the SHA-256 of a record's bytes, of a bag those of its files in their order.
-
-    Raises:
-        RecordError: it cannot be read.
-    """
+    """SHA-256 of a record's bytes, of a bag over its files in order."""
     made = hashlib.sha256()
     try:
         for each in sorted(path.iterdir()) if path.is_dir() else [path]:

@@ -1,4 +1,4 @@
-"""The campaign file (TOML): of which joints and records a campaign is made, or which runs it simulates."""
+"""The campaign file (TOML): joints and records, or simulated runs."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from jointid.config.table import faults_of
 
 @dataclass(frozen=True)
 class Campaign:
-    """A campaign as its file says it; the files it names are listed when they are first asked for.
+    """A campaign file; the files it names are listed on demand.
 
     Attributes:
         name: of it.
@@ -40,16 +40,17 @@ class Campaign:
     folder: Path
 
     def cases(self) -> Iterator[Case]:
-        """Yield the cases, in an order that depends on the file and the records alone.
-
-        Raises:
-            JointFileError: a joint file cannot be read, or there is no record.
-        """
+        """Yield the cases in a reproducible order."""
         for changes in self._combinations:
             if self.table.fleet is not None:
                 yield from self._of_fleet(changes)
             elif self.table.monte_carlo is not None:
-                yield from self._of_runs(changes)
+                asked = self.table.monte_carlo
+                assert asked is not None
+                text, motion, values = self._run_once
+                for number in range(asked.runs):
+                    simulated = Simulated(values, asked.noise_force, asked.noise_log, asked.seed + number)
+                    yield Case(motion.joint, text, motion.address, motion.stamp, "", changes, simulated)
             elif self.table.bootstrap is not None:
                 yield from self._of_resamples(changes, self.table.bootstrap)
             elif self.table.multistart is not None:
@@ -57,7 +58,7 @@ class Campaign:
 
     @property
     def left_out(self) -> str:
-        """Sentences on what a fleet names and has no case; empty if there is none."""
+        """Describe skipped files of a fleet; empty if none."""
         return "" if self.table.fleet is None else self._fleet.left_out
 
     @cached_property
@@ -76,17 +77,9 @@ class Campaign:
         assert self.table.fleet is not None
         return FleetRecords(self.table.fleet, self.folder)
 
-    def _of_runs(self, changes: tuple[str, ...]) -> Iterator[Case]:
-        asked = self.table.monte_carlo
-        assert asked is not None
-        text, motion, values = self._run_once
-        for number in range(asked.runs):
-            simulated = Simulated(values, asked.noise_force, asked.noise_log, asked.seed + number)
-            yield Case(motion.joint, text, motion.address, motion.stamp, "", changes, simulated)
-
     @cached_property
     def _run_once(self) -> tuple[str, Logged, tuple[tuple[str, float], ...]]:
-        """The joint file of simulated runs, the record that they follow, and the truth."""
+        """Joint file, reference record and truth of simulated runs."""
         asked = self.table.monte_carlo
         assert asked is not None
         text = read_text(self.folder / asked.joint)
@@ -143,14 +136,7 @@ class Campaign:
 
 
 def load_campaign(path: Path) -> Campaign:
-    """Load a campaign file, checked completely but for the records it names.
-
-    Args:
-        path: of the TOML file, in UTF-8.
-
-    Raises:
-        JointFileError: the file cannot be read, is no TOML, or has faults; `faults` has a sentence for each.
-    """
+    """Load and validate a campaign file, without the records."""
     path = Path(os.path.abspath(path))  # noqa: PTH100 - without the .. that another spelling of it has
     raw = parse_toml(read_text(path))
     corrected, faults = CampaignTable.corrected(raw)
@@ -161,19 +147,10 @@ def load_campaign(path: Path) -> Campaign:
     if faults:
         raise JointFileError(faults)
     campaign = Campaign(table.name or path.stem, table, path.parent)
-    _check_changes(campaign)
-    return campaign
-
-
-def _check_changes(campaign: Campaign) -> None:
-    """Refuse what no joint file can be changed to, as the first case shows it, before thousands of rows say so.
-
-    Raises:
-        JointFileError: a change cannot be made, or the joint file has faults.
-    """
     first = next(campaign.cases())
     own = {one.partition("=")[0] for one in first.settings}
     if both := [key for key in campaign.table.sweep if key in own]:
         raise JointFileError(f"{in_a_row(both)} is set by [sweep] and by the fleet's table; leave one of them out.")
     for changes in campaign._combinations:
         load_any(first.joint_file, (*first.settings, *changes))
+    return campaign

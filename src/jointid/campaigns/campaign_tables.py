@@ -1,4 +1,4 @@
-"""The tables of a campaign file: fleets, simulated runs, bootstraps, many starts, sweeps."""
+"""Tables of a campaign file: fleets, simulated runs, bootstraps, starts, sweeps."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PLACEHOLDER = re.compile(r"\{(\w*)\}|(\*)|(\?)")
 @documented
 @dataclass(frozen=True, slots=True)
 class Fleet:
-    """Joints, and the records that were logged of them."""
+    """Joints and their records."""
 
     joint: str | None = setting(
         None, "path of the joint file, with {joint} in it where each joint has its own; from this file"
@@ -42,7 +42,7 @@ class Fleet:
 @documented
 @dataclass(frozen=True, slots=True)
 class MonteCarlo:
-    """Runs of one joint that are simulated with noise, then identified."""
+    """Simulated runs of one joint with noise."""
 
     joint: str = field(metadata=declare("path of the joint file, from this file"))
     runs: int = field(metadata=declare("how many", at_least=1))
@@ -65,7 +65,9 @@ class MonteCarlo:
 @documented
 @dataclass(frozen=True, slots=True)
 class Bootstrap:
-    """Runs of one record whose error is drawn anew: what the joint leaves of the torque, in blocks of time.
+    """Runs of one record with its residual resampled in blocks of time.
+
+    The explained torque stays. Valid if the residual is independent of the motion and the other channels are exact.
 
     The torque that the identified joint explains stays. Valid where what is left does not follow the motion, and where
     the record's other channels are without error, as a reference is.
@@ -80,7 +82,7 @@ class Bootstrap:
 @documented
 @dataclass(frozen=True, slots=True)
 class Multistart:
-    """Searches of one record from starts drawn around those of the joint file's free parameters: do all end alike?"""
+    """Searches of one record from random starts around the joint file's."""
 
     joint: str = field(metadata=declare("path of the joint file, which gives free parameters a start; from this file"))
     runs: int = field(metadata=declare("how many", at_least=1))
@@ -90,7 +92,7 @@ class Multistart:
 
 
 def unknown_placeholders(key: str, pattern: str, known: tuple[str, ...]) -> Iterator[tuple[str, str]]:
-    """Yield what stands in braces in a pattern and is no known part of it: the key, and the rest of a sentence."""
+    """Yield unknown placeholders of a pattern: key and rest of a sentence."""
     for found in PLACEHOLDER.finditer(pattern):
         if found[1] is not None and found[1] not in known:
             expected = either(f"{{{name}}}" for name in known)
@@ -99,10 +101,10 @@ def unknown_placeholders(key: str, pattern: str, known: tuple[str, ...]) -> Iter
 
 @keys_from(Fleet)
 class FleetTable(Table):
-    """[fleet]: joints, and the records that were logged of them."""
+    """[fleet]: joints and their records."""
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield that no joint file is named, and placeholders that are none."""
+        """Yield missing joint files and unknown placeholders."""
         if self.joint is None and self.table is None:
             yield "joint", self.lacks("joint")
         for key, known in (("joint", ("joint",)), ("records", tuple(PLACEHOLDERS))):
@@ -111,12 +113,12 @@ class FleetTable(Table):
 
 @keys_from(MonteCarlo)
 class MonteCarloTable(Table):
-    """[monte_carlo]: runs of one joint that are simulated with noise, then identified."""
+    """[monte_carlo]: simulated runs of one joint with noise."""
 
 
 @keys_from(Bootstrap)
 class BootstrapTable(Table):
-    """[bootstrap]: runs of one record whose error is drawn anew."""
+    """[bootstrap]: runs of one record with a resampled residual."""
 
 
 @keys_from(Multistart)
@@ -137,7 +139,7 @@ class CampaignTable(Table):
     )
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield that there is nothing to identify, or two things, and values of a sweep that are none."""
+        """Yield a missing or ambiguous task, and invalid sweep values."""
         if sum(getattr(self, kind) is not None for kind in KINDS) != 1:
             yield "", f"A campaign has one of the tables {listed([f'[{kind}]' for kind in KINDS])}; write one of them."
         for key, values in self.sweep.items():

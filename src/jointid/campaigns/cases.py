@@ -1,8 +1,6 @@
-"""A case: one identification of a campaign, as a description that any worker can carry out.
+"""A case: a self-contained description of one identification.
 
-A case is known by the SHA-256 of its description. The same case has the same result wherever it runs, so that a result
-is made once and found again; a record that is replaced, another joint file or another version of jointid is another
-case.
+The SHA-256 of the description identifies it. A changed record, joint file or version of jointid makes another case.
 """
 
 from __future__ import annotations
@@ -17,7 +15,7 @@ from jointid import __version__
 
 @dataclass(frozen=True, slots=True)
 class Simulated:
-    """The simulated run that stands in the place of a logged one; the record of the case only gives its motion.
+    """A simulated run in place of a logged one; the record gives the motion.
 
     Attributes:
         values: every parameter of the joint by name, in SI units.
@@ -35,7 +33,7 @@ class Simulated:
 
 @dataclass(frozen=True, slots=True)
 class Redrawn:
-    """The error of the case's record, drawn anew: what the identified joint leaves of the torque, in blocks of time.
+    """A record with its residual resampled in blocks of time.
 
     Attributes:
         seed: of the draw.
@@ -47,7 +45,7 @@ class Redrawn:
 
 @dataclass(frozen=True, slots=True)
 class Started:
-    """The start of the search that takes the place of the joint file's.
+    """A random start of the search.
 
     Attributes:
         starts: by parameter, in SI units.
@@ -98,7 +96,7 @@ class Case:
 
 
 def canonical(value: object) -> str:
-    """Return a value as JSON in one line, the same text for the same value."""
+    """Serialise a value as canonical JSON on one line."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
 
 

@@ -1,21 +1,18 @@
-"""The control chart: joints whose stiffness or friction changed by more than its scatter, however many are watched.
+"""Control chart: joints whose stiffness or friction changed significantly.
 
-Of a series of runs ``y_i``, with stated standard deviations ``s_i``, each shape ``c`` of change, a step before any of
-its runs and a trend over its days, is fitted by weighted least squares,
+For runs ``y_i`` with standard deviations ``s_i``, each shape ``c`` of change, a step before any of the runs or a trend
+over the days, is fitted by weighted least squares,
 
     y_i = a + b c_i + e_i,    var(e_i) = k (s_i^2 + r^2),
 
-where ``r^2`` is by how much the scatter from run to run, robust and blind to slow movement, exceeds the stated one,
-``k`` the variance that remains, or 1 if that is less, and no ``s_i`` less than the median one: of what is stated and
-what is seen the larger counts. ``b`` over its deviation is Student's with two degrees of freedom less than there are
-runs, and so the chance of the best shape is at most that of one of them times their number (Bonferroni): simple, valid
-for any correlation of the shapes, and a little too careful. It holds if the runs of a joint scatter independently of
-one another. Over all quantities of all joints it is Holm's procedure (Scand. J. Statist. 6, 1979) that keeps the chance
-of any false name at one stated number.
+``r^2`` the excess of the robust scatter between runs over the stated one, ``k`` the remaining variance, at least 1, and
+``s_i`` at least the median one. ``b`` over its deviation is Student's with two degrees of freedom less than runs. The
+p-value of the best shape is multiplied by the number of shapes (Bonferroni, conservative). Runs have to scatter
+independently. Over all quantities of all joints, Holm's procedure (Scand. J. Statist. 6, 1979) bounds the chance of any
+false alarm.
 
-Limits: a step needs three runs on either side of it. What moves a joint for some of its runs, as a warm week does, is
-no scatter, and is named. What moves all joints, as the temperature of a hall does to friction, is a change of each.
-Runs that stand out by themselves are left out, and named elsewhere.
+Limits: a step needs three runs on either side. Temporary changes, as by a warm week, and common changes, as by
+temperature, are reported. Outliers are left out and reported elsewhere.
 """
 
 from __future__ import annotations
@@ -37,7 +34,7 @@ _SIDE = 3  # runs that a step has on either side at least
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Change:
-    """The change of a quantity of a joint that explains its runs best.
+    """The change that best explains the runs of a joint's quantity.
 
     Attributes:
         series: the runs, without those that stand out.
@@ -65,7 +62,7 @@ class Change:
 
 
 def best_change(series: Series) -> Change | None:
-    """Return the change that explains a series best, None where there are too few runs to say.
+    """Fit the best change of a series; None with too few runs.
 
     Example:
         >>> import numpy as np
@@ -83,7 +80,11 @@ def best_change(series: Series) -> Change | None:
     kept = series.without_outlying()
     if not kept.enough:
         return None
-    shapes = _shapes(kept.days)
+    runs = kept.days.size
+    steps = [np.arange(runs) >= first for first in range(_SIDE, runs - _SIDE + 1)]
+    span = kept.days[-1] - kept.days[0]
+    trend = [(kept.days - kept.days[0]) / span] if span > 0 else []
+    shapes = np.array([*steps, *trend], dtype=np.float64)
     slopes, levels, stds = _fit(kept, shapes)
     freedom = kept.values.size - 2
     best = int(np.argmax(np.abs(slopes) / stds))
@@ -96,11 +97,11 @@ def best_change(series: Series) -> Change | None:
 
 
 def judge(series: Iterable[Series], false_alarm: float = FALSE_ALARM) -> tuple[Change, ...]:
-    """Return the best change of every series, the least likely by chance first, those that are named marked (Holm).
+    """Best change of every series by significance, reported ones marked (Holm).
 
     Args:
         series: all quantities of all joints.
-        false_alarm: chance that any is named where none changed.
+        false_alarm: chance of any report without a change.
     """
     found = sorted((one for each in series if (one := best_change(each)) is not None), key=lambda one: one.p_value)
     named = 0
@@ -111,17 +112,8 @@ def judge(series: Iterable[Series], false_alarm: float = FALSE_ALARM) -> tuple[C
     )
 
 
-def _shapes(days: FloatArray) -> FloatArray:
-    """Return the shapes of change, (shapes, runs), each from 0 to 1: steps, and last a trend where the days differ."""
-    runs = days.size
-    steps = [np.arange(runs) >= first for first in range(_SIDE, runs - _SIDE + 1)]
-    span = days[-1] - days[0]
-    trend = [(days - days[0]) / span] if span > 0 else []
-    return np.array([*steps, *trend], dtype=np.float64)
-
-
 def _fit(series: Series, shapes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return slope and level of each shape, and the slope's standard deviation, (shapes,) each."""
+    """Slope, level and slope deviation of each shape, (shapes,) each."""
     beyond = max(series.scatter**2 - float(np.median(series.stds)) ** 2, 0.0)
     # No run weighs more than the middle one: one whose deviation is stated too small would fit itself, and what is
     # left would look like no scatter at all.

@@ -1,7 +1,4 @@
-"""The ends of searches of one record from many starts: which is the best, and how many ended there.
-
-The searches see the same numbers, so that nothing scatters but where they end: the best is the one of the least error.
-"""
+"""Optima of searches from many starts, and how many searches reached each."""
 
 from __future__ import annotations
 
@@ -18,7 +15,7 @@ _ALIKE_WITHOUT = 1e-4  # relative, of a parameter without a deviation
 
 @dataclass(frozen=True, slots=True)
 class SearchEnd:
-    """Where some searches ended.
+    """An optimum and the searches that reached it.
 
     Attributes:
         changes: swept settings that these searches have in common.
@@ -32,7 +29,7 @@ class SearchEnd:
 
 
 def ends_of(rows: Sequence[Row]) -> tuple[tuple[SearchEnd, ...], ...]:
-    """Return the ends of every combination of settings, the one of the least error first."""
+    """Optima of every combination of settings, by error."""
     groups: dict[tuple[str, ...], list[Row]] = {}
     for row in rows:
         if row.outcome is Outcome.IDENTIFIED:
@@ -56,7 +53,7 @@ def _error(row: Row) -> float:
 
 
 def _largest_distance(best: Row, row: Row) -> tuple[float, str]:
-    """Return by how many times what is alike two ends differ, and in which parameter most."""
+    """Largest parameter difference of two optima, relative to tolerance, and its name."""
     most = (0.0, "")
     for name in {**best.found, **row.found}:
         one, other = best.found.get(name), row.found.get(name)
@@ -73,7 +70,7 @@ def _largest_distance(best: Row, row: Row) -> tuple[float, str]:
 
 
 def summarise_ends(groups: Sequence[Sequence[SearchEnd]]) -> tuple[str, bool | None]:
-    """Return in a sentence how many searches ended at the best fit, and whether all did; None where none has ended."""
+    """State how many searches reached the best fit, and whether all did."""
     if not groups:
         return "No search has come to an answer.", None
     alike = sum(len(ends[0].searches) for ends in groups)
@@ -83,7 +80,7 @@ def summarise_ends(groups: Sequence[Sequence[SearchEnd]]) -> tuple[str, bool | N
 
 
 def end_blocks(groups: Sequence[Sequence[SearchEnd]], most: int | None) -> Iterator[Block]:
-    """Yield the parameters of the best fit, and the ends side by side."""
+    """Yield the parameters of the best fit, and the optima side by side."""
     for ends in groups:
         best = ends[0].best
         of = f": {'; '.join(ends[0].changes)}" if len(groups) > 1 else ""

@@ -1,6 +1,6 @@
-"""Engines: who carries out the cases, behind the one seam of `concurrent.futures.Executor`.
+"""Engines that execute cases, as `concurrent.futures.Executor`.
 
-Processes of this machine by default. What schedules a cluster is Dask's or SLURM's own, not ours.
+The default is local processes. Dask or SLURM schedule clusters.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _KEPT, _IN_THE_HEAP = 2**28, 2**25  # bytes; the latter is the most that glibc t
 
 @dataclass(frozen=True, slots=True)
 class Workers:
-    """Workers that are ready.
+    """Available workers.
 
     Attributes:
         executor: takes the cases.
@@ -45,18 +45,18 @@ class Workers:
 
 
 class Engine(Protocol):
-    """Something that has workers; one that dies shows as an exception of its own."""
+    """A source of workers, whose death raises a specific exception."""
 
     def open(self, workers: int | None = None) -> contextlib.AbstractContextManager[Workers]:
-        """Return all its workers, or so many; left by an exception it abandons what is running."""
+        """Open all or `workers` workers; an exception abandons running cases."""
 
     def is_death(self, error: BaseException) -> bool:
-        """Return whether an exception of a future is the death of the worker that had its case."""
+        """Test whether an exception means a worker's death."""
 
 
 @dataclass(frozen=True, slots=True)
 class LocalProcesses:
-    """Processes of this machine, each of one thread, which end with the one that started them.
+    """Local single-threaded processes that end with their parent.
 
     Attributes:
         workers: how many; one for each core when 0.
@@ -86,13 +86,13 @@ class LocalProcesses:
             executor.shutdown(wait=True, cancel_futures=True)
 
     def is_death(self, error: BaseException) -> bool:
-        """Return whether a process died; those that were beside it are ended, too."""
+        """Test whether a process died; its siblings are ended, too."""
         return isinstance(error, BrokenExecutor)
 
 
 @dataclass(frozen=True, slots=True)
 class DaskCluster:
-    """The workers of a Dask cluster that is there; some may come and go while a campaign runs.
+    """The changing workers of an existing Dask cluster.
 
     Dask gives a case of a worker that died to another one, and gives it up after some deaths (its setting
     ``distributed.scheduler.allowed-failures``). It counts the deaths of workers at which a case was only waiting, too:
@@ -106,7 +106,7 @@ class DaskCluster:
 
     @contextlib.contextmanager
     def open(self, workers: int | None = None) -> Iterator[Workers]:
-        """Yield the workers; see `Engine`. How many workers there are is the cluster's."""
+        """Yield the workers; see `Engine`. The cluster determines their number."""
         distributed = extra("distributed", "cluster", "A Dask cluster")
         try:
             client = distributed.Client(self.address, timeout=_PATIENCE, set_as_default=False)
@@ -130,38 +130,33 @@ class DaskCluster:
                 executor.shutdown(wait=wait)
 
     def is_death(self, error: BaseException) -> bool:
-        """Return whether Dask gave a case up because of the workers that died with it."""
+        """Test whether Dask gave a case up after workers died."""
         killed: type[BaseException] = extra("distributed", "cluster", "A Dask cluster").scheduler.KilledWorker
         return isinstance(error, killed)
 
 
 def _threads(about: Mapping[str, Any]) -> int:
-    """Return how many threads the workers of a Dask cluster have."""
+    """Number of threads of a Dask cluster."""
     return sum(int(worker["nthreads"]) for worker in about["workers"].values())
 
 
 def cores() -> int:
-    """Return how many cores this process may use; Windows waits for no more than 61 workers."""
+    """Number of usable cores, at most 61 for Windows."""
     allowed = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
     return min(allowed, 61) if sys.platform == "win32" else allowed
 
 
 def on_one_core(carry: Callable[[Any], Any], cases: Sequence[Any]) -> list[Any]:
-    """Carry out cases with one thread: the other cores are for those beside it."""
+    """Execute cases with one thread."""
     os.environ[THREADS] = "1"
     return [carry(case) for case in cases]
 
 
 def _begin() -> None:
-    """Prepare a worker: Ctrl-C is the client's to answer, and whoever is killed leaves no worker behind."""
+    """Initialise a worker: ignore Ctrl-C, and end with the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     threading.Thread(target=end_with_parent, daemon=True).start()
-    _keep_freed_memory()
-
-
-def _keep_freed_memory() -> None:
-    """Keep what a case frees for the next: it takes the same again, and to get it anew is an eighth of its time."""
     if sys.platform == "linux" and hasattr(libc := ctypes.CDLL(None), "mallopt"):  # musl has none
         libc.mallopt(_MMAP, _IN_THE_HEAP)
         libc.mallopt(_TRIM, _KEPT)

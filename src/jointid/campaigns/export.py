@@ -1,4 +1,4 @@
-"""Results as a table for other programs, CSV or Parquet: a row for each case, the same bytes whoever made them."""
+"""Export results to CSV or Parquet, one row per case, reproducibly."""
 
 from __future__ import annotations
 
@@ -16,12 +16,7 @@ ENDINGS = (".csv", ".parquet")
 
 
 def export_rows(rows: Sequence[Row], path: Path) -> None:
-    """Write results as CSV or Parquet, as the ending of the file says.
-
-    Raises:
-        RecordError: the ending is another, or the file cannot be written.
-        ExtraError: pyarrow, which writes Parquet, is not installed.
-    """
+    """Write results as CSV or Parquet, by file suffix."""
     require_ending(path)
     columns = table_of(rows)
     if path.suffix.lower() == ".csv":
@@ -38,17 +33,12 @@ def export_rows(rows: Sequence[Row], path: Path) -> None:
 
 
 def _harmless(cell: Any) -> Any:
-    """Return a cell that no spreadsheet takes for a formula: a text that begins like one gets a quote before it."""
+    """Quote a cell that a spreadsheet would take for a formula."""
     return f"'{cell}" if isinstance(cell, str) and cell.startswith(("=", "+", "-", "@", "\t", "\r")) else cell
 
 
 def require_ending(path: Path) -> None:
-    """Refuse a file whose ending says no format that results are written in.
-
-    Raises:
-        RecordError: it does not.
-        ExtraError: pyarrow, which writes Parquet, is not installed.
-    """
+    """Refuse unsupported file suffixes."""
     if path.suffix.lower() not in ENDINGS:
         raise RecordError(f"{path} ends in no known format; expected {' or '.join(ENDINGS)}: name it so.")
     if path.suffix.lower() == ".parquet":
@@ -56,10 +46,9 @@ def require_ending(path: Path) -> None:
 
 
 def table_of(rows: Sequence[Row]) -> dict[str, list[Any]]:
-    """Return the columns of results by name: what was asked, the answer, settings, hashes and versions.
+    """Columns of results by name: case, answer, settings, hashes and versions.
 
-    A parameter is two columns, its value and its standard deviation, with the unit in the name; of simulated runs a
-    third has the truth.
+    A parameter has columns for value and standard deviation, with the unit in the name, and for the truth if simulated.
     """
     columns: dict[str, list[Any]] = {
         "joint": [row.joint for row in rows],

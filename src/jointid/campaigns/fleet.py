@@ -1,4 +1,4 @@
-"""A fleet: which records there are of which joint, by one pattern for all or by a table of joints."""
+"""A fleet: records by joint, from one pattern or a table."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Logged:
 
 @dataclass(frozen=True)
 class FleetRecords:
-    """The records of a fleet, listed when they are first asked for.
+    """The records of a fleet, listed on demand.
 
     Attributes:
         asked: the table [fleet] of the campaign file.
@@ -63,18 +63,12 @@ class FleetRecords:
 
     @cached_property
     def found(self) -> tuple[Logged, ...]:
-        """The records, in an order that depends on campaign file, table and records alone.
-
-        Raises:
-            JointFileError: there are none, or joint files or the table have faults.
-            RecordError: they cannot be listed.
-            ExtraError: what reads the table, or lists the records, is not installed.
-        """
+        """The records, in a reproducible order."""
         return tuple(self._of_pattern() if self.asked.table is None else self._of_table(self.folder / self.asked.table))
 
     @property
     def left_out(self) -> str:
-        """Sentences on files that fit but for their date, and joints without a record; empty if there are none."""
+        """Describe files without a date and joints without a record; empty if none."""
         said, without = [], self._without
         if self._undated:
             said.append(
@@ -87,7 +81,7 @@ class FleetRecords:
 
     @property
     def _without(self) -> list[str]:
-        """The joints of a table that have no record."""
+        """Joints of a table without a record."""
         if self.asked.table is None:
             return []
         with_one = {one.joint for one in self.found}
@@ -148,11 +142,7 @@ class FleetRecords:
         return made
 
     def _joint_of(self, row: FleetRow, place: Path) -> tuple[Path, str]:
-        """Return a row's joint file, and the folder from which its path is taken.
-
-        Raises:
-            JointFileError: none is named.
-        """
+        """A row's joint file, and the base folder of its path."""
         if row.joint or self.asked.joint is None:
             if not row.joint:
                 raise JointFileError("it names no joint file; fill in joint, or add joint to [fleet] for all.")
@@ -160,11 +150,7 @@ class FleetRecords:
         return self.folder, self.asked.joint
 
     def _of_row(self, row: FleetRow, text: str, place: Path) -> list[Logged]:
-        """Return the records of a row of a table in a folder.
-
-        Raises:
-            JointFileError, RecordError: the row has faults.
-        """
+        """Return the records of a row of a table in a folder."""
         if row.record:
             return [Logged(row.name, text, *_single(row.record, place, row.day), row.settings)]
         folder, pattern = (place, row.records) if row.records else (self.folder, self.asked.records)
@@ -185,11 +171,7 @@ class FleetRecords:
         return self._texts[path]
 
     def _match(self, pattern: str, folder: Path) -> Mapping[str, list[tuple[str, str, str]]]:
-        """Return address, stamp and day of what a pattern matches, by joint.
-
-        Raises:
-            JointFileError: nothing does, where the campaign file has the pattern.
-        """
+        """Address, stamp and day of matches, by joint."""
         if (pattern, folder) not in self._matched:
             self._matched[pattern, folder] = dict[str, list[tuple[str, str, str]]]()
             for joint, address, stamp, day in self._matches(pattern, folder):
@@ -213,16 +195,12 @@ class FleetRecords:
 
 
 def named_record(joint: Path, record: Path | None, settings: tuple[str, ...] = ()) -> Logged:
-    """Return a record by its path, or the one that a joint file names.
+    """Return a record by path, or the one that a joint file names.
 
     Args:
         joint: path of the joint file.
         record: path of the record; the joint file's when None.
-        settings: keys of the joint file that are set, of which one may be record.file.
-
-    Raises:
-        JointFileError: the joint file cannot be read, or names none.
-        RecordError: the record is not there.
+        settings: keys of the joint file that are set, possibly record.file.
     """
     path = joint.absolute()
     text = carried(read_text(path), path.parent)
@@ -235,7 +213,7 @@ def named_record(joint: Path, record: Path | None, settings: tuple[str, ...] = (
 
 
 def _single(record: str, folder: Path, day: str) -> tuple[str, str, str]:
-    """Return address, stamp and day of a record that a row names; without a stamp its own case says what is wrong."""
+    """Address, stamp and day of a row's record; no stamp if it is unreadable."""
     if is_remote(record):
         address, stamp = next(iter(listed(record, folder).items()), (record, ""))
     else:
@@ -248,11 +226,9 @@ def _single(record: str, folder: Path, day: str) -> tuple[str, str, str]:
 
 
 def _check_settings(texts: Mapping[FleetRow, str]) -> Iterator[tuple[FleetRow, tuple[str, ...]]]:
-    """Yield the rows whose settings their joint file does not take, with its sentences.
+    """Yield rows with settings that their joint file refuses, and its sentences.
 
-    Of rows that differ in numbers alone those with the least and the largest of each are checked, and all of them if
-    one has a fault: a number's bounds hold between two that keep them. What two numbers are to one another is left to
-    their own case.
+    For rows that differ in numbers, only the extremes are checked unless one fails, since bounds hold in between.
     """
     alike = dict[tuple[str, ...], list[tuple[FleetRow, list[float]]]]()
     for row, text in texts.items():
@@ -290,7 +266,7 @@ def _some(names: list[str]) -> str:
 
 
 def _expression(pattern: str) -> str:
-    """Return the regular expression of a pattern: each placeholder is a part of a path, and the same wherever it is."""
+    """Regular expression of a pattern; a repeated placeholder matches the same text."""
     seen: set[str] = set()
 
     def part(found: re.Match[str]) -> str:
@@ -310,7 +286,7 @@ def _expression(pattern: str) -> str:
 
 
 def _day(said: str | None, address: str, stamp: str) -> str:
-    """Return a day as 2026-11-23: the one in a file's name, else that of its last change, where that is known."""
+    """Day as 2026-11-23, from the file's name or last change, if known."""
     if said is not None:
         digits = said.replace("-", "")
         return f"{digits[:4]}-{digits[4:6]}-{digits[6:]}"

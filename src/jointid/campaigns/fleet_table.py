@@ -1,4 +1,4 @@
-"""The table of a fleet, CSV or Parquet: a row for each joint, or for each record, with what is set for it alone."""
+"""Table of a fleet, CSV or Parquet: a row per joint or record, with settings."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class FleetRow:
 
 
 class RowFaults:
-    """Sentences on the rows of a table, each once, with the rows that it is true of."""
+    """Faults of a table, each once, with the affected rows."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._found = path, dict[str, list[int]]()
@@ -57,11 +57,7 @@ class RowFaults:
             self._found.setdefault(sentence, []).append(number)
 
     def require_none(self) -> None:
-        """Refuse the table if there are any.
-
-        Raises:
-            JointFileError: there are; of many the first twenty are said.
-        """
+        """Raise the collected faults, if any."""
         found = sorted(self._found.items(), key=lambda one: one[1])
         said = [f"{self._path.name}, {_rows(numbers)}: {one}" for one, numbers in found]
         if said:
@@ -71,14 +67,10 @@ class RowFaults:
 
 
 def read_fleet_table(path: Path) -> tuple[tuple[FleetRow, ...], RowFaults]:
-    """Return the rows of a fleet's table and the faults of some; nothing in a cell is carried out, a formula is text.
+    """Read a fleet's table and its faults; formulas are text.
 
     Args:
         path: of a CSV file in UTF-8, with commas, semicolons or tabs, or of a Parquet file.
-
-    Raises:
-        JointFileError: it cannot be read, is too large, or its header has faults; `faults` has a sentence for each.
-        ExtraError: pyarrow, which reads Parquet, is not installed.
     """
     if path.suffix.lower() not in _ENDINGS:
         raise JointFileError(f"{path} ends in no known format; expected {either(_ENDINGS)}: name it so.")
@@ -106,7 +98,7 @@ def _rows(numbers: Sequence[int]) -> str:
 
 
 def _faults(said: Mapping[str, str]) -> Iterator[str]:
-    """Yield what is wrong with a row by itself."""
+    """Yield the faults of a single row."""
     if not said["name"]:
         yield "name is empty; expected the joint's name: fill it in."
     if said.get("records") and said.get("record"):
@@ -123,7 +115,7 @@ def _is_setting(key: str) -> bool:
 
 
 def _value(key: str, cell: str) -> str:
-    """Return a cell as the value of a change: one that TOML does not know is text, as a formula is."""
+    """Format a cell as a TOML value; anything else becomes text."""
     try:
         apply_changes({}, [f"{key}={cell}"])
     except JointFileError:
@@ -132,11 +124,7 @@ def _value(key: str, cell: str) -> str:
 
 
 def _check_header(path: Path, header: Sequence[str]) -> None:
-    """Refuse a header that does not say what each column is.
-
-    Raises:
-        JointFileError: it does not.
-    """
+    """Refuse an unclear header."""
     faults = [f"{path} has {count} columns {name}; leave one of them out." for name, count in Counter(header).items()
               if count > 1]  # fmt: skip
     if "name" not in header:
@@ -207,7 +195,7 @@ def _read_parquet(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
 
 
 def _text(value: str | bool | float | None) -> str:
-    """Return a cell of Parquet as CSV has it, so that one table is one whichever way it is written."""
+    """Convert a Parquet cell to the text of CSV."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, float):  # as a column of whole numbers with a gap is, which may be NaN

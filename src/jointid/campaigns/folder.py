@@ -1,4 +1,4 @@
-"""The folder of a campaign, read: its results so far, while it runs and after, and how it is getting on."""
+"""Read the folder of a campaign: results and progress, also while it runs."""
 
 from __future__ import annotations
 
@@ -49,11 +49,7 @@ class Results:
 
 
 def read_results(folder: Path) -> Results:
-    """Read the results in a folder of a campaign, of a client or of shards, while it runs, too.
-
-    Raises:
-        RecordError: there are none, or they cannot be read.
-    """
+    """Read the results of a client or of shards, also while running."""
     if (folder / DATABASE).exists():
         name, cases, found = read_database(folder)
     elif has_shards(folder):
@@ -68,7 +64,7 @@ def read_results(folder: Path) -> Results:
 
 @dataclass(frozen=True)
 class Status(Documented):
-    """How a campaign is getting on.
+    """Progress of a campaign.
 
     Attributes:
         results: so far.
@@ -80,14 +76,14 @@ class Status(Documented):
 
     @cached_property
     def rate(self) -> float | None:
-        """Results per second over the last of them, None before there are two."""
+        """Recent results per second; None before there are two."""
         recent = self.results.stored[-_RECENT:]
         if len(recent) < 2 or recent[-1] <= recent[0]:
             return None
         return (len(recent) - 1) / (recent[-1] - recent[0])
 
     def document(self, *, details: bool = False) -> Document:
-        """Return it as a document; with details every reason that a case was refused for."""
+        """Progress; with details every reason for refusal."""
         results, counts = self.results, self.results.counts()
         ends = ", ".join(f"{count} {outcome}" for outcome, count in counts.items() if count)
         facts = [("done", f"{len(results.rows)} of {results.cases} cases{f': {ends}' if ends else ''}")]
@@ -105,7 +101,7 @@ class Status(Documented):
 
 
 def described(row: Row) -> str:
-    """Return a result without an answer in a line."""
+    """Describe a result without an answer."""
     seed = "" if row.seed is None else f"seed {row.seed}"
     what = " ".join(part for part in (row.joint, row.day, seed, "; ".join(row.changes)) if part)
     return f"{what}, {row.outcome}: {short(row.sentence, _LONGEST)}"

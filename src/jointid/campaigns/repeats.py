@@ -1,9 +1,8 @@
-"""Runs that repeat one another but for their noise: their scatter beside what is stated, and those that stand out.
+"""Repeated runs with different noise: scatter against stated deviations, and outliers.
 
-Simulated runs, and one record resampled, have seeds and no time: nothing drifts among them. If estimates are normal,
-``(n - 1) s^2`` over the variance is of chi-squared distribution with n - 1 degrees of freedom, which gives the interval
-of the scatter s of n runs over the median stated deviation. Limits: one wild run widens s, and is named; what every
-run errs alike, a bias, does not scatter.
+For normal estimates, ``(n - 1) s^2`` over the variance is chi-square with n - 1 degrees of freedom, which gives the
+interval of the scatter s of n runs over the median stated deviation. Limits: an outlier widens s, and is reported; a
+bias does not scatter.
 """
 
 from __future__ import annotations
@@ -65,7 +64,7 @@ class Repeated:
 
     @property
     def verdict(self) -> str:
-        """Whether the runs scatter as their stated deviations say."""
+        """Whether the scatter agrees with the stated deviations."""
         lower, upper = self.interval
         if lower > 1 and self.ratio > _CLOSE:
             return "more than stated"
@@ -73,7 +72,7 @@ class Repeated:
 
     @property
     def outlying(self) -> Iterator[tuple[int | None, float, float]]:
-        """Seed, value and deviations of each run that is far off the median."""
+        """Seed, value and deviations of each outlier."""
         off = self.values - np.median(self.values)
         scale = max(_TO_SIGMA * float(np.median(np.abs(off))), float(np.median(self.stds)))
         for k in np.flatnonzero(np.abs(off) > _OUT * scale):
@@ -81,7 +80,7 @@ class Repeated:
 
 
 def repeats_of(rows: Sequence[Row]) -> Iterator[Repeated]:
-    """Yield every quantity of runs that differ in their seed alone, where there are three or more."""
+    """Yield every quantity of three or more runs with different seeds."""
     groups: dict[tuple[str, tuple[str, ...]], list[tuple[int | None, float, float]]] = {}
     units, truths = dict[str, str](), dict[tuple[str, tuple[str, ...]], set[float | None]]()
     for row in rows:
@@ -101,7 +100,7 @@ def repeats_of(rows: Sequence[Row]) -> Iterator[Repeated]:
 
 
 def summarise_repeats(found: Sequence[Repeated], runs: int, what: str) -> tuple[str, bool | None]:
-    """Return in a sentence whether runs scatter as stated, and whether they do; None where that is not known."""
+    """State whether runs scatter as stated; None if unknown."""
     if not found:
         return f"{counted(runs, f'{what} run')} with an answer; three are needed to say how they scatter.", None
     wrong = [one for one in found if one.verdict != "as stated"]
@@ -113,7 +112,7 @@ def summarise_repeats(found: Sequence[Repeated], runs: int, what: str) -> tuple[
 
 
 def repeat_blocks(found: Sequence[Repeated], most: int | None) -> Iterator[Block]:
-    """Yield the scatter of every quantity beside what is stated, and the runs that stand out."""
+    """Yield scatter against stated deviations, and outliers."""
     if found:
         yield Heading("Scatter between the runs over the stated standard deviation")
         scatter = ((one.name, str(one.values.size), number(one.ratio, 3), " to ".join(number(end, 3) for end in

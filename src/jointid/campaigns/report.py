@@ -1,4 +1,4 @@
-"""The report of a campaign by the kind of its runs: drift of a fleet, scatter of repeated runs, best of many starts."""
+"""Report of a campaign: drift of a fleet, scatter of repetitions, best of many starts."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _CAREFUL, _LAX = 0.7, 1.4  # scatter over stated deviation beyond which that is 
 
 @dataclass(frozen=True)
 class CampaignReport(Documented):
-    """What came of a campaign; see `report_of`.
+    """Results of a campaign; see `report_of`.
 
     Attributes:
         results: so far.
@@ -48,12 +48,12 @@ class CampaignReport(Documented):
 
     @cached_property
     def series(self) -> tuple[Series, ...]:
-        """Stiffness and frictions of every joint over its runs, of those that have a time."""
+        """Stiffness and frictions of every joint over its dated runs."""
         return tuple(series_of([row for row in self.results.rows if row.kind == LOGGED]))
 
     @cached_property
     def repeats(self) -> tuple[Repeated, ...]:
-        """Every quantity of runs that differ in their seed alone."""
+        """Every quantity over runs with different seeds."""
         return tuple(repeats_of([row for row in self.results.rows if row.kind in _REPEATED]))
 
     @cached_property
@@ -63,12 +63,12 @@ class CampaignReport(Documented):
 
     @cached_property
     def ends(self) -> tuple[tuple[SearchEnd, ...], ...]:
-        """Where searches from many starts ended, for each combination of settings."""
+        """Optima from many starts, for each combination of settings."""
         return ends_of([row for row in self.results.rows if row.kind == Started.kind])
 
     @cached_property
     def verdict(self) -> tuple[str, bool | None]:
-        """The lead sentence, and whether it is good news; None where nothing can be said yet."""
+        """Lead sentence and its tone: good, bad, or None if undecided."""
         kind = self.results.rows[0].kind if self.results.rows else LOGGED
         if kind in _REPEATED:
             said, good = summarise_repeats(self.repeats, self.results.counts()[Outcome.IDENTIFIED], kind)
@@ -87,7 +87,7 @@ class CampaignReport(Documented):
 
     @property
     def drifted(self) -> tuple[Change, ...]:
-        """Those that are more than scatter."""
+        """Significant changes."""
         return tuple(one for one in self.changes if one.significant)
 
     @property
@@ -107,7 +107,7 @@ class CampaignReport(Documented):
         return f"No stiffness and no friction drifted by more than its scatter ({counted(watched, 'joint')} watched)."
 
     def document(self, *, details: bool = False) -> Document:
-        """Return it as a document; with details all rows of every table."""
+        """The report; with details all rows of every table."""
         most = None if details else _SHOWN
         results, counts = self.results, self.results.counts()
         ends = ", ".join(f"{count} {outcome}" for outcome, count in counts.items() if count)
@@ -178,15 +178,11 @@ class CampaignReport(Documented):
 
 
 def report_of(folder: Path, false_alarm: float = FALSE_ALARM) -> CampaignReport:
-    """Read what came of a campaign, while it runs and after.
+    """Read the results of a campaign, also while it runs.
 
     Args:
         folder: of the results.
-        false_alarm: chance that any joint of a fleet without drift is named.
-
-    Raises:
-        RecordError: there are no results.
-        MethodError: the chance is none.
+        false_alarm: chance that any joint of a fleet without drift is reported.
     """
     if not 0 < false_alarm < 1:
         raise MethodError(f"--false-alarm is {false_alarm:g}; expected a chance between 0 and 1, as 0.01.")
@@ -206,7 +202,7 @@ def _called(series: Series) -> str:
 
 
 def _distributions(rows: Sequence[Row]) -> Iterator[Block]:
-    """Yield, for each combination of changes, how each parameter is distributed over all runs."""
+    """Yield the distribution of each parameter, by combination of changes."""
     groups: dict[tuple[str, ...], list[Row]] = {}
     for row in rows:
         if row.outcome is Outcome.IDENTIFIED:
@@ -228,7 +224,7 @@ def _distributions(rows: Sequence[Row]) -> Iterator[Block]:
 
 
 def _unlike(series: Sequence[Series]) -> Iterator[tuple[str, ...]]:
-    """Yield joints whose level of a quantity is far from that of the others."""
+    """Yield joints whose level of a quantity is far from the others'."""
     groups: dict[tuple[str, str, tuple[str, ...]], list[Series]] = {}
     for one in series:
         groups.setdefault((one.quantity, one.unit, one.changes), []).append(one)
@@ -244,7 +240,7 @@ def _unlike(series: Sequence[Series]) -> Iterator[tuple[str, ...]]:
 
 
 def _reasons(rows: Sequence[Row], most: int | None) -> Iterator[Block]:
-    """Yield why there is no answer, the most frequent reasons first, and what was set aside."""
+    """Yield reasons for missing answers by frequency, and cases set aside."""
     without = [row for row in rows if row.outcome is not Outcome.IDENTIFIED]
     if not without:
         return

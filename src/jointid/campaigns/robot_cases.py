@@ -1,7 +1,6 @@
-"""Robots in a campaign: a case whose joint file is a robot file, identified as `jointid identify` does it.
+"""Robots in a campaign: cases with a robot file.
 
-A case is known by its text, and a robot file names a model beside it. So the text of a case has the model's absolute
-path, and the digest of what it holds: another model is another case.
+The case's text has the absolute path and digest of the robot's model, so that another model makes another case.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ from jointid.simulation.simulated import require_finished
 
 
 def is_robot(text: str) -> bool:
-    """True if the text of a joint file is a robot's; of what is no TOML the joint file's own sentences tell."""
+    """Test for a robot file; False for invalid TOML."""
     try:
         return "robot" in parse_toml(text)
     except JointFileError:
@@ -41,7 +40,7 @@ def is_robot(text: str) -> bool:
 
 
 def carried(text: str, folder: Path) -> str:
-    """Return the text of a joint file as a case carries it: of a robot with its model's whole path and digest.
+    """Return the text of a file for a case, with absolute path and digest of a robot's model.
 
     Args:
         text: of the joint file.
@@ -60,11 +59,7 @@ def carried(text: str, folder: Path) -> str:
 
 
 def load_any(text: str, changes: Sequence[str] = ()) -> JointFile | RobotFile:
-    """Return the joint file, or the robot file, that a text is.
-
-    Raises:
-        JointFileError: it has faults.
-    """
+    """Load a joint file or a robot file."""
     return _robot_file(text, tuple(changes)) if is_robot(text) else loads(text, changes=changes)
 
 
@@ -74,22 +69,18 @@ def _robot_file(text: str, changes: tuple[str, ...]) -> RobotFile:
 
 
 def record_of(text: str, changes: Sequence[str] = ()) -> str | None:
-    """Return the path of the record that a joint file, or a robot file, names."""
+    """Path of the record that a joint file or a robot file names."""
     file = load_any(text, changes)
     source = file.joints[0].source if isinstance(file, RobotFile) else file.source
     return None if source.file is None else str(source.file)
 
 
 def identify_robot_case(case: Case, path: Path) -> dict[str, Any]:
-    """Return the entries of a row that a robot's estimate gives: every parameter of every joint by its name.
+    """Identify a robot; return the entries of a row with its parameters.
 
     Args:
         case: whose joint file is a robot file.
         path: of its record.
-
-    Raises:
-        MethodError: of a robot neither errors nor starts are drawn; or it cannot be simulated, or identified.
-        RecordError: the record lacks a channel.
     """
     if case.varied is not None and not isinstance(case.varied, Simulated):
         raise MethodError(
@@ -128,9 +119,9 @@ def identify_robot_case(case: Case, path: Path) -> dict[str, Any]:
 
 
 def _truth(estimate: RobotEstimate | RobotTorqueEstimate) -> Iterator[tuple[str, float]]:
-    """Yield what is true of each parameter of a simulated robot, that of the file, in the sums that are identified.
+    """Yield the true identified combinations of a simulated robot.
 
-    By IDIM, which takes joints as rigid, there is no truth where a joint has a spring.
+    IDIM assumes rigid joints, so there is no truth where a joint has a spring.
     """
     robot = estimate.robot
     if isinstance(estimate, RobotTorqueEstimate):
@@ -144,7 +135,7 @@ def _truth(estimate: RobotEstimate | RobotTorqueEstimate) -> Iterator[tuple[str,
 
 
 def _simulated(file: RobotFile, driven: Sequence[Record], asked: Simulated) -> tuple[Record, ...]:
-    """Return the records of a simulated run, whose joints have noise by the size of their torques."""
+    """Records of a simulated run, with noise relative to the torques."""
     if asked.values or asked.noise_force:
         raise MethodError(
             "A robot's simulated runs have the numbers of its robot file and noise_log, of the joint with the largest "

@@ -1,4 +1,4 @@
-"""A row: the result of a case, the same bytes whichever worker made it, and when."""
+"""A row: the reproducible result of a case."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """An identified parameter, or a sum of some.
+    """An identified parameter or combination.
 
     Attributes:
         value: in SI units; None where it is refused.
@@ -92,16 +92,12 @@ class Row:
         )  # fmt: skip
 
     def text(self) -> str:
-        """Return the row as JSON in one line, in ASCII: names of files may hold bytes that are no text."""
+        """Serialise the row as JSON on one line, in ASCII."""
         return json.dumps(asdict(self), sort_keys=True, separators=(",", ":"), allow_nan=False)
 
     @classmethod
     def read(cls, text: str) -> Self:
-        """Return the row that `text` gave.
-
-        Raises:
-            ValueError: it is no row.
-        """
+        """Parse a row from `text`."""
         try:
             raw = json.loads(text)
             found = {str(name): Found(_number(one["value"]), _number(one["std"]), str(one["unit"]))
@@ -119,7 +115,7 @@ class Row:
 
     @property
     def place(self) -> tuple[str, str, str, int, tuple[str, ...], str]:
-        """Where it stands in a table, which depends on no engine and no order."""
+        """Sort key, independent of engine and order."""
         return (
             self.joint,
             self.day,
@@ -131,7 +127,7 @@ class Row:
 
 
 def finite(value: float | None) -> float | None:
-    """Return a number, None for one that does not exist: JSON has no word for it."""
+    """Return a finite number, else None, for JSON."""
     return None if value is None or not math.isfinite(value) else float(value)
 
 

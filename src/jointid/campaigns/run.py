@@ -1,8 +1,7 @@
-"""The run of a campaign: cases go to the engine, a bounded number at a time, and results are kept as they come.
+"""Run of a campaign: submit cases to the engine and keep results.
 
-A worker that dies takes the executor, or its case, with it. Which of the cases that were under way killed it is not
-known then, so each of them is tried again with nothing beside it; one that kills two workers so is set aside, and no
-other is blamed.
+A dying worker takes its executor or case with it. The culprit is unknown, so each affected case is retried alone; one
+that kills two workers alone is set aside.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ _UnderWay: TypeAlias = dict[Future[list[Row]], list[Case]]
 
 @dataclass(frozen=True, slots=True)
 class Ran:
-    """The end of a run.
+    """Summary of a run.
 
     Attributes:
         cases: that the campaign has.
@@ -61,19 +60,16 @@ def run_cases(
     carry: Carry = run_case,
     progress: Progress = silent,
 ) -> Ran:
-    """Carry out the cases of a campaign that have no result yet.
+    """Execute the cases of a campaign without a result.
 
     Args:
-        cases: gives them, each time anew; they need not fit into memory.
-        engine: who carries them out.
-        results: where they are kept.
+        cases: returns a new iterator each time; cases need not fit into memory.
+        engine: executes them.
+        results: keeps them.
         name: of the campaign.
-        has: whether a case, by its hash, is to be carried out here: that of a shard.
+        has: whether a case, by its hash, belongs to this shard.
         carry: the function of a case.
-        progress: is told how many are done, the rate and the time left.
-
-    Raises:
-        JointidError: a result cannot be kept, or the engine is gone; what is finished is kept.
+        progress: receives number done, rate and time left.
     """
     results.list_cases(name, (case.content_hash for case in cases()))
     finished = Counter(results.is_finished(one) for case in cases() if has(one := case.content_hash))
@@ -112,7 +108,7 @@ def run_cases(
 
 
 class _Waiting:
-    """The cases that are not under way yet, those first that were given back."""
+    """Pending cases, returned ones first."""
 
     def __init__(self, cases: Iterator[Case], is_finished: Callable[[str], bool]) -> None:
         self._cases, self._is_finished, self._back = cases, is_finished, list[list[Case]]()
@@ -124,10 +120,9 @@ class _Waiting:
         return bool(self._back)
 
     def take(self, count: int, begun: Mapping[str, frozenset[str]]) -> list[Case]:
-        """Return the next batch of cases without a result, an empty one at the end.
+        """Next batch of cases without a result; empty at the end.
 
-        What an earlier client handed out together stays together, so that its result is found, however many cases have
-        come between; of the others a batch has so many.
+        A batch that an earlier client submitted stays together, so that its result is found.
         """
         if self._back:
             return self._back.pop()
@@ -141,12 +136,12 @@ class _Waiting:
         return self._parts.popitem()[1] if self._parts else []
 
     def give_back(self, batch: list[Case]) -> None:
-        """Take a batch in again that nobody has begun."""
+        """Return a batch that was not started."""
         self._back.append(batch)
 
 
 def _run_together(waiting: _Waiting, engine: Engine, carry: Carry, keep: Keep) -> list[Case]:
-    """Carry out cases until all are done or a worker dies; return those that were under way then."""
+    """Execute cases until all are done or a worker dies; return the unfinished ones."""
     suspects: list[Case] = []
     under_way: _UnderWay = {}
     with engine.open() as workers:
@@ -177,7 +172,7 @@ def _fill(under_way: _UnderWay, waiting: _Waiting, workers: Workers, carry: Carr
 
 
 def _run_alone(case: Case, engine: Engine, results: Results, carry: Carry, keep: Keep) -> None:
-    """Carry out a case with nothing beside it, and set it aside when two workers died of it."""
+    """Execute a case alone, and set it aside after two deaths."""
     while True:
         with engine.open(1) as workers:
             rows = _result(workers.executor.submit(on_one_core, carry, [case]), engine)
@@ -195,11 +190,7 @@ def _run_alone(case: Case, engine: Engine, results: Results, carry: Carry, keep:
 
 
 def _result(future: Future[list[Row]], engine: Engine) -> list[Row] | None:
-    """Return the rows of some cases, None if their worker died.
-
-    Raises:
-        RecordError: the engine could not carry it out for another reason.
-    """
+    """Rows of some cases; None if their worker died."""
     try:
         return future.result()
     except JointidError:

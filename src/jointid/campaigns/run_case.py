@@ -1,4 +1,4 @@
-"""A case, carried out: a pure function from its description to its row, on whichever machine that happens."""
+"""Execution of a case: a pure function from description to row."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from jointid.uncertainty.resampling import BANDWIDTHS
 
 
 def run_case(case: Case) -> Row:
-    """Identify what a case says, and return its row; whatever goes wrong is a row with its sentence.
+    """Identify a case and return its row; failures become sentences.
 
     Args:
         case: the case.
@@ -62,7 +62,7 @@ def run_case(case: Case) -> Row:
 
 @cache
 def versions() -> dict[str, str]:
-    """Return the versions of jointid, Python and the libraries that compute, by name."""
+    """Versions of jointid, Python and numerical libraries."""
     return {
         "jointid": __version__,
         "python": platform.python_version(),
@@ -77,11 +77,7 @@ def _joint_file(text: str, changes: tuple[str, ...]) -> JointFile:
 
 @lru_cache(maxsize=8)
 def _explained(text: str, changes: tuple[str, ...], path: Path, record_sha256: str) -> tuple[FloatArray, FloatArray]:
-    """Return the torque that the joint identified from a record explains, and what it leaves, (samples,) each.
-
-    Raises:
-        MethodError: the method does not give them sample by sample.
-    """
+    """Explained torque and residual of a record's identification, (samples,) each."""
     file = _joint_file(text, changes)
     record = file.record(path)
     fit = file.identify(record).fit
@@ -93,23 +89,8 @@ def _explained(text: str, changes: tuple[str, ...], path: Path, record_sha256: s
     return fit.predicted, fit.measured - fit.predicted
 
 
-def _resample(case: Case, record: Record, record_sha256: str, path: Path, seed: int) -> Record:
-    """Return a record whose error is drawn anew, in blocks that may begin anywhere and go on at the beginning.
-
-    H. R. Kuensch, The jackknife and the bootstrap for general stationary observations, Annals of Statistics 17, 1989;
-    circular as by D. N. Politis and J. P. Romano. A block is as long as those of the intervals' own bootstrap.
-    """
-    explained, left = _explained(case.joint_file, case.changes, path, record_sha256)
-    length = min(BANDWIDTHS * bandwidth(left.size), left.size)
-    begins = np.random.default_rng([seed]).integers(left.size, size=-(-left.size // length))
-    at = (begins[:, np.newaxis] + np.arange(length)).ravel()[: left.size]
-    assert record.torque is not None
-    torque = replace(record.torque, values=explained + np.take(left, at, mode="wrap"))
-    return replace(record, torque=torque)
-
-
 def _identify(case: Case, path: Path, record_sha256: str) -> dict[str, Any]:
-    """Return the entries of a row that an estimate gives."""
+    """Entries of a row from an estimate."""
     if is_robot(case.joint_file):
         return identify_robot_case(case, path)
     begun = case.varied.starts if isinstance(case.varied, Started) else ()
@@ -124,7 +105,13 @@ def _identify(case: Case, path: Path, record_sha256: str) -> dict[str, Any]:
     if isinstance(case.varied, Simulated):
         record = _simulate(file, record, case.varied)
     elif isinstance(case.varied, Redrawn):
-        record = _resample(case, record, record_sha256, path, case.varied.seed)
+        explained, left = _explained(case.joint_file, case.changes, path, record_sha256)
+        length = min(BANDWIDTHS * bandwidth(left.size), left.size)
+        begins = np.random.default_rng([case.varied.seed]).integers(left.size, size=-(-left.size // length))
+        at = (begins[:, np.newaxis] + np.arange(length)).ravel()[: left.size]
+        assert record.torque is not None
+        torque = replace(record.torque, values=explained + np.take(left, at, mode="wrap"))
+        record = replace(record, torque=torque)
     estimate = file.identify(record)
     return {
         "outcome": Outcome.IDENTIFIED,
@@ -170,7 +157,7 @@ def _found(estimate: Estimate) -> Iterator[tuple[str, Found]]:
 
 
 def _truth(estimate: Estimate, asked: Simulated) -> Iterator[tuple[str, float]]:
-    """Yield what is true of each quantity that is found; one of another model than the simulated has no truth."""
+    """Yield true values of the identified quantities, if the model is the simulated one."""
     values = dict(asked.values)
     for p in estimate.params:
         if p.of_joint and p.name in values:
@@ -182,7 +169,7 @@ def _truth(estimate: Estimate, asked: Simulated) -> Iterator[tuple[str, float]]:
 
 
 def _totals(estimate: Estimate) -> Iterator[tuple[str, Known]]:
-    """Yield the sums of both sides, which are known where their parts are not."""
+    """Yield the sums of both sides, identifiable where their parts are not."""
     known = estimate.checks.known
     for one in () if known is None else known.physical:
         if one.combination.name.startswith("total "):

@@ -1,4 +1,4 @@
-"""Series: one quantity of one joint over its runs, in the order of the days, and runs that stand out from it."""
+"""Series: a joint's quantity over its runs by day, with outliers."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Series:
 
     @property
     def scatter(self) -> float:
-        """Standard deviation from run to run, whatever the slow movement, and with a few runs that stand out."""
+        """Robust standard deviation between runs, without slow changes."""
         return _TO_SIGMA / math.sqrt(2.0) * float(np.median(np.abs(np.diff(self.values))))
 
     @property
@@ -60,7 +60,7 @@ class Series:
 
     @property
     def outlying(self) -> FloatArray:
-        """(runs,) deviations by which each run is off the level of those around it, where that is many; else 0."""
+        """(runs,) deviations of outliers from neighbouring runs; else 0."""
         if not self.enough:
             return np.zeros(self.values.size)
         off = self.values - _running_median(self.values)
@@ -69,7 +69,7 @@ class Series:
         return np.where(np.abs(off) > _OUT * scale, off / scale, 0.0)
 
     def without_outlying(self) -> Series:
-        """Return the series without the runs that stand out."""
+        """Return the series without outliers."""
         kept = self.outlying == 0
         return Series(
             self.joint, self.changes, self.quantity, self.unit, self.days[kept], self.values[kept], self.stds[kept],
@@ -78,7 +78,7 @@ class Series:
 
 
 def watched(names: Sequence[str]) -> tuple[str, ...]:
-    """Return the quantities that are watched for drift: stiffness and frictions, of both sides their sum.
+    """Quantities monitored for drift: stiffness, and sums of frictions of both sides.
 
     Example:
         >>> from jointid.campaigns.series import watched
@@ -98,7 +98,7 @@ def watched(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def series_of(rows: Sequence[Row]) -> Iterator[Series]:
-    """Yield the series of all that is watched, joint by joint."""
+    """Yield the monitored series, joint by joint."""
     joints: dict[tuple[str, tuple[str, ...]], list[Row]] = {}
     for row in rows:
         if row.outcome is Outcome.IDENTIFIED:
@@ -124,7 +124,7 @@ def _series(joint: str, changes: tuple[str, ...], quantity: str, runs: Sequence[
 
 
 def _ordinal(day: str) -> float | None:
-    """Return a day as a number, None for none and for one that is none, as a 30th of February in a file's name."""
+    """Day as an ordinal; None if missing or invalid."""
     try:
         return float(datetime.date.fromisoformat(day).toordinal())
     except ValueError:
@@ -132,7 +132,7 @@ def _ordinal(day: str) -> float | None:
 
 
 def _running_median(values: FloatArray) -> FloatArray:
-    """Return the median of each run and those around it, fewer at the ends, (runs,)."""
+    """Median over neighbouring runs, (runs,)."""
     half = _WINDOW // 2
     at = np.clip(np.arange(values.size), half, values.size - 1 - half)
     return np.asarray(np.median(values[at[:, None] + np.arange(-half, half + 1)], axis=1))

@@ -1,8 +1,7 @@
-"""Shards: parts of a campaign that run without a client, each of which appends its results to a file of its own.
+"""Shards: parts of a campaign without a client, each with its own result file.
 
-A shard has the cases whose hash leaves its number when divided by how many there are, so that no shard needs to know of
-another. A line is written at once and as a whole; of a shard that was killed the last line may be torn, and is made
-again.
+The case's hash modulo the number of shards selects the shard. Lines are appended at once; a torn last line of a killed
+shard is repeated.
 """
 
 from __future__ import annotations
@@ -45,18 +44,14 @@ class Shard:
 
     @classmethod
     def of(cls, text: str) -> Shard:
-        """Return the shard that a text such as 2/4 says.
-
-        Raises:
-            MethodError: it says none.
-        """
+        """Parse a shard such as 2/4."""
         said = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
         if said is None or not 1 <= int(said[1]) <= int(said[2]):
             raise MethodError(f'--shard is "{text}"; expected its number and how many there are, as 1/4 to 4/4.')
         return cls(int(said[1]), int(said[2]))
 
     def has(self, content_hash: str) -> bool:
-        """Return whether a case is this shard's."""
+        """Test whether a case belongs to this shard."""
         return int(content_hash, 16) % self.count == self.number - 1
 
     def path(self, folder: Path) -> Path:
@@ -66,7 +61,7 @@ class Shard:
 
 @dataclass(slots=True)
 class _Contents:
-    """The lines of a shard's file: the campaign's name, its cases, results with when they were stored, and deaths."""
+    """Lines of a shard's file: campaign, cases, results with time, and deaths."""
 
     name: str = ""
     cases: dict[str, None] = field(default_factory=dict)
@@ -74,11 +69,7 @@ class _Contents:
     deaths: dict[str, int] = field(default_factory=dict)
 
     def take(self, line: bytes) -> None:
-        """Take a line in.
-
-        Raises:
-            ValueError: it is torn, or none of ours.
-        """
+        """Take a line in."""
         said: Any = json.loads(line)
         if not isinstance(said, dict):
             raise ValueError("no line of a shard")
@@ -99,14 +90,14 @@ class _Contents:
 
 
 class ShardFile:
-    """The results of a shard: a file that only grows; see `open_shard`."""
+    """Results of a shard, an append-only file; see `open_shard`."""
 
     def __init__(self, path: Path, descriptor: int, contents: _Contents, elsewhere: Collection[str] = ()) -> None:
         self._path, self._descriptor, self._contents = path, descriptor, contents
         self._finished = {*contents.rows, *elsewhere}
 
     def list_cases(self, name: str, hashes: Iterable[str]) -> int:
-        """Keep which cases the whole campaign has now, of a list that is there what changed; see `store.Results`."""
+        """Store the changes of the campaign's cases; see `store.Results`."""
         cases, before = dict.fromkeys(hashes), self._contents.cases
         more, fewer = list(cases.keys() - before.keys()), list(before.keys() - cases.keys())
         if more or fewer or name != self._contents.name:
@@ -116,7 +107,7 @@ class ShardFile:
         return len(cases)
 
     def is_finished(self, content_hash: str) -> bool:
-        """Return whether the result of a case is there."""
+        """Test whether a case has a result."""
         return content_hash in self._finished
 
     def add(self, rows: Sequence[Row]) -> None:
@@ -127,7 +118,7 @@ class ShardFile:
                 self._finished.add(row.content_hash)
 
     def count_death(self, content_hash: str) -> int:
-        """Count a worker that died of a case; see `store.Results`."""
+        """Count a death by a case; see `store.Results`."""
         self._append({"death": content_hash})
         self._contents.deaths[content_hash] = self._contents.deaths.get(content_hash, 0) + 1
         return self._contents.deaths[content_hash]
@@ -142,11 +133,7 @@ class ShardFile:
 
 @contextlib.contextmanager
 def open_shard(folder: Path, shard: Shard) -> Iterator[ShardFile]:
-    """Yield the file of a shard, in a folder that is there and may be in a network.
-
-    Raises:
-        RecordError: it cannot be read or written.
-    """
+    """Yield the file of a shard, in an existing, possibly remote folder."""
     path = shard.path(folder)
     if (folder / DATABASE).exists():
         raise RecordError(f"{folder} has the results of campaign run; name another folder by --out, or go on with run.")
@@ -165,11 +152,7 @@ def open_shard(folder: Path, shard: Shard) -> Iterator[ShardFile]:
 
 
 def _lock(descriptor: int, path: Path) -> None:
-    """Keep a shard for this process, where the system has locks; it lets go of it however that ends.
-
-    Raises:
-        RecordError: another process has it.
-    """
+    """Lock a shard for this process, where the system has locks."""
     try:
         import fcntl
     except ImportError:  # Windows
@@ -183,17 +166,14 @@ def _lock(descriptor: int, path: Path) -> None:
 
 
 def has_shards(folder: Path) -> bool:
-    """Return whether there is a file of a shard in a folder."""
+    """Test whether a folder has shard files."""
     return any(folder.glob(SHARD_FILES))
 
 
 def read_shards(folder: Path) -> tuple[str, int, list[tuple[float, Row]]]:
-    """Return what `store.read_database` does, merged by hash from the files of all shards in a folder.
+    """Merge the files of all shards by hash, as `store.read_database`.
 
-    The campaign's cases are those of the file that listed them last.
-
-    Raises:
-        RecordError: a file cannot be read.
+    The campaign's cases are those of the latest listing.
     """
     name, cases, rows = "", dict[str, None](), dict[str, tuple[float, Row]]()
     for path in sorted(folder.glob(SHARD_FILES), key=lambda one: one.stat().st_mtime_ns):
@@ -207,7 +187,7 @@ def read_shards(folder: Path) -> tuple[str, int, list[tuple[float, Row]]]:
 
 
 def _read(path: Path) -> tuple[_Contents, bool]:
-    """Return the contents of a shard's file, and whether it ends with a whole line."""
+    """Contents of a shard's file, and whether it ends with a whole line."""
     contents, line = _Contents(), b"\n"
     with path.open("rb") as file:
         for line in file:

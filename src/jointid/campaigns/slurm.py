@@ -1,8 +1,7 @@
-"""Jobs of SLURM, which outlive the client that handed them out, and are found again by the next one.
+"""SLURM jobs that outlive their client, and are found by the next one.
 
-executorlib submits a job and reads its result; both are files in a folder that client and nodes share. A job is named
-by its cases, and has a folder of that name: it is what SLURM's queue shows of it, so that a job is known even where the
-client was killed before it had written the job's number down.
+executorlib submits jobs and reads results as files in a shared folder. The cases determine a job's name and folder, and
+SLURM's queue shows it, so that a job is known even if the client was killed before writing its number.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ _CASES = "cases.txt"  # in the folder of a job, the hashes of its cases
 
 @dataclass(frozen=True, slots=True)
 class SlurmJobs:
-    """Jobs of SLURM, each with some cases, that executorlib submits; what is there of a job is a file in a folder.
+    """SLURM jobs of several cases, submitted by executorlib, with files in a folder.
 
     The client may leave: a job that is under way goes on, and what it gives is found in the folder when the same
     command is given again. These files are executorlib's, pickled: whoever writes into the folder runs code as the
@@ -89,12 +88,12 @@ class SlurmJobs:
             jobs.shutdown(wait=False)
 
     def is_death(self, error: BaseException) -> bool:
-        """Return whether a job ended without a result."""
+        """Test whether a job ended without a result."""
         return isinstance(error, RuntimeError) and "terminated without producing output" in str(error)
 
 
 def _begun(folder: Path) -> dict[str, frozenset[str]]:
-    """Return the jobs that were ever handed out, by the hash of each case; of two that have it the later one."""
+    """Submitted jobs by case hash, the latest if several."""
     found: dict[str, frozenset[str]] = {}
     for path in sorted(folder.glob(f"*/{_CASES}"), key=lambda path: path.stat().st_mtime_ns):
         job = frozenset(path.read_text(encoding="ascii").split())
@@ -103,7 +102,7 @@ def _begun(folder: Path) -> dict[str, frozenset[str]]:
 
 
 class _NamedJobs(Executor):
-    """executorlib's jobs by the names of their cases; those of an earlier client are waited for, and not made again."""
+    """executorlib's jobs by name; those of an earlier client are awaited, not repeated."""
 
     def __init__(self, executor: Any, folder: Path) -> None:
         self._executor, self._folder = executor, folder
@@ -111,7 +110,7 @@ class _NamedJobs(Executor):
         self._over, self._watch = threading.Event(), threading.Thread(target=self._wait_for_earlier, daemon=True)
 
     def submit(self, function: Callable[..., Any], /, *given: Any, **_: Any) -> Future[Any]:
-        """Hand out a function of the function of a case, and of cases."""
+        """Submit a function with a case function and cases."""
         carry, cases = given
         name = _name_of(carry, cases)
         own = self._folder / name
@@ -124,7 +123,11 @@ class _NamedJobs(Executor):
 
         ended = f"{name}_o.h5" in _names_in(self._folder)
         if ended:
-            _forget_failure(self._folder / f"{name}_o.h5")
+            result = self._folder / f"{name}_o.h5"
+            with extra("h5py", "slurm", "SLURM").File(result, "r") as file:
+                failed = "error" in file
+            if failed:
+                result.unlink()
         elif (own / _CASES).exists():
             # executorlib looks for a result, and then at the queue: what ends in between it would make again.
             future: Future[Any] = Future()
@@ -137,14 +140,14 @@ class _NamedJobs(Executor):
         return hand_out()
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Leave the jobs to themselves."""
+        """Leave the jobs running."""
         self._over.set()
         if self._watch.is_alive():
             self._watch.join()
         self._executor.shutdown(wait=wait, cancel_futures=cancel_futures)
 
     def _wait_for_earlier(self) -> None:
-        """Ask for the result of each job of an earlier client when it is there, or the job has died."""
+        """Collect the results of an earlier client's jobs."""
         missed, looked = Counter[str](), -_LOOK
         while not self._over.wait(_POLL):
             if time.monotonic() - looked >= _LOOK:
@@ -162,26 +165,18 @@ class _NamedJobs(Executor):
 
 
 def _name_of(carry: Callable[..., Any], cases: Sequence[Case]) -> str:
-    """Return the name of the job that carries out some cases, whatever their order."""
+    """Job name from cases, independent of order."""
     function = getattr(carry, "__qualname__", repr(carry))
     return sha256_of(canonical([function, sorted(case.content_hash for case in cases)]))
 
 
 def _names_in(folder: Path) -> set[str]:
-    """Return the names in a folder; a disk in a network shows by this what is new, where it may not by one name."""
+    """Names in a folder; listing refreshes a network disk's cache."""
     return {path.name for path in folder.iterdir()}
 
 
-def _forget_failure(result: Path) -> None:
-    """Remove what a job left that was not taken or could not begin: a case gives a row, whatever becomes of it."""
-    with extra("h5py", "slurm", "SLURM").File(result, "r") as file:
-        failed = "error" in file
-    if failed:
-        result.unlink()
-
-
 def _queue() -> set[str] | None:
-    """Return the names of the jobs that wait or run, None where the queue does not answer."""
+    """Names of queued or running jobs; None if the queue does not answer."""
     try:
         found = subprocess.run(
             ["squeue", "--noheader", "--format", "%Z"],  # noqa: S607 - where SLURM's are, the path says
@@ -193,7 +188,7 @@ def _queue() -> set[str] | None:
 
 
 def _pass_on(future: Future[Any], found: Future[Any]) -> None:
-    """Give a future what came of another."""
+    """Copy the result of a future to another."""
     if found.cancelled():
         future.cancel()
     elif (error := found.exception()) is not None:

@@ -1,8 +1,7 @@
-"""Results that are kept: a database of the client's, in a folder on its local disk.
+"""Result database of the client, on its local disk.
 
-Every result is on the disk before it counts as finished, one transaction each, so that a client that is killed, and a
-disk that is full, lose none. Its log beside the file (WAL) lets others read while the campaign runs; that needs memory
-that processes share, which no disk in a network has.
+Each result is committed before it counts as finished, so that a kill or a full disk loses none. Write-ahead logging
+allows concurrent readers, but needs shared memory, which network disks lack.
 """
 
 from __future__ import annotations
@@ -38,29 +37,29 @@ CREATE TABLE IF NOT EXISTS about (key TEXT PRIMARY KEY, value TEXT NOT NULL) WIT
 
 
 class Results(Protocol):
-    """Where a campaign keeps its results: a database, or the file of a shard."""
+    """Storage of a campaign's results: a database or a shard's file."""
 
     def list_cases(self, name: str, hashes: Iterable[str]) -> int:
-        """Keep which cases the campaign has now, and return how many; rows of others are kept, and not shown."""
+        """Store the campaign's cases, and return their number; rows of others are hidden."""
 
     def is_finished(self, content_hash: str) -> bool:
-        """Return whether the result of a case is there."""
+        """Test whether a case has a result."""
 
     def add(self, rows: Sequence[Row]) -> None:
-        """Keep results, all of them or none; of a case that has one already, the first stays."""
+        """Store results atomically; existing ones stay."""
 
     def count_death(self, content_hash: str) -> int:
-        """Count a worker that died of a case while it had nothing else to do, and return how many have by now."""
+        """Count a death by a case running alone, and return the total."""
 
 
 class Database:
-    """The results of a campaign in a folder of the client; see `open_database`."""
+    """Results of a campaign in a client's folder; see `open_database`."""
 
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
         self._path, self._connection = path, connection
 
     def list_cases(self, name: str, hashes: Iterable[str]) -> int:
-        """Keep which cases the campaign has now; see `Results`."""
+        """See `Results`."""
         with _explain(self._path), self._connection as transaction:
             transaction.execute("DELETE FROM listed")
             transaction.executemany("INSERT OR IGNORE INTO listed VALUES (?)", ((one,) for one in hashes))
@@ -69,13 +68,13 @@ class Database:
             return int(transaction.execute("SELECT count(*) FROM listed").fetchone()[0])
 
     def is_finished(self, content_hash: str) -> bool:
-        """Return whether the result of a case is there."""
+        """See `Results`."""
         with _explain(self._path):
             found = self._connection.execute("SELECT 1 FROM results WHERE hash = ?", (content_hash,))
             return found.fetchone() is not None
 
     def add(self, rows: Sequence[Row]) -> None:
-        """Keep results in one transaction; they are on the disk when this returns."""
+        """Store results in one transaction, durable on return."""
         with _explain(self._path), self._connection as transaction:
             transaction.executemany(
                 "INSERT OR IGNORE INTO results VALUES (?, ?, ?)",
@@ -83,7 +82,7 @@ class Database:
             )
 
     def count_death(self, content_hash: str) -> int:
-        """Count a worker that died of a case; see `Results`."""
+        """See `Results`."""
         with _explain(self._path), self._connection as transaction:
             transaction.execute(
                 "INSERT INTO deaths VALUES (?, 1) ON CONFLICT (hash) DO UPDATE SET count = count + 1", (content_hash,)
@@ -91,7 +90,7 @@ class Database:
             return int(transaction.execute("SELECT count FROM deaths WHERE hash = ?", (content_hash,)).fetchone()[0])
 
     def forget_unidentified(self) -> int:
-        """Forget the results that are no identification, whose cases are then tried again; return how many."""
+        """Delete failed results, to be retried; return their number."""
         with _explain(self._path), self._connection as transaction:
             transaction.execute("DELETE FROM deaths")
             done = str(Outcome.IDENTIFIED)
@@ -102,11 +101,7 @@ class Database:
 
 @contextlib.contextmanager
 def open_database(folder: Path) -> Iterator[Database]:
-    """Yield the database in a folder that is there, for the one client that may write it.
-
-    Raises:
-        RecordError: the folder is on a network's disk, another client is at work in it, or it takes nothing.
-    """
+    """Yield the database of an existing folder for its single writer."""
     require_local_disk(folder)
     if any(folder.glob(SHARD_FILES)):
         raise RecordError(f"{folder} has the results of shards; name another folder by --out, or go on with work.")
@@ -129,11 +124,7 @@ def _connect(path: Path) -> sqlite3.Connection:
 
 
 def _lock(folder: Path) -> sqlite3.Connection:
-    """Return what holds a folder for one client; the system lets go of it however that ends.
-
-    Raises:
-        RecordError: another one holds it.
-    """
+    """Lock a folder for one client; the system releases it."""
     connection = sqlite3.connect(folder / _LOCK, timeout=0.0, isolation_level=None)
     try:
         connection.execute("BEGIN EXCLUSIVE")
@@ -148,11 +139,7 @@ def _lock(folder: Path) -> sqlite3.Connection:
 
 
 def read_database(folder: Path) -> tuple[str, int, list[tuple[float, Row]]]:
-    """Return the name of a campaign, how many cases it has, and the results of these with when each was stored.
-
-    Raises:
-        RecordError: the database cannot be read.
-    """
+    """Campaign name, number of cases, and results with storage time."""
     path = folder / DATABASE
     with _explain(path), contextlib.closing(sqlite3.connect(path, timeout=_PATIENCE)) as connection:
         if not connection.execute("SELECT 1 FROM sqlite_master WHERE name = 'listed'").fetchone():
@@ -181,14 +168,11 @@ def _explain(path: Path) -> Iterator[None]:
 
 
 def require_local_disk(folder: Path, mounts: str | None = None) -> None:
-    """Refuse a folder on a disk in a network, where the database could be spoiled.
+    """Refuse a folder on a network disk, which could corrupt the database.
 
     Args:
         folder: that is there.
         mounts: text of /proc/self/mountinfo; that of this machine when None, where the system has one.
-
-    Raises:
-        RecordError: it is on one.
 
     Example:
         >>> from pathlib import Path
@@ -208,7 +192,7 @@ def require_local_disk(folder: Path, mounts: str | None = None) -> None:
 
 
 def _file_system(place: str, mounts: str | None) -> str | None:
-    """Return the type of the file system that holds a path, None where the system does not say."""
+    """File system type of a path; None if unknown."""
     if mounts is None:
         if sys.platform != "linux":
             return None

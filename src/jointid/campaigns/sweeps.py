@@ -1,4 +1,4 @@
-"""The effect of each swept setting: the same runs with one of its values beside those with another."""
+"""Effect of each swept setting, between runs that agree otherwise."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _Run: TypeAlias = tuple[str, str, str, int | None, tuple[str, ...]]
 
 
 def sweep_blocks(rows: Sequence[Row], most: int | None) -> Iterator[Block]:
-    """Yield what each value of a swept setting does, for runs that differ in nothing else.
+    """Yield the effect of each value of a swept setting.
 
-    Numbers are set beside those of the setting's least value: the median over the pairs of runs, in per cent and in
-    stated standard deviations.
+    Numbers are relative to the least value: the median over pairs of runs, in per cent and in stated standard
+    deviations.
     """
     settings: dict[str, dict[str, dict[_Run, Row]]] = {}
     for row in rows:
@@ -56,7 +56,7 @@ def _order(value: str) -> tuple[float, str]:
 
 
 def _effects(what: str, before: dict[_Run, Row], after: dict[_Run, Row]) -> Iterator[tuple[str, ...]]:
-    """Yield a row for each parameter: its change from one value of a setting to another, run by run."""
+    """Yield the change of each parameter between two values of a setting."""
     pairs = [(before[run].found, after[run].found) for run in before if run in after]
     for name in dict.fromkeys(name for found, _ in pairs for name in found):
         moved = [

@@ -1,10 +1,9 @@
-"""Simulated runs beside the truth that made them: bias, scatter, and how often the stated interval holds the truth.
+"""Simulated runs against their truth: bias, scatter and coverage of intervals.
 
-The bias of n runs is the mean of their errors, known to their scatter over the root of n. An interval of two stated
-standard deviations holds the truth in 95.45 % of the runs if estimates are normal and their deviations are right; how
-often it did has the range that n draws leave to it (C. J. Clopper and E. S. Pearson, Biometrika 26, 1934). A quantity
-is called biased, or held too seldom, where chance does so in one of a hundred campaigns at most, all its quantities
-together (Bonferroni). Limits: below thirty runs few faults are sure; the truth is the simulation's, not a machine's.
+The bias of n runs is their mean error, with the deviation of scatter over sqrt(n). Two standard deviations cover 95.45
+% of normal estimates; the observed coverage has a binomial interval (C. J. Clopper and E. S. Pearson, Biometrika 26,
+1934). Bias or low coverage is reported at a campaign-wide error rate of 1 % (Bonferroni). Limits: few faults are
+significant below thirty runs; the truth is the simulation's, not a machine's.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ _SMALL = 0.2  # stated deviations: a bias that moves no interval by much, howeve
 
 @dataclass(frozen=True, slots=True)
 class AgainstTruth:
-    """A quantity of simulated runs beside its truth; see `against_truth`.
+    """A simulated quantity against its truth; see `against_truth`.
 
     Attributes:
         name: of the quantity, with the swept settings of these runs.
@@ -64,18 +63,18 @@ class AgainstTruth:
 
     @property
     def share(self) -> float:
-        """The share of runs whose interval holds the truth."""
+        """Coverage: share of runs whose interval holds the truth."""
         return self.held / self.runs
 
     @property
     def verdict(self) -> str:
-        """Whether the runs err as their stated deviations say."""
+        """Whether errors agree with the stated deviations."""
         faults = [said for said, so in (("biased", self.biased), ("held too seldom", self.too_seldom)) if so]
         return listed(faults) if faults else "as stated"
 
 
 def against_truth(found: Sequence[Repeated]) -> tuple[AgainstTruth, ...]:
-    """Return every quantity of repeated runs whose truth is known beside it."""
+    """Repeated quantities with known truth."""
     known = [one for one in found if one.truth is not None]
     return tuple(_beside(one, one.truth, _CHANCE / len(known)) for one in known if one.truth is not None)
 
@@ -96,7 +95,7 @@ def _beside(one: Repeated, truth: float, chance: float) -> AgainstTruth:
 
 
 def summarise_truth(found: Sequence[AgainstTruth]) -> tuple[str, bool]:
-    """Return in a sentence whether the stated intervals hold the truth, and whether they do."""
+    """State whether the intervals cover the truth."""
     seldom = [f"{one.name} ({100 * one.share:.0f} %)" for one in found if one.too_seldom]
     biased = [f"{one.name} ({signed(one.bias / one.stated, 2)} stated deviations)" for one in found if one.biased]
     said = []
@@ -108,7 +107,7 @@ def summarise_truth(found: Sequence[AgainstTruth]) -> tuple[str, bool]:
 
 
 def truth_blocks(found: Sequence[AgainstTruth]) -> Iterator[Block]:
-    """Yield bias, scatter and coverage of every quantity whose truth is known."""
+    """Yield bias, scatter and coverage of quantities with known truth."""
     if not found:
         return
     yield Heading("Errors against the truth")
@@ -130,11 +129,7 @@ def truth_blocks(found: Sequence[AgainstTruth]) -> Iterator[Block]:
 
 
 def truth_csv(found: Sequence[AgainstTruth]) -> str:
-    """Return bias, scatter and coverage of every quantity as CSV, a row for each.
-
-    Raises:
-        RecordError: of no quantity the truth is known.
-    """
+    """Bias, scatter and coverage as CSV, a row per quantity."""
     if not found:
         raise RecordError(
             "--csv has the errors against the truth, and these runs have none that is known; it needs [monte_carlo] "

@@ -1,7 +1,4 @@
-"""Charts: figures described once, which `output.figures` draws by matplotlib for paper and by bokeh for the screen.
-
-A chart is a column or a row of panels, and a caption that says what to see. Colours mean the same in every figure.
-"""
+"""Declarative charts; `output.figures` draws them with matplotlib or bokeh."""
 
 from __future__ import annotations
 
@@ -42,7 +39,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Dots:
-    """A cloud of points, (points,); `size` is that of one beside the usual."""
+    """A scatter of points, (points,); `size` scales the markers."""
 
     x: FloatArray
     y: FloatArray
@@ -64,7 +61,7 @@ class Band:
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """A vertical line at `x`, with its label beside it; `row` keeps neighbouring labels apart."""
+    """A labelled vertical line at `x`; `row` separates neighbouring labels."""
 
     x: float
     label: str
@@ -83,7 +80,7 @@ class Level:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cells:
-    """A square table of numbers between -1 and 1, (names, names), as coloured cells that show their numbers."""
+    """A correlation matrix, (names, names), as coloured cells."""
 
     names: tuple[str, ...]
     values: FloatArray
@@ -122,7 +119,7 @@ class Panel:
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """A figure: panels, so many in a row, and a caption.
+    """A figure of panels in `columns`, with a caption.
 
     Attributes:
         name: of its file.
@@ -156,20 +153,14 @@ class Charted(ABC):
 
 
 def said(correlation: float) -> str:
-    """Return a number between -1 and 1 with two decimals; of 0 there is no negative."""
+    """Format a correlation with two decimals, without a negative zero."""
     return f"{round(correlation, 2) + 0.0:.2f}"
 
 
 def thin(x: FloatArray, *signals: FloatArray, most: int) -> tuple[FloatArray, ...]:
-    """Return signals with no more than about `most` points: of each stretch the least and the largest of each signal.
+    """Decimate signals to about `most` points, keeping peaks and gaps.
 
-    Peaks stay what and where they are: every stretch keeps the samples at which one of the signals is least or largest.
-    So do gaps: of the samples that are no number it keeps the first.
-
-    Args:
-        x: (samples,) increasing.
-        signals: (samples,) each.
-        most: points that are kept.
+    Each stretch keeps the samples where a signal is least or largest, and its first NaN.
     """
     if x.size <= most:
         return x, *signals
@@ -189,5 +180,5 @@ def thin(x: FloatArray, *signals: FloatArray, most: int) -> tuple[FloatArray, ..
 
 
 def stride(signal: FloatArray, most: int) -> FloatArray:
-    """Return every so many samples of a signal, (samples,), `most` of them or fewer."""
+    """Return every n-th sample, at most `most` of them."""
     return signal[:: -(-signal.size // most)]

@@ -1,7 +1,4 @@
-"""How a function becomes a compiled kernel, and the kernels of more than the simulation.
-
-These are recurrences: what a sampled law answers to given inputs, and the modes of a filter of many columns.
-"""
+"""Numba decorators, and compiled kernels that are not part of a simulation."""
 
 from __future__ import annotations
 
@@ -30,10 +27,9 @@ _BLOCK = 16  # kept samples after which that is looked for
 
 
 def compiled(function: F) -> F:
-    """Compile with Numba: cached on disk, GIL released, multiply-adds fused.
+    """Compile with Numba: cached on disk, without the GIL, with fused multiply-add.
 
-    Where neither the package's nor the user's cache folder can be written (a read-only container, a service account
-    without a home), the kernel compiles in each process.
+    Without a writable cache folder, each process compiles the kernel.
     """
     kernel: Any = _njit(function)
     if kernel is not function:  # it is where Numba is told not to compile
@@ -47,10 +43,7 @@ def compiled(function: F) -> F:
 
 
 def _releasing_lock(compile_form: Callable[[Any], Any], kept: KernelCache) -> Callable[[Any], Any]:
-    """Wrap a kernel's compilation so that it releases its lock, also if it fails.
-
-    Numba's own lock covers the release too: another thread that needs the kernel waits, and releases nothing twice.
-    """
+    """Release the compilation lock of a kernel after compilation, including failed ones."""
 
     def compile_and_release(sig: Any) -> Any:
         with global_compiler_lock:
@@ -63,21 +56,20 @@ def _releasing_lock(compile_form: Callable[[Any], Any], kept: KernelCache) -> Ca
 
 
 def is_cached(kernel: object) -> bool:
-    """Whether a kernel is in the cache, or has no cache."""
+    """Test whether a kernel is cached, or has no cache."""
     held = getattr(kernel, "_cache", None)
     return not isinstance(held, KernelCache) or held.holds_any()
 
 
 def inlined(function: F) -> F:
-    """Compile as part of every caller: Numba passes an array to a real call as seven values, and counts references.
+    """Compile as part of every caller; Python cannot call the function.
 
-    Python code cannot call the function, unless compilation is disabled: the wrappers for it would take a fifth of the
-    time to compile.
+    A real call passes an array as seven values and counts references; Python wrappers take a fifth of the compile time.
     """
     return _njit(function, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
-def _widened(_: Any) -> tuple[Any, Any]:
+def _widen_vectors(_: Any) -> tuple[Any, Any]:
     def lower(context: Any, builder: Any, *_: Any) -> Any:
         # A set whose own `add` knows the attributes without a value only, so it is told of this one as any set is.
         set.add(builder.function.attributes, '"prefer-vector-width"="512"')
@@ -92,7 +84,7 @@ def _nothing() -> None: ...
 wide_vectors = (
     _nothing
     if numba.config.DISABLE_JIT  # type: ignore[attr-defined]
-    else cast("Callable[[], None]", intrinsic(_widened))
+    else cast("Callable[[], None]", intrinsic(_widen_vectors))
 )
 """Let the function that calls this use all of the machine's vectors, as those it inlines must ask, too.
 
@@ -118,10 +110,7 @@ def _njit(function: F, **options: bool) -> F:
 
 @inlined
 def assign(to: FloatArray, values: FloatArray) -> None:
-    """Copy a vector into another of the same length.
-
-    Assignment to a slice does the same, but the text of its error message takes a second to compile.
-    """
+    """Copy a vector; slice assignment takes a second longer to compile."""
     for i in range(values.size):
         to[i] = values[i]
 
@@ -133,12 +122,12 @@ def _four(values: FloatArray) -> Four:
 
 @compiled
 def carry(powers: FloatArray, said: FloatArray, step: int) -> None:
-    """Carry the modes of a filter from one kept sample to the next: what each forgets is taken from what it was told.
+    """Propagate the modes of a filter from each kept sample to the next.
 
     Args:
-        powers: (2, MODES) real and imaginary part of what a mode is multiplied by from one kept sample to the next.
-        said: (columns, kept, 2 MODES) where the modes stand at the first of them in the direction, and what the samples
-            before each of the others add, real parts, then imaginary ones; then where they stand at each.
+        powers: (2, MODES) real and imaginary part of each mode's factor between two kept samples.
+        said: (columns, kept, 2 MODES) initial modes, then the contribution of each interval, real parts first; replaced
+            by the modes at each kept sample.
         step: 1 forwards, -1 backwards.
     """
     wide_vectors()
@@ -175,16 +164,15 @@ def respond(
     excess: FloatArray,
     raw: FloatArray,
 ) -> None:
-    """Fill `raw`, and `excess` unless it is given, period by period; `z` is overwritten by the last states.
+    """Compute `raw`, and `excess` unless given, period by period; `z` becomes the final state.
 
     Args:
-        starts: (phases, rows + 1) where each row of a phase begins among the weights; the rows are those of the
-            elements, then those of the states.
-        sources: (weights,) what a weight is of: the states, then the inputs, then the excesses.
-        weights: (weights,) those that are not 0: a long delay is many states with one weight each.
-        limits: (elements,) of the elements that are limits.
-        gates: (elements,) the place of the limit a gate watches, negative for a limit.
-        free: whether limits and gates act, so that the excess is found; else it is read.
+        starts: (phases, rows + 1) first weight of each row; the rows are the elements, then the states.
+        sources: (weights,) index of a weight's signal: states, then inputs, then excesses.
+        weights: (weights,) nonzero weights.
+        limits: (elements,) which elements are limits.
+        gates: (elements,) index of the limit that a gate watches, negative for a limit.
+        free: whether limits and gates act and `excess` is computed.
         z: (states,).
         inputs: (periods, inputs).
         excess: (periods, elements) in, or out.
@@ -225,10 +213,9 @@ _ROWS = 64  # of a block: with some hundred columns it stays in the cache
 
 @compiled
 def triangle_of(columns: FloatArray, R: FloatArray) -> None:
-    """Fill R, (n, n), zeros before, with the triangle of ``columns = Q R``; the columns, (rows, n), are overwritten.
+    """Compute R of ``columns = Q R`` by Householder reflections; overwrites `columns`.
 
-    By Householder's reflections of blocks of rows under R, and without a linear algebra library, whose threads wait for
-    each other at every reflection: on a machine that has other work that takes a hundred times as long.
+    `R`, (n, n), is zero on entry. BLAS threads would wait for each other at every reflection.
     """
     n = columns.shape[1]
     sums = np.empty(n)

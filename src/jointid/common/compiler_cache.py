@@ -1,12 +1,8 @@
-"""The cache of compiled kernels on disk: one that is damaged, empty or cannot be written never ends a command.
+"""Disk cache of compiled kernels that tolerates damage and concurrency.
 
-A kernel is compiled anew where its code, that of a function it calls, or a constant it reads has changed: these make
-its stamp. Numba's own stamp, the time of the kernel's file, misses what the kernel takes from other files and changes
-with every copy of the file. Where several processes need a kernel, one compiles it and the others wait for it.
-
-What Numba reads back is machine code, and it looks at nothing before it runs it. Here it is kept behind its checksum.
-What does not fit, or cannot be read, is compiled again; what cannot be written is compiled in every process. Either way
-a warning names the folder.
+A kernel's stamp covers its code, the functions it calls and the constants it reads; Numba's own stamp covers its file
+only. One process compiles a kernel while others wait. A checksum protects the machine code. An unreadable entry is
+compiled again; a folder that cannot be written causes a warning.
 """
 
 from __future__ import annotations
@@ -33,7 +29,7 @@ _PATIENCE, _PAUSE = 120.0, 0.05  # seconds to wait for another process, and betw
 
 
 class CacheWarning(UserWarning):
-    """The compiler's cache cannot be used; the work is done without it, and takes longer."""
+    """The compiler cache is unusable, so kernels are compiled again."""
 
 
 class KernelCache(FunctionCache):
@@ -48,7 +44,7 @@ class KernelCache(FunctionCache):
         self.lock = _CompileLock(Path(self._cache_path) / f"{base}.lock")
 
     def holds_any(self) -> bool:
-        """Whether the cache holds a compiled form with the kernel's present stamp."""
+        """Test whether the cache holds the kernel with its present stamp."""
         self._require_stamp()
         try:
             return bool(self._cache_file._load_index())
@@ -56,7 +52,7 @@ class KernelCache(FunctionCache):
             return False
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return a compiled kernel; None where there is none that can be trusted, so that this process compiles it."""
+        """Load a compiled kernel; None if it is missing or damaged."""
         self._require_stamp()
         found = self._load(sig, target_context)
         if found is None:
@@ -78,7 +74,7 @@ class KernelCache(FunctionCache):
             return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep a compiled kernel, where it can be kept."""
+        """Save a compiled kernel, if possible."""
         try:
             super().save_overload(sig, data)
         except Exception as error:
@@ -86,13 +82,13 @@ class KernelCache(FunctionCache):
 
 
 class _CompileLock:
-    """A file lock on the compilation of one kernel; without file locks every process compiles."""
+    """A file lock on the compilation of one kernel, where file locks exist."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._file = path, -1
 
     def acquire(self) -> None:
-        """Take the lock; give up after two minutes, or where there are no file locks."""
+        """Take the lock; give up after two minutes or without file locks."""
         try:
             import fcntl
 
@@ -123,7 +119,7 @@ class _CompileLock:
 
 
 def _stamp(function: FunctionType, options: dict[str, Any]) -> str:
-    """Digest of a function's code, of all functions that it calls, and of the constants that it reads."""
+    """Hash a function's code, its callees and the constants it reads."""
     seen: set[int] = set()
     told: list[str] = [repr(sorted(options.items()))]
 
@@ -168,7 +164,7 @@ def _stamp(function: FunctionType, options: dict[str, Any]) -> str:
 
 
 class _CheckedFile(IndexDataCacheFile):
-    """The files of one kernel: what is compiled stands behind its checksum, and a damaged index is an empty one.
+    """The files of one kernel, with checksums; a damaged index counts as empty.
 
     Numba writes the index before the data. If writing the data fails, the stamp in the former data tells them apart.
     """
@@ -224,7 +220,7 @@ def _warn_of_place(folder: str, reason: str) -> None:
 
 @cache
 def warn_of_no_place() -> None:
-    """Say that neither the package's folder nor the user's can be written."""
+    """Warn that no cache folder is writable."""
     warnings.warn(
         "There is no folder that the compiler's cache can be written to, so that every start compiles again; name one "
         "by NUMBA_CACHE_DIR.",

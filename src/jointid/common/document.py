@@ -1,7 +1,6 @@
-"""A result as a document: blocks without a format, rendered as text for the terminal, as Markdown or as HTML.
+"""Results as documents, rendered as text, Markdown, HTML or JSON.
 
-Headings, paragraphs, tables, verdicts and pictures; a result becomes a document once, and every printed form is made of
-that; and an answer as JSON, in which a number that does not exist is null, never NaN.
+Numbers that do not exist are null in JSON, never NaN.
 """
 
 from __future__ import annotations
@@ -52,7 +51,7 @@ Tone: TypeAlias = Literal["", "good", "bad", "open"]
 
 @dataclass(frozen=True, slots=True)
 class Paragraph:
-    """Plain text; `lead` is what is to be read first, and `tone` whether it is good news; none when empty."""
+    """Plain text; `lead` marks the first sentence, `tone` good or bad news."""
 
     text: str
     lead: bool = False
@@ -68,14 +67,14 @@ class Listing:
 
 @dataclass(frozen=True, slots=True)
 class Verdicts:
-    """Questions, each with its answer (None where it cannot be said) and the reasons."""
+    """Questions, each with an answer (None if undecided) and reasons."""
 
     rows: tuple[tuple[str, bool | None, tuple[str, ...]], ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows under a header; the columns in `words` are text, the others are numbers."""
+    """Rows under a header; columns in `words` are text."""
 
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
@@ -92,7 +91,7 @@ class Facts:
 
 @dataclass(frozen=True, slots=True)
 class Code:
-    """A text that is copied as it is, and its caption."""
+    """Verbatim text with a caption."""
 
     text: str
     caption: str = ""
@@ -100,7 +99,7 @@ class Code:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A picture; `name` is its file beside a Markdown page, PNG or SVG.
+    """A picture, PNG or SVG.
 
     Attributes:
         name: of the file.
@@ -127,7 +126,7 @@ Block: TypeAlias = Heading | Paragraph | Listing | Verdicts | Table | Facts | Co
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """A title and what follows it.
+    """A title and its blocks.
 
     Attributes:
         title: of the page.
@@ -144,10 +143,10 @@ class Document:
         object.__setattr__(self, "blocks", kept)
 
     def text(self, width: int = WIDTH) -> str:
-        """Return plain text, columns aligned; what follows a heading stands right below it.
+        """Render as plain text with aligned columns.
 
         Args:
-            width: of a line, in characters; only a longer word, and code, go beyond it.
+            width: maximum line length; long words and code exceed it.
         """
         text, gap = wrapped(self.title, width), "\n" if self.blocks and isinstance(self.blocks[0], Facts) else "\n\n"
         for block in self.blocks:
@@ -156,8 +155,8 @@ class Document:
         return text
 
     def markdown(self) -> str:
-        """Return Markdown; its pictures are files beside it. Of text that comes in no tag and no link is made."""
-        return "\n\n".join(map(_block_markdown, (Heading(self.title, 1), *self.blocks))) + "\n"
+        """Render as Markdown, with pictures as separate files and all text escaped."""
+        return "\n\n".join(map(_render_markdown, (Heading(self.title, 1), *self.blocks))) + "\n"
 
     @property
     def pictures(self) -> dict[str, bytes]:
@@ -166,40 +165,36 @@ class Document:
 
 
 class Documented(ABC):
-    """A result that becomes a document, from which every printed form of it is made."""
+    """A result that can be printed as a document."""
 
     __slots__ = ()
 
     @abstractmethod
     def document(self, *, details: bool = False) -> Document:
-        """Return the result as a document; with details all there is to say rather than a screen of it."""
+        """Return the result as a document, with `details` beyond one screen."""
 
     def summary(self, *, details: bool = False) -> str:
         """Return the document as text."""
         return self.document(details=details).text()
 
     def __str__(self) -> str:
-        """Return the summary, as the standard output can show it: ``+-`` where that has no ``±``."""
+        """Summarise the result in the encoding of the standard output."""
         return encodable(self.summary(), getattr(sys.stdout, "encoding", None))
 
     @property
     def sentence(self) -> str:
-        """The result in a sentence, with which a notebook shows it; empty where its document begins with one."""
+        """The result in one sentence; empty if its document begins with one."""
         return ""
 
     def _repr_html_(self) -> str:
-        """Return the sentence and the document, as much of it as a notebook's cell shows."""
+        """Render the sentence and a shortened document for a notebook."""
         return notebook_html(self.document(), self.sentence)
 
 
 def notebook_html(document: Document, sentence: str = "") -> str:
-    """Return a document as a fragment of HTML that a notebook's cell shows: every text escaped, and none too long.
+    """Render a document as an HTML fragment for a notebook cell.
 
-    Tables and lists are cut to a few rows, and what comes after about 4,000 characters is left to ``print``.
-
-    Args:
-        document: of the result.
-        sentence: that it begins with, below the title.
+    Tables and lists show their first rows; the output ends after about 4,000 characters.
     """
     parts = [f"<p><strong>{escape(short(document.title, _TITLE))}</strong></p>"]
     if sentence and sentence != document.title:
@@ -222,7 +217,7 @@ def notebook_html(document: Document, sentence: str = "") -> str:
 
 
 def _fewer(block: Block) -> Block:
-    """Return a block without the rows that are too many for a cell."""
+    """Truncate the rows of a block."""
     if isinstance(block, Table) and len(block.rows) > _ROWS:
         return replace(block, rows=block.rows[:_ROWS])
     if isinstance(block, Listing) and len(block.items) > _ITEMS:
@@ -231,18 +226,14 @@ def _fewer(block: Block) -> Block:
 
 
 def data_frame(rows: Mapping[str, Mapping[str, object]], index: str) -> DataFrame:
-    """Return a pandas data frame of rows by their names, which `index` calls.
-
-    Raises:
-        ExtraError: pandas is not installed.
-    """
+    """Return a pandas data frame of rows by their names, which `index` calls."""
     pandas = extra("pandas", "dataframe", "A data frame")
     frame: DataFrame = pandas.DataFrame.from_dict(rows, orient="index").rename_axis(index)
     return frame
 
 
 def common_facts(resampled: object | None, transmission: object | None) -> tuple[tuple[str, str], ...]:
-    """Return how a record was brought to a uniform clock, and on which side of a transmission values are; if so."""
+    """Describe resampling and transmission, where there were any."""
     found = (("resampled", resampled), ("transmission", transmission))
     return tuple((name, str(value)) for name, value in found if value is not None)
 
@@ -272,7 +263,7 @@ def _verdict_text(asked: str, good: bool | None, reasons: Sequence[str], width: 
 
 
 def _table_text(block: Table, width: int) -> str:
-    """Return a table; what is wider than a line goes on below, under the first column again, where there is any."""
+    """Render a table; wide rows continue below, indented."""
     table = [block.header, *block.rows]
     widths = [max(len(row[i]) for row in table) for i in range(len(block.header))]
     parts, taken = [[0]], widths[0]
@@ -291,16 +282,18 @@ def _table_text(block: Table, width: int) -> str:
     return "\n\n".join(shown)
 
 
-def _block_markdown(block: Block) -> str:
+def _render_markdown(block: Block) -> str:
     if isinstance(block, Heading):
         return f"{'#' * block.level} {_plain(block.text)}"
     if isinstance(block, Paragraph):
         return _plain(block.text)
     if isinstance(block, Table):
-        return _table_markdown(block)
+        rule = tuple("---" if i in block.words else "---:" for i in range(len(block.header)))
+        lines = [f"| {' | '.join(row)} |" for row in (_cells(block.header), rule, *map(_cells, block.rows))]
+        return _add_caption(f"*{_plain(block.caption)}*" if block.caption else "", "\n".join(lines))
     if isinstance(block, Code):
         fence = "`" * max(3, 1 + max((len(run) for run in re.findall("`+", block.text)), default=0))
-        return _captioned(_plain(block.caption), f"{fence}\n{block.text.rstrip()}\n{fence}")
+        return _add_caption(_plain(block.caption), f"{fence}\n{block.text.rstrip()}\n{fence}")
     if isinstance(block, Picture):
         return f"![{_plain(block.text)}]({block.name})\n\n*{_plain(block.text)}*"
     return "\n".join(f"- {line}" for line in _points(block))
@@ -314,13 +307,7 @@ def _points(block: Listing | Verdicts | Facts) -> list[str]:
     return [f"{_plain(name)}: {_plain(value)}" for name, value in block.pairs]
 
 
-def _table_markdown(block: Table) -> str:
-    rule = tuple("---" if i in block.words else "---:" for i in range(len(block.header)))
-    lines = [f"| {' | '.join(row)} |" for row in (_cells(block.header), rule, *map(_cells, block.rows))]
-    return _captioned(f"*{_plain(block.caption)}*" if block.caption else "", "\n".join(lines))
-
-
-def _captioned(caption: str, text: str) -> str:
+def _add_caption(caption: str, text: str) -> str:
     return f"{caption}\n\n{text}" if caption else text
 
 
@@ -397,16 +384,12 @@ def _table_html(block: Table) -> str:
 
 
 def dumps(answer: dict[str, Any]) -> str:
-    """Return an answer as JSON text, the same bytes for the same answer."""
+    """Serialise an answer as reproducible JSON text."""
     return json.dumps(_finite(answer), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def write(answer: dict[str, Any], path: str | Path) -> None:
-    """Write an answer as JSON.
-
-    Raises:
-        RecordError: the file cannot be written.
-    """
+    """Write an answer as JSON."""
     write_whole(path, dumps(answer))
 
 

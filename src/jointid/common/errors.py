@@ -1,4 +1,4 @@
-"""The few errors a user can meet; each is one clear sentence per fault: fact, received, expected, remedy."""
+"""User-facing errors: one sentence per fault with fact, received, expected and remedy."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _LONGEST = 4000  # characters of a sentence; what is longer quotes a file that i
 
 
 class JointidError(Exception):
-    """Base of every error that is the user's to mend; the command line prints it and exits with 2."""
+    """Base of all user-facing errors; the command line exits with 2."""
 
     def __init__(self, message: str = "") -> None:
         super().__init__(printable(message))
@@ -37,7 +37,7 @@ class Fault(str):
 
 
 class FaultsError(JointidError):
-    """An error that reports all the faults found at once, one sentence each."""
+    """An error that reports all faults at once, one sentence each."""
 
     def __init__(self, faults: str | Iterable[str]) -> None:
         each = (faults,) if isinstance(faults, str) else tuple(faults)
@@ -53,7 +53,7 @@ def _fault(fault: str) -> Fault:
 
 
 class RecordError(FaultsError):
-    """A record that cannot be read, or cannot be what it is declared to be."""
+    """An unreadable or inconsistent record."""
 
 
 class JointFileError(FaultsError):
@@ -61,29 +61,26 @@ class JointFileError(FaultsError):
 
 
 class MethodError(JointidError):
-    """A method asked for what the record, the joint or the controller does not have."""
+    """The record, joint or controller lacks what a method needs."""
 
 
 class UnknownName(MethodError, KeyError):  # noqa: N818, it is a name that Python's own KeyError is caught by
-    """A parameter was asked for by a name that there is not."""
+    """Unknown parameter name."""
 
     __str__ = Exception.__str__  # KeyError's own puts the sentence in quotes
 
 
 class ExtraError(JointidError):
-    """An optional package is missing; the sentence names the extra that brings it."""
+    """A missing optional package; the message names the extra."""
 
 
 def extra(module: str, name: str, purpose: str) -> Any:
-    """Return a module of an optional package.
+    """Import a module of an optional package.
 
     Args:
         module: its dotted name.
         name: of the extra that brings it.
         purpose: what it is needed for, the beginning of the sentence.
-
-    Raises:
-        ExtraError: the package is not installed.
     """
     try:
         return import_module(module)

@@ -1,9 +1,7 @@
-"""Write a file or a folder beside its place, and put it there when it is whole: until then what was there stays.
+"""Atomic writing of files and folders.
 
-The disk may be full, the program may be ended at any moment, and nobody finds half a result. A link is followed: what
-it leads to is replaced, and the link stays. A file keeps who may read it. Another name of the same file (a hard link)
-keeps what was there. A device or a pipe, as `/dev/stdout`, is written as it is. A program that is killed with no time
-to tidy up leaves a folder `.jointid-...` behind, which can be deleted.
+Output is written beside its place and moved there when complete. A link is followed, permissions are kept, and a device
+or pipe such as `/dev/stdout` is written directly. A killed program leaves a folder `.jointid-...` behind.
 """
 
 from __future__ import annotations
@@ -27,13 +25,10 @@ _rooms: set[Path] = set()
 
 @contextlib.contextmanager
 def beside(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield where to write a file, or a folder, of the same name; what is there in the end is put in its place.
+    """Yield a temporary path; its content replaces `path` on success.
 
     Args:
         path: the place. A file that is there is replaced, a folder is not.
-
-    Raises:
-        RecordError: it cannot be written; the sentence says why, and what was there is as it was.
 
     Example:
         >>> import tempfile
@@ -61,13 +56,10 @@ def beside(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def require_room(path: str | os.PathLike[str]) -> None:
-    """Refuse a place that takes no byte now, before long work is done for it; nothing is left there.
+    """Refuse an output path that cannot be written, before long work.
 
-    A folder that is there takes it in itself, what is not there beside its place, in the nearest folder above. A pipe
-    is not tried: who reads it would take that for the end.
-
-    Raises:
-        RecordError: see `beside`.
+    An existing folder is tested itself, otherwise the nearest one above. A pipe is not tested: its reader would see
+    the end.
     """
     path = Path(path)
     with _explain(path):
@@ -84,24 +76,16 @@ def require_room(path: str | os.PathLike[str]) -> None:
 
 
 def write_whole(path: str | os.PathLike[str], content: str | bytes) -> None:
-    """Write a file, a text in UTF-8 as it stands.
-
-    Raises:
-        RecordError: see `beside`.
-    """
+    """Write a file atomically, text as UTF-8."""
     data = content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content
     with beside(path) as fresh:
         fresh.write_bytes(data)
 
 
 def write_folder(folder: str | os.PathLike[str], files: Mapping[str, bytes]) -> tuple[Path, ...]:
-    """Write files by their names into a folder, and return their paths.
+    """Write files by name into a folder, and return their paths.
 
-    A folder that is not there appears with all of them in it. In one that is there, none is replaced until all are
-    written.
-
-    Raises:
-        RecordError: see `beside`.
+    A new folder appears complete. In an existing folder, no file is replaced until all are written.
     """
     folder = Path(folder)
     with _explain(folder):
@@ -124,24 +108,21 @@ def write_folder(folder: str | os.PathLike[str], files: Mapping[str, bytes]) -> 
 
 
 def remove_rooms() -> None:
-    """Remove what a signal left behind that came while a folder was being made or removed.
-
-    For the end of a program, when no signal is answered any more.
-    """
+    """Remove temporary folders that an interrupt left, at the end of the program."""
     for room in _rooms:
         shutil.rmtree(room, ignore_errors=True)
     _rooms.clear()
 
 
 def is_full(error: BaseException) -> bool:
-    """Return whether an error, or the one it came of, is a disk that is full."""
+    """Test whether an error or its cause is a full disk."""
     cause = error if isinstance(error, OSError) else error.__cause__
     return isinstance(cause, OSError) and cause.errno in _FULL
 
 
 @contextlib.contextmanager
 def _explain(path: Path) -> Iterator[None]:
-    """Say in a sentence why something cannot be written."""
+    """Convert an `OSError` to a sentence."""
     try:
         yield
     except OSError as error:
@@ -154,7 +135,7 @@ def _explain(path: Path) -> Iterator[None]:
 
 
 def _is_written_as_it_is(path: Path) -> bool:
-    """Return True for what is there and is neither a file nor a folder, or belongs to the system."""
+    """Test for a device, a pipe or a system path."""
     if os.path.abspath(path).startswith(_SYSTEM):  # noqa: PTH100 - resolve would follow /dev/stdout to a file
         return True
     try:
@@ -166,7 +147,7 @@ def _is_written_as_it_is(path: Path) -> bool:
 
 @contextlib.contextmanager
 def _room_in(folder: Path) -> Iterator[Path]:
-    """Yield an empty folder on the same disk, which is removed with what is left in it."""
+    """Yield a temporary folder on the same disk."""
     room = folder / f".jointid-{secrets.token_hex(8)}"
     _rooms.add(room)  # first: a signal may come before the next line
     try:
@@ -178,7 +159,7 @@ def _room_in(folder: Path) -> Iterator[Path]:
 
 
 def _settle(fresh: Path, place: Path) -> None:
-    """Put what is whole in its place, with the rights of a file that was there."""
+    """Move a complete file or folder to its place, with the old permissions."""
     if fresh.is_dir():
         fresh.rename(place)
         return
@@ -193,7 +174,7 @@ def _settle(fresh: Path, place: Path) -> None:
 
 
 def _store(fresh: Path) -> None:
-    """Have the disk hold a file before it takes another's place: one that is full may say so only now."""
+    """Flush a file to disk, so that a full disk fails here."""
     with fresh.open("rb+") as file:
         try:
             os.fsync(file.fileno())

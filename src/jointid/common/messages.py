@@ -1,7 +1,7 @@
-"""What is told to a reader: the steps of long work, statements of a result, and the words for faults.
+"""Progress of long work, statements of a result, and sentences for faults.
 
-A statement is a code and values for programs, and words for people. A fault is told by a value as it looks, what was
-expected, and the remedy; most functions here return the rest of a sentence that begins with the place of the fault.
+A statement is a code with values for programs, and words for people. Most functions for faults return the rest of a
+sentence that begins with the place of the fault.
 """
 
 from __future__ import annotations
@@ -31,34 +31,27 @@ Progress = Callable[[str], None]
 
 
 def silent(message: str) -> None:
-    """Say nothing; the default listener."""
+    """Ignore progress; the default listener."""
 
 
 @runtime_checkable
 class BarListener(Protocol):
-    """A listener to progress that also draws how far a piece of work is."""
+    """A progress listener that can draw a bar."""
 
     def __call__(self, message: str) -> None:
         """Receive a sentence."""
 
     def draw(self, what: str, done: float, total: float, unit: str) -> None:
-        """Receive how far a piece of work is; at its total it is done.
-
-        Args:
-            what: the work.
-            done: of it.
-            total: all of it.
-            unit: of both, such as "draws" or "%".
-        """
+        """Draw the progress of a piece of work, complete at `total`."""
 
 
 class Work:
-    """How far a piece of work is, for whoever listens: drawn where bars are, else a line every ten seconds.
+    """Progress of a piece of work, as a bar or a line every ten seconds.
 
     Args:
         progress: the listener.
         what: the work.
-        total: all of it; infinite while that is not known.
+        total: infinite if unknown.
         unit: of the total, such as "draws" or "%".
     """
 
@@ -69,7 +62,7 @@ class Work:
         self.reach(0.0)
 
     def reach(self, done: float) -> None:
-        """Tell how much is done."""
+        """Report the amount done."""
         self._done = done
         if isinstance(self._progress, BarListener):
             self._progress.draw(self._what, done, self.total, self._unit)
@@ -80,19 +73,19 @@ class Work:
             self._progress(f"{self._what}: {describe_pace(done, self.total, self._unit, now - self._began)}")
 
     def add(self) -> None:
-        """Tell that one more is done, from any thread."""
+        """Report one more step, from any thread."""
         with self._lock:
             self.reach(self._done + 1)
 
     def along(self, steps: Iterable[T]) -> Iterator[T]:
-        """Yield steps, each of which is one more that is done."""
+        """Yield steps, and count each as done."""
         for step in steps:
             yield step
             self.add()
 
 
 def follow(steps: Iterable[T], progress: Progress, what: str, total: float, unit: str) -> Iterator[T]:
-    """Yield steps, and tell how many are done; see `Work`."""
+    """Yield steps and report progress; see `Work`."""
     work = Work(progress, what, total, unit)
     try:
         yield from work.along(steps)
@@ -101,7 +94,7 @@ def follow(steps: Iterable[T], progress: Progress, what: str, total: float, unit
 
 
 def describe_pace(done: float, total: float, unit: str, seconds: float) -> str:
-    """Return how much of a piece of work is done, how fast it goes and, of a finite one, how long the rest takes."""
+    """Describe progress, rate and, if finite, remaining time."""
     whole = "" if math.isinf(total) else f" of {total:.0f}"
     said = f"{done:.0f} %" if unit == "%" else f"{done:.0f}{whole} {unit}"
     if not (done > 0 and seconds > 0):
@@ -114,7 +107,7 @@ def describe_pace(done: float, total: float, unit: str, seconds: float) -> str:
 
 
 def describe_time(seconds: float) -> str:
-    """Return a length of time as a person says it: "8 s", "2 min", "1.5 h"."""
+    """Format a duration: "8 s", "2 min", "1.5 h"."""
     if seconds < _MINUTES:
         return f"{max(round(seconds), 1)} s"
     return f"{round(seconds / 60)} min" if seconds < _HOURS else f"{seconds / 3600:.1f} h"
@@ -138,7 +131,7 @@ class Message:
 
     @property
     def brief(self) -> str:
-        """The clause, or the words where they are one."""
+        """The clause, or else the words."""
         return self.clause or self.words
 
     def __str__(self) -> str:
@@ -147,13 +140,13 @@ class Message:
 
 
 def joined(messages: Iterable[Message]) -> str:
-    """Return the words of several messages as one sentence."""
+    """Join the words of several messages into one sentence."""
     return "; ".join(message.words for message in messages)
 
 
 @dataclass(frozen=True, slots=True)
 class Says:
-    """The value that is expected, in words, and a remedy.
+    """The expected value, in words, and a remedy.
 
     Attributes:
         expected: in words, such as "a positive number".
@@ -165,12 +158,12 @@ class Says:
 
 
 def first_place(key: int | str | None) -> int:
-    """Return the number of the first one in a list: filters count from 0, as in the names of their numbers, else 1."""
+    """First index of a list: 0 for filters, else 1."""
     return 0 if key == "torque_filters" else 1
 
 
 def dot_path(location: Iterable[int | str]) -> str:
-    """Return the path of a key, its parts quoted where TOML quotes them; tables of one name are counted too."""
+    """Format the path of a TOML key, with quotes and table indices."""
     path = list(location)
     firsts = map(first_place, [None, *path])
     parts = (str(key + first) if isinstance(key, int) else key for key, first in zip(path, firsts, strict=False))
@@ -198,7 +191,7 @@ def format_value(value: object) -> str:
 
 
 def is_number(text: str) -> bool:
-    """Return True for a text that is a number, or true or false, in quotes."""
+    """Test whether a string holds a number or a boolean."""
     return _WITHOUT_QUOTES.fullmatch(text) is not None
 
 
@@ -212,7 +205,7 @@ _ALIKE = 0.7  # of the letters of two words: "integral_gain" and "interpolation"
 
 
 def nearest(word: object, known: Iterable[str]) -> str | None:
-    """Return the known word that is nearest to one, None if none is near."""
+    """Return the nearest known word; None if none is near."""
     if not isinstance(word, str) or len(word) >= _GUESSED:
         return None
     # Of short words such as kp a wrong case is half the letters: it is not to count.
@@ -222,18 +215,18 @@ def nearest(word: object, known: Iterable[str]) -> str | None:
 
 
 def suggest(word: object, known: Iterable[str], otherwise: str) -> str:
-    """Return the question whether the nearest of the known words was meant; `otherwise`, if none is near."""
+    """Ask whether the nearest known word was meant; `otherwise` if none is near."""
     meant = nearest(word, known)
     return f"did you mean {meant}?" if meant is not None else f"{otherwise}."
 
 
 def missing(expected: str, meaning: str) -> str:
-    """Return the rest of the sentence on a key that is not there."""
+    """Describe a missing key."""
     return f" is missing; expected {expected} ({meaning}): add it."
 
 
 def unknown(key: str, known: Iterable[str]) -> str:
-    """Return the rest of the sentence on a key that is not known."""
+    """Describe an unknown key."""
     keys = list(known)
     return f" is not a known key; expected one of {', '.join(keys)}: {suggest(key, keys, 'leave it out')}"
 
@@ -244,24 +237,24 @@ def foreign(kind: str, known: Iterable[str]) -> str:
 
 
 def no_choice(value: object, choices: Iterable[str]) -> str:
-    """Return the rest of the sentence on a value that is not among the choices."""
+    """Describe a value that is not among the choices."""
     choices = list(choices)
     nearest = suggest(format_value(value), [f'"{choice}"' for choice in choices], "choose one of them")
     return f" is {format_value(value)}; expected {either(choices)}: {nearest}"
 
 
 def no_table(value: object) -> str:
-    """Return the rest of the sentence on a value where a table belongs."""
+    """Describe a value in place of a table."""
     return f" is {format_value(value)}; expected a table: put its keys below a [heading], or in braces."
 
 
 def beside_preset(value: object, preset: str) -> str:
-    """Return the rest of the sentence on a value that a preset sets already."""
+    """Describe a value that a preset already sets."""
     return f' is {format_value(value)} beside preset = "{preset}", which sets it: leave one of them out.'
 
 
 def unexpected(value: object, says: Says, optional: bool) -> str:
-    """Return the rest of the sentence on a value that is not what was expected."""
+    """Describe an unexpected value."""
     remedy = "correct it, or leave it out" if optional else "correct it"
     if isinstance(value, int | float) and value < 0 and says.negative:
         remedy = says.negative

@@ -26,17 +26,15 @@ BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 
 
 def threads() -> int:
-    """Return how many threads a computation may use: one for each core, or as JOINTID_THREADS says."""
+    """Number of threads: one per core, or JOINTID_THREADS."""
     said = os.environ.get(THREADS, "")
     return max(int(said), 1) if said.isdecimal() else os.cpu_count() or 1
 
 
 class Aside(Generic[Result]):
-    """A call that runs in a process of its own from now on; where that cannot be, once its result is asked for.
+    """A call in a forked process, or on demand without one.
 
-    A process is a copy of this one as it stands, so that nothing is imported or compiled again; only Linux makes one
-    safely. It ends with this one, however that ends. What the call prints or notes is lost with it, and its result must
-    be picklable.
+    Only Linux forks safely. The process ends with its parent. The result must be picklable; prints are lost.
     """
 
     def __init__(self, call: Callable[[], Result]) -> None:
@@ -59,19 +57,15 @@ class Aside(Generic[Result]):
 
     @property
     def is_apart(self) -> bool:
-        """Whether it runs in a process of its own."""
+        """Whether it runs in a separate process."""
         return self._process is not None
 
     def is_done(self, within: float = 0.0) -> bool:
-        """Whether its result is there, or is within so many seconds; never where it runs once that is asked for."""
+        """Test whether the result arrives within some seconds; False without a process."""
         return self._answer is not None and self._answer.poll(within)
 
     def result(self) -> Result:
-        """Wait for the result and return it.
-
-        Raises:
-            JointidError: the call did.
-        """
+        """Wait for the result."""
         if self._answer is not None and self._process is not None:
             try:
                 good, found = self._answer.recv()
@@ -86,7 +80,7 @@ class Aside(Generic[Result]):
 
 
 def end_with_parent() -> None:
-    """Wait for the end of the process that made this one: who is killed ends nobody, and none is left to answer to."""
+    """End this process when its parent ends, even by a kill."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     parent.join()

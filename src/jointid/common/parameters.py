@@ -1,4 +1,4 @@
-"""Parameters: names of what is identified, with symbol, quantity, unit, start and bounds."""
+"""Identified parameters: name, symbol, quantity, unit, start and bounds."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TORQUE_UNIT: Mapping[str, str] = {"prismatic": "N", "revolute": "N m"}
 
 
 class Quantity(StrEnum):
-    """The physical quantity of a parameter; its unit follows from the joint's kind and the torque's unit."""
+    """The physical quantity of a parameter, which determines its unit."""
 
     INERTIA = "inertia"
     VISCOUS = "viscous friction"
@@ -43,7 +43,7 @@ ADDED = (Quantity.INERTIA, Quantity.VISCOUS, Quantity.FORCE, Quantity.VISCOUS_DR
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One parameter of a joint, or of what surrounds it.
+    """One parameter of a joint or its surroundings.
 
     Attributes:
         name: the field's term, as code and files say it.
@@ -68,9 +68,9 @@ class Parameter:
 
 
 def unit_of(quantity: Quantity, kind: Kind, torque_unit: str) -> str:
-    """Return the unit of a quantity for a joint of that kind whose torque is kept in `torque_unit`.
+    """Return the unit of a quantity for a joint's kind and torque unit.
 
-    In N and N m the inertias come in kg and kg m2; in the drive's own A or V everything comes per ampere or volt.
+    With torque in A or V, inertias and other parameters are per ampere or volt.
     """
     position = POSITION_UNIT[kind]
     inertia = {"N": "kg", "N m": "kg m2"}.get(torque_unit, f"{torque_unit} s2/{position}")
@@ -93,11 +93,7 @@ def unit_of(quantity: Quantity, kind: Kind, torque_unit: str) -> str:
 
 
 def adjusted(parameters: Iterable[Parameter], changes: Mapping[str, Parameter]) -> tuple[Parameter, ...]:
-    """Return the parameters with those named in `changes` replaced.
-
-    Raises:
-        MethodError: a name is not one of the parameters; the sentence lists them.
-    """
+    """Replace the parameters named in `changes`."""
     wrong = [name for name, change in changes.items() if not isinstance(change, Parameter)]
     if wrong:
         raise MethodError(
@@ -126,7 +122,7 @@ class Bounds:
 
     @classmethod
     def none(cls, size: int) -> Bounds:
-        """Return no bounds on so many parameters."""
+        """Unbounded parameters."""
         anywhere = np.full(size, np.inf)
         return cls(-anywhere, anywhere)
 
@@ -135,21 +131,21 @@ class Bounds:
         return np.minimum(np.maximum(x, self.lower), self.upper)
 
     def reached(self, x: FloatArray, gap: float | FloatArray = 0.0) -> NDArray[np.bool_]:
-        """Return which parameters are at a bound, or nearer to one than `gap`."""
+        """Test which parameters are within `gap` of a bound."""
         return np.asarray((x <= self.lower + gap) | (x >= self.upper - gap))
 
     def blocked(self, x: FloatArray, step: FloatArray) -> NDArray[np.bool_]:
-        """Return which parameters are at a bound that a step would lead beyond."""
+        """Test which parameters are at a bound and step outwards."""
         return np.asarray(((x <= self.lower) & (step < 0)) | ((x >= self.upper) & (step > 0)))
 
     def around(self, x: FloatArray) -> Bounds:
-        """Return the bounds on a step from a point."""
+        """Bounds on a step from a point."""
         return Bounds(self.lower - x, self.upper - x)
 
     def within(self, reach: FloatArray | None) -> Bounds:
-        """Return the bounds on a step that moves no parameter farther than its reach; none has one when None."""
+        """Tighten bounds on a step to a step limit, if given."""
         return self if reach is None else Bounds(np.maximum(self.lower, -reach), np.minimum(self.upper, reach))
 
     def in_units(self, unit: FloatArray) -> Bounds:
-        """Return the bounds on parameters that are divided by positive units."""
+        """Bounds in units of positive scale factors."""
         return Bounds(self.lower / unit, self.upper / unit)

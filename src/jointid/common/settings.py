@@ -1,7 +1,6 @@
-"""Settings, declared once: a field of a dataclass with its unit, its bounds and its meaning.
+"""Settings, declared once: a dataclass field with unit, bounds and meaning.
 
-The joint file's key, its check and its documentation, and the page's field are made from the declaration; a dataclass
-refuses what it does not allow by `check_settings`.
+The joint file's key, its documentation and the page's field derive from the declaration; `check_settings` validates.
 """
 
 from __future__ import annotations
@@ -65,12 +64,12 @@ class Setting:
 
 
 def declare(help: str, **declared: Any) -> Mapping[str, Setting]:  # noqa: A002
-    """Return the metadata of a field that is a setting, for one without a default; see `Setting`."""
+    """Metadata of a setting without a default; see `Setting`."""
     return {_KEY: Setting(help, **declared)}
 
 
 def setting(default: Any, help: str, **declared: Any) -> Any:  # noqa: A002
-    """Return the field of a setting that has a default; see `Setting`."""
+    """Field of a setting with a default; see `Setting`."""
     return field(default=default, metadata=declare(help, **declared))
 
 
@@ -96,7 +95,7 @@ class Declared:
 
     @property
     def choices(self) -> tuple[str, ...]:
-        """The words among which it chooses, none where it takes other values."""
+        """Allowed words, empty for other types."""
         if get_origin(self.type) is Literal:
             return tuple(str(choice) for choice in get_args(self.type))
         if isinstance(self.type, type) and issubclass(self.type, StrEnum):
@@ -110,7 +109,7 @@ class Declared:
 
     @property
     def says(self) -> Says:
-        """The value that is expected, in words."""
+        """Description of the expected value."""
         return Says(self.setting.expected or self._expected, self.setting.negative)
 
     @property
@@ -132,7 +131,7 @@ class Declared:
         return f"a {noun} other than 0" if self.setting.nonzero else f"a {noun}"
 
     def fault(self, value: Any) -> str | None:
-        """Return the rest of the sentence on a value that is not allowed, None for one that is."""
+        """Describe an invalid value; None for a valid one."""
         if self._allows(value):
             return None
         if self.choices:
@@ -148,8 +147,14 @@ class Declared:
             return self.type is bool and isinstance(value, bool)
         if self.type in (int, float):
             is_number = isinstance(value, Integral if self.type is int else Real)
-            return is_number and not _is_beyond_floats(value) and self._within(float(value))
-        return self.type != tuple[int, int] or _is_pair(value)  # a part checks itself
+            return (
+                is_number
+                and not (isinstance(value, int) and abs(value) > sys.float_info.max)
+                and self._within(float(value))
+            )
+        return self.type != tuple[int, int] or (
+            len(value) == 2 and all(isinstance(one, int) and one >= 0 for one in value)
+        )  # a part checks itself
 
     def _within(self, value: float) -> bool:
         declared = self.setting
@@ -163,14 +168,6 @@ class Declared:
         )
 
 
-def _is_beyond_floats(value: Any) -> bool:
-    return isinstance(value, int) and abs(value) > sys.float_info.max
-
-
-def _is_pair(value: Any) -> bool:
-    return len(value) == 2 and all(isinstance(one, int) and one >= 0 for one in value)
-
-
 _WORDS: Mapping[Any, str] = {
     bool: "true or false",
     str: "text in quotes",
@@ -182,12 +179,12 @@ _WORDS: Mapping[Any, str] = {
 
 @lru_cache(maxsize=256)
 def settings_of(owner: type) -> tuple[Declared, ...]:
-    """Return the settings of a dataclass, in its order; a field that is not declared as one is none."""
+    """Settings of a dataclass, in order."""
     hints = get_type_hints(owner)
-    return tuple(_declared(one, hints[one.name]) for one in fields(owner) if _KEY in one.metadata)
+    return tuple(_declare_field(one, hints[one.name]) for one in fields(owner) if _KEY in one.metadata)
 
 
-def _declared(one: Field[Any], hint: Any) -> Declared:
+def _declare_field(one: Field[Any], hint: Any) -> Declared:
     parts = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
     kept = [part for part in parts if part is not NoneType]
     factory = None if one.default_factory is MISSING else one.default_factory
@@ -196,15 +193,12 @@ def _declared(one: Field[Any], hint: Any) -> Declared:
 
 
 def check_settings(owner: Any, error: type[JointidError] = MethodError, called: str = "") -> None:
-    """Refuse a dataclass a setting of which has a value that its declaration does not allow.
+    """Refuse a dataclass with invalid settings.
 
     Args:
         owner: the dataclass, from its ``__post_init__``.
-        error: that is raised.
-        called: what sentences call it, instead of by its type.
-
-    Raises:
-        JointidError: of that type, with a sentence for each such setting.
+        error: type to raise.
+        called: name in sentences, instead of the type's.
     """
     kind: Any = type(owner)  # mypy does not take a type for something with a hash
     found = ((one.name, one.fault(getattr(owner, one.name))) for one in settings_of(kind))
@@ -218,7 +212,7 @@ def check_settings(owner: Any, error: type[JointidError] = MethodError, called: 
 
 
 def documented(owner: type[T]) -> type[T]:
-    """Add the settings of a dataclass to its docstring, as its attributes."""
+    """Append the settings to a dataclass's docstring, as attributes."""
     lines = [
         f"    {one.name}: {text}."
         for one in fields(owner)  # type: ignore[arg-type]

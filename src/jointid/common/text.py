@@ -1,4 +1,4 @@
-"""Plain text for the terminal: numbers with the digits they deserve, columns that line up."""
+"""Plain text: rounded numbers and aligned columns."""
 
 from __future__ import annotations
 
@@ -10,23 +10,20 @@ _NARROWEST = 20  # characters beside a long name, where words still make lines
 
 
 def printable(text: str) -> str:
-    """Return a text without anything that a terminal obeys or that changes how it is read; ends of lines stay.
-
-    Names come from files of others: escapes, bells and marks that turn the direction of writing are spelt out.
-    """
+    """Escape control and bidirectional characters from untrusted text, except line ends."""
     if text.replace("\n", "").isprintable():
         return text
     return "".join(mark if mark.isprintable() or mark == "\n" else ascii(mark)[1:-1] for mark in text)
 
 
 def short(text: str, longest: int = 40) -> str:
-    """Return a piece of a file as a sentence can quote it: on one line, and not too long."""
+    """Abbreviate a piece of a file to one short line."""
     said = shown(text[: longest + 1])
     return said if len(text) <= longest else f"{said[: longest - 3]}..."
 
 
 def number(value: float | None, digits: int = 5) -> str:
-    """Return a number with that many significant digits, and a dash for None."""
+    """Format a number with significant digits, a dash for None."""
     if value is None:
         return "-"
     if value == 0.0 or not math.isfinite(value):
@@ -38,17 +35,17 @@ def number(value: float | None, digits: int = 5) -> str:
 
 
 def signed(value: float, digits: int = 5) -> str:
-    """Return a number with its sign and that many significant digits: +1230, -0.0420."""
+    """Format a number with sign and significant digits: +1230, -0.0420."""
     return f"{'-' if value < 0 else '+'}{number(abs(value), digits)}"
 
 
 def rounded(value: float, digits: int = 3) -> float:
-    """Return a number with that many significant digits."""
+    """Round to significant digits."""
     return float(f"{value:.{digits - 1}e}")
 
 
 def uniform(values: Sequence[float | None], otherwise: str = "-", digits: int = 3) -> list[str]:
-    """Return the numbers of a column, all with as many digits and all written in one way.
+    """Format the numbers of a column with equal digits and notation.
 
     Args:
         values: of the column; None for what is not there.
@@ -68,7 +65,7 @@ def uniform(values: Sequence[float | None], otherwise: str = "-", digits: int = 
 
 
 def ordinal(count: int) -> str:
-    """Return a place in a row: 1st, 2nd, 3rd, 4th, 11th, 21st.
+    """Format an ordinal: 1st, 2nd, 3rd, 4th, 11th, 21st.
 
     Example:
         >>> from jointid.common.text import ordinal
@@ -80,7 +77,7 @@ def ordinal(count: int) -> str:
 
 
 def interval(value: float, spread: float) -> str:
-    """Return a value and what it may be off by, ``95.4 ± 1.3``: two digits of the spread, and the value as far."""
+    """Format a value and its spread, ``95.4 ± 1.3``, to two digits of the spread."""
     if not (0 < spread < math.inf and value != 0.0 and math.isfinite(value / spread)):
         return f"{number(value)} ± {number(spread, 2)}"
     digits = math.floor(math.log10(abs(value))) - math.floor(math.log10(spread)) + 2
@@ -88,13 +85,13 @@ def interval(value: float, spread: float) -> str:
 
 
 def wrapped(text: str, width: int, head: str = "", below: int | None = None) -> str:
-    """Return a text in lines of a width; no word is broken.
+    """Wrap a text without breaking words.
 
     Args:
-        text: whose own lines stay.
+        text: its own line breaks stay.
         width: of a line, in characters.
-        head: what the first line begins with.
-        below: spaces that the others begin with; as many as the head is long when None.
+        head: beginning of the first line.
+        below: indent of further lines; that of the head if None.
     """
     indent = " " * (len(head) if below is None else below)
     lines = [
@@ -109,7 +106,7 @@ def wrapped(text: str, width: int, head: str = "", below: int | None = None) -> 
 
 
 def encodable(text: str, encoding: str | None) -> str:
-    """Return a text as an output of an encoding can show it: ``+-`` where it has no ``±``."""
+    """Replace characters that an encoding lacks, ``±`` by ``+-``."""
     encoding = encoding or "utf-8"
     try:
         text.encode(encoding)
@@ -119,13 +116,13 @@ def encodable(text: str, encoding: str | None) -> str:
 
 
 def listed(words: Sequence[str]) -> str:
-    """Return words in a row: "Fc", "Fc and Fv", "Fc, Fv and F12"."""
+    """Join words: "Fc", "Fc and Fv", "Fc, Fv and F12"."""
     *most, last = words
     return f"{', '.join(most)} and {last}" if most else last
 
 
 def aligned(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[bool]) -> str:
-    """Return rows under a header; the columns marked in `right` line up at their right edge."""
+    """Align rows under a header; columns marked in `right` to the right."""
     table = [list(header), *[list(row) for row in rows]]
     widths = [max(len(row[i]) for row in table) for i in range(len(header))]
     lines = [
@@ -136,10 +133,10 @@ def aligned(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequenc
 
 
 def shown(name: str) -> str:
-    """Return a name from a file as it can be printed, on one line; see `printable`."""
+    """Return a printable name on one line; see `printable`."""
     return printable(name).replace("\n", "\\n")
 
 
 def counted(number: int, noun: str, plural: str = "") -> str:
-    """Return a number of things in words: "1 sample", "2 samples"."""
+    """Format a count: "1 sample", "2 samples"."""
     return f"{number} {noun if number == 1 else plural or f'{noun}s'}"

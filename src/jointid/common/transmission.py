@@ -1,22 +1,19 @@
-"""A transmission between motor and load: which side a position or a torque is of, and what it is on the other.
+"""Transmission between motor and load.
 
-One ratio r, the motor's position per position of the load, says all of it. Power passes without loss::
+One ratio r, motor position per load position, describes it. Power passes without loss::
 
     q motor = r q load,        tau load = r tau motor
 
-A drive logs its channels on either side; a joint is identified on one of them, and its record is *referred* to that
-side when it is read: positions by what takes a position there, torques by the inverse of that.
-
-An estimate is referred to the other side (`OtherSide`) when it is asked for there. The motor's
+A record is *referred* to the joint's side when it is read: positions by their factor, torques by its inverse.
+`OtherSide` refers an estimate to the other side. The motor's
 ``tau motor = J a + Fv v + Fc sign(v) + offset`` is on the load::
 
     tau load = r^2 J a + r^2 Fv v + |r| Fc sign(v) + r offset
 
-Stiffness and damping go with r^2, a compliance with its inverse. Where r is negative, forwards is backwards.
+Stiffness and damping scale with r^2, a compliance with its inverse. A negative r exchanges the directions.
 
-The efficiency is taken as 1, the same in both directions. What a real gear loses is found in the friction: a loss that
-grows with the speed in the viscous, one that does not in the Coulomb part. A loss in proportion to the torque that is
-passed on belongs to neither, and is spread over them and over the load's inertia.
+Gear losses appear in the friction: speed-dependent ones as viscous, constant ones as Coulomb friction. A loss
+proportional to the transmitted torque is spread over these and the load inertia.
 """
 
 from __future__ import annotations
@@ -107,22 +104,22 @@ class Transmission:
 
     @property
     def motor(self) -> units.Kind:
-        """Kind of the motor's motion: with a lead it turns, else it moves as the load does."""
+        """Kind of the motor's motion: rotary with a lead, else as the load."""
         return self.load if self.lead is None else "revolute"
 
     @property
     def motor_per_load(self) -> float:
-        """The ratio r with its sign: rad per rad, m per m, or rad per m."""
+        """Signed ratio r, in rad per rad, m per m, or rad per m."""
         return self.sign * (self.ratio if self.ratio is not None else 2 * math.pi / (self.lead or 1.0))
 
     @property
     def kind(self) -> units.Kind:
-        """Kind of motion of the side on which the joint is identified."""
+        """Kind of motion on the identified side."""
         return self.kind_of(self.side)
 
     @property
     def geared(self) -> bool:
-        """True if motor and load have the same kind of motion, but not the same amount."""
+        """Whether motor and load move in the same kind, but by different amounts."""
         return self.motor == self.load and abs(self.motor_per_load) != 1.0
 
     @property
@@ -135,11 +132,11 @@ class Transmission:
         return self.load if side == "load" else self.motor
 
     def position(self, side: Side) -> float:
-        """Return the factor from a position of that side to the joint's side."""
+        """Factor from a position on that side to the joint's side."""
         return 1.0 / self.torque(side)
 
     def torque(self, side: Side) -> float:
-        """Return the factor from a torque of that side to the joint's side: the inverse of a position's."""
+        """Factor from a torque on that side to the joint's side."""
         if side == self.side:
             return 1.0
         return self.motor_per_load if side == "motor" else 1.0 / self.motor_per_load
@@ -152,18 +149,18 @@ class Transmission:
 
 
 def transmission_lines(transmission: Transmission | None) -> list[str]:
-    """Return the line of a report that says on which side its values are; none where there is only one."""
+    """State on which side the values are; empty without a choice."""
     return [] if transmission is None else [f"transmission: {transmission}"]
 
 
 def usual_side(name: str) -> Side:
-    """Return the side a channel is of unless another is declared: a load encoder's is the load's."""
+    """Default side of a channel: load for a load encoder."""
     return "load" if name == "load_position" else "motor"
 
 
 @dataclass(frozen=True, slots=True)
 class OtherSide:
-    """From the side a joint is identified on to the other one.
+    """Conversion from the joint's side to the other.
 
     Attributes:
         transmission: between them.
@@ -175,7 +172,7 @@ class OtherSide:
 
     @property
     def side(self) -> Side:
-        """Which side it is."""
+        """The other side."""
         return self.transmission.other
 
     @property
@@ -184,7 +181,7 @@ class OtherSide:
         return self.transmission.position(self.side)
 
     def name(self, name: str) -> str:
-        """Return the name of the parameter that is on this side what `name` is on the other: forwards is backwards."""
+        """Name of a parameter on this side; a negative ratio exchanges directions."""
         if self.ratio > 0:
             return name
         for one, other in (("forwards", "backwards"), ("backwards", "forwards")):
@@ -200,17 +197,17 @@ class OtherSide:
         return unit if quantity is None else unit_of(quantity, kind, own)
 
     def factor(self, name: str, unit: str) -> float:
-        """Return the factor from a value of that name and unit to the other side."""
+        """Factor of a value with that name and unit to the other side."""
         quantity = self._quantity(unit)
         size = abs(self.ratio) ** (0 if quantity is None else _POWERS.get(quantity, 0))
         return -size if self.ratio < 0 and name.endswith(_TURNED) else size
 
     def _quantity(self, unit: str) -> Quantity | None:
-        """Return the quantity of a unit of this side; those of one unit go with the same power of the ratio."""
+        """Quantity of a unit; quantities of one unit scale alike."""
         kind = self.transmission.kind
         return next((q for q in Quantity if unit_of(q, kind, self.torque_unit) == unit), None)
 
 
 def other_side(transmission: Transmission | None, torque_unit: str) -> OtherSide | None:
-    """Return the other side of a joint's transmission; None without one."""
+    """Other side of a joint's transmission; None without one."""
     return None if transmission is None else OtherSide(transmission, torque_unit)

@@ -1,4 +1,4 @@
-"""Typography of a page: what results say in plain characters, set as it is printed."""
+"""Typography of a page."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ _RULES: tuple[tuple[str, str | Callable[[re.Match[str]], str]], ...] = (
 
 
 def typeset(text: str) -> str:
-    """Return a text with ±, true minus signs, powers as exponents, thin spaces before units, and short p-values."""
+    """Typeset ±, minus signs, exponents, thin spaces before units, and p-values."""
     for pattern, into in _RULES:
         text = re.sub(pattern, into, text)
     return text
 
 
 def p_value(value: float) -> str:
-    """Return a p-value as a table has it: two digits, or that it is below 0.001."""
+    """Format a p-value to two digits, or as below 0.001."""
     return f"< {_SMALL}" if value < _SMALL else f"{value:.2g}"
 
 
 def typeset_block(block: Block) -> Block:
-    """Return a block with its texts set; code, and names with their values, stay as they are."""
+    """Typeset the texts of a block, except code and names with values."""
     if isinstance(block, Code):
         return block
     if isinstance(block, Picture):

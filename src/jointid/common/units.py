@@ -1,10 +1,8 @@
-"""Units at the edges: everything inside is SI, and every number that comes in or goes out names its unit.
+"""Units at the interfaces; all internal values are SI.
 
-A unit is a name, a dimension and a factor to SI. `parse_unit` reads products, quotients and powers of units,
-`parse_quantity` a number with one of them, as ``0.8 A s/rad``. A joint's *motor unit* is the unit its torque is kept
-in: N or N m, or the drive's own A or V while the torque constant is unknown; parameters then come per ampere or per
-volt.
-Encoder counts and shares of a rated torque are units of one drive; `records.drives` takes them to SI.
+`parse_unit` reads products, quotients and powers of units, `parse_quantity` a number with a unit, as ``0.8 A s/rad``.
+A joint's *motor unit* is N, N m, or the drive's A or V while the torque constant is unknown; parameters are then per
+ampere or volt. `records.drives` converts encoder counts and shares of a rated torque.
 """
 
 from __future__ import annotations
@@ -23,12 +21,12 @@ Kind: TypeAlias = Literal["prismatic", "revolute"]
 
 
 class UnitError(JointidError):
-    """A unit that is not known, or not one for this quantity."""
+    """Unknown or unsuitable unit."""
 
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """One unit: its name, the dimension it measures and the factor that takes a value to SI."""
+    """A unit: name, dimension and factor to SI."""
 
     name: str
     dimension: str
@@ -37,14 +35,10 @@ class Unit:
 
 
 class DriveUnits(Protocol):
-    """What resolves a drive's own units: counts of its encoder, shares of its rated torque."""
+    """Converts drive units: encoder counts, shares of rated torque."""
 
     def resolve_unit(self, unit: Unit, kind: str) -> Unit:
-        """Return a unit with its factor to SI, for a side of that kind of motion.
-
-        Raises:
-            UnitError: a number of the drive is missing.
-        """
+        """Return a unit with its factor to SI, for a kind of motion."""
 
 
 def _family(dimension: str, si: str, **factors: float) -> dict[str, Unit]:
@@ -83,11 +77,7 @@ TORQUE_UNITS = {
 
 
 def unit(name: str) -> Unit:
-    """Return the unit of that name.
-
-    Raises:
-        UnitError: the name is not in the table; the sentence lists the names there are.
-    """
+    """Return the unit of that name."""
     try:
         return _UNITS[name]
     except KeyError:
@@ -95,13 +85,13 @@ def unit(name: str) -> Unit:
 
 
 def _known_instead(name: str) -> str:
-    """Return what may be written instead of a unit that is not known."""
+    """List known units as alternatives."""
     meant = nearest(name, _UNITS)
     return f"expected one of {', '.join(_UNITS)}" if meant is None else f'write "{meant}" if that is meant'
 
 
 def units_of(*dimensions: str) -> tuple[str, ...]:
-    """Return the names of all units that measure one of `dimensions`."""
+    """Names of all units that measure one of `dimensions`."""
     return tuple(name for name, entry in _UNITS.items() if entry.dimension in dimensions)
 
 
@@ -119,7 +109,7 @@ _SPELLINGS = {
 
 
 def spelled(name: str) -> str:
-    """Return the name in the table of a unit that a file spells in another way; any other as it is, "" for none."""
+    """Normalise the spelling of a unit; unknown ones stay."""
     name = name.strip()
     return _SPELLINGS.get(name, _SPELLINGS.get(name.lower(), name))
 
@@ -144,7 +134,7 @@ _QUANTITY = re.compile(r"\s*(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?
 
 
 def per(above: str, below: str) -> str:
-    """Return the unit of something per another unit, as drives write it.
+    """Return the unit of a quotient, as drives write it.
 
     Example:
         >>> from jointid.common.units import per
@@ -159,7 +149,7 @@ def per(above: str, below: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Compound:
-    """A product of powers of units: the factor that takes a value to SI, and the power of each base unit."""
+    """A product of powers of units: factor to SI and base powers."""
 
     factor: float
     powers: Mapping[str, int]
@@ -179,9 +169,9 @@ class Quantity:
     unit: str
 
     def matching(self, expected: str) -> float | None:
-        """Return the value in SI if its unit measures what `expected` does, else None.
+        """Return the SI value if the unit has the expected dimension, else None.
 
-        A radian may be left out, as in N m s for N m s/rad; but not beside a minute, where turns may be meant.
+        Radians are optional, as in N m s for N m s/rad, except beside minutes, where turns may be meant.
         """
         wanted = parse_unit(expected)
         entry = _UNITS.get(spelled(self.unit))
@@ -194,12 +184,7 @@ class Quantity:
 
 
 def parse_quantity(text: str) -> Quantity:
-    """Return the number and the unit of a text such as ``0.8 A s/rad``, ``6 ms`` or ``1000/min``.
-
-    Raises:
-        UnitError: it does not begin with a number, that is not finite, there is no unit behind it, or that is not
-            known.
-    """
+    """Parse a number with a unit, such as ``0.8 A s/rad`` or ``1000/min``."""
     found = _QUANTITY.fullmatch(text)
     if found is None or not found["unit"].strip():
         raise UnitError('expected a number with its unit, as "0.8 A s/rad"')
@@ -210,7 +195,7 @@ def parse_quantity(text: str) -> Quantity:
 
 
 def parse_unit(text: str) -> Compound:
-    """Return what a product, quotient or power of units measures: ``A s/rad``, ``(m/min)/mm``, ``1000/min``, ``m/s^2``.
+    """Parse a product, quotient or power of units.
 
     Raises:
         UnitError: a unit in it is not known, or it cannot be read; the message is the rest of a sentence.
@@ -244,7 +229,7 @@ def parse_unit(text: str) -> Compound:
 
 
 def _read_quotient(tokens: list[re.Match[str]], text: str) -> Compound:
-    """Return what the tokens say up to the end or a closing bracket; those that are read are taken away."""
+    """Parse tokens up to the end or a closing bracket; consumes them."""
     found, divided = Compound(1.0, {}), False
     if not tokens or tokens[0]["mark"] == ")":
         raise UnitError(f'"{text}" is no unit; expected products and quotients of units, as A s/rad')

@@ -1,1 +1,1 @@
-"""The controller, learned from one record that shows reference, motor position and torque."""
+"""Identification of the controller from reference, motor position and torque."""

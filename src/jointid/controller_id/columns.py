@@ -1,4 +1,4 @@
-"""Regressor columns of the controller laws, given their filters and clocks.
+"""Regressor columns of the controller laws, given filters and clocks.
 
 With e = r - q, the filtered difference v = F D q, F the velocity's filter and S a sum over time, the torque of every
 law of `structures` is::
@@ -6,8 +6,8 @@ law of `structures` is::
     u = T(z) (a1 e + a2 v + a3 D r + a4 F D r + a5 S e + a6 r + a7 F q + a8 w + a9 S w
               + a10 D r + a11 D D r + a12 sign(D r) + a13)
 
-w the record's own reference velocity, T(z) the torque's filter; e, w and the first D r, whose sum a6 is of, are held
-by a slower position loop. Each law has some of the coefficients, or ties them: a cascade with an integral is
+w is the record's own reference velocity, T(z) the torque's filter; a slower position loop holds e, w and the first D r,
+with its sum, a6. Each law has some of the coefficients, or couples them: a cascade with an integral is
 ``kv (1 + ki S) (kp e + f D r - v)``, linear in ``kv kp``, ``kv f`` and ``velocity_gain`` for a given ki.
 """
 
@@ -39,13 +39,10 @@ _OF_TAPS = (_SPEED, _FED_FILTERED, _FILTERED)  # those that the velocity's filte
 
 
 def columns(log: LoopRecord, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
-    """Return the columns of the module's equation, as the log would show them, (samples, 13).
+    """Columns of the module's equation as logged, (samples, 13).
 
-    Of the numbers those of the filters and the reference's delay are read. Where the velocity's filter has free taps,
-    these are its columns behind a first tap alone; then follow `F D q`, `F D r` and `F q` behind each later one.
-
-    Raises:
-        MethodError: the filters cannot be.
+    `numbers` needs those of the filters and the reference's delay. With free taps, the velocity columns belong to the
+    first tap; then `F D q`, `F D r` and `F q` of each later tap follow.
     """
     rate, period = structure.rate, log.period / structure.rate
     lead, slope = _LEAD * rate, _SLOPE * rate
@@ -78,18 +75,18 @@ def columns(log: LoopRecord, structure: Structure, numbers: Mapping[str, float])
 
 
 def injected_torque(log: LoopRecord, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
-    """Return the torque injected before the limit, as the log would show it, (samples, 1)."""
+    """Torque injected before the limit, as logged, (samples, 1)."""
     rate, (_, torque) = structure.rate, _filters(structure, numbers)
     signal = log.inputs(rate, structure.curved)[:, [INJECTED]]
     return log.as_logged(_filter_signals(torque, signal, log.period / rate), rate)
 
 
 def response(log: LoopRecord, structure: Structure, numbers: Mapping[str, float], gains: FloatArray) -> FloatArray:
-    """Return |G| from the position's error to the torque, (frequencies,), times the shape of that error's spectrum.
+    """|G| from position error to torque, (frequencies,), times the shape of the error.
 
-    A position loop N times slower than the velocity loop holds what it has read: of an error's frequency f it hears
-    ``H(f) / N``, H = 1 + z^-1 + ... of N terms, and as much of the N - 1 others that look alike to it. Where the loop
-    is faster than the log, the position loop is taken to be as fast as the velocity loop.
+    A position loop N times slower responds to a frequency f by ``H(f) / N``, H = 1 + z^-1 + ... of N terms, and
+    likewise to its N - 1 aliases. For a loop faster than the log, the position loop is assumed as fast as the velocity
+    loop.
     """
     period, filters = log.period / structure.rate, filters_of(structure, numbers)
     held = structure.every if structure.rate == 1 else 1
@@ -121,7 +118,7 @@ def response(log: LoopRecord, structure: Structure, numbers: Mapping[str, float]
 
 
 def coefficient_columns(structure: Structure, ki: float) -> dict[str, FloatArray]:
-    """Return the column that each gain of a law multiplies, as a combination of all columns."""
+    """Combination of all columns that each gain of a law multiplies."""
     inner = ki if structure.cascade else 0.0
     fed = {"channel": EVERY[_CHANNEL] + inner * EVERY[_CHANNEL_SUM]}.get(
         structure.reference_velocity, EVERY[_FED] + inner * EVERY[_COMMAND]
@@ -143,14 +140,14 @@ def coefficient_columns(structure: Structure, ki: float) -> dict[str, FloatArray
 
 
 def design(structure: Structure, ki: float, free: bool = False) -> FloatArray:
-    """Return what each number that the torque is linear in multiplies, (columns of `columns`, numbers).
+    """Matrix from a law's linear numbers to coefficients, (columns of `columns`, numbers).
 
-    Free taps are such numbers, times the velocity's gain, in its place.
+    Free taps, times the velocity gain, replace it.
 
     Args:
         structure: of the law.
         ki: of a cascade.
-        free: whether all columns have a number of their own, or only what the law has.
+        free: whether all columns have independent coefficients.
     """
     later = max(structure.taps - 1, 0)
     if free:
@@ -167,9 +164,9 @@ def design(structure: Structure, ki: float, free: bool = False) -> FloatArray:
 
 
 def split_taps(structure: Structure, found: FloatArray) -> tuple[FloatArray, dict[str, float]]:
-    """Return the coefficients of the module's equation, (13,), and the later taps, from those of all `columns`.
+    """Split coefficients of `columns` into those of the equation, (13,), and later taps.
 
-    The taps are those of the velocity: where all columns are free, the reference's may be others.
+    The taps are those of the velocity; with free columns, the reference's may differ.
     """
     gains = found[: EVERY.shape[0]].copy()
     if not structure.taps:
@@ -182,7 +179,7 @@ def split_taps(structure: Structure, found: FloatArray) -> tuple[FloatArray, dic
 
 
 def law_coefficients(structure: Structure, numbers: Mapping[str, float], gain: float) -> FloatArray:
-    """Return the coefficients of a law, in torque, `gain` the torque per controller unit."""
+    """Coefficients of a law in torque; `gain` is torque per controller unit."""
     known = dict(numbers)
     if structure.cascade:
         known["position_gain"] *= known["velocity_gain"]
@@ -192,19 +189,19 @@ def law_coefficients(structure: Structure, numbers: Mapping[str, float], gain: f
 
 
 def _filters(structure: Structure, numbers: Mapping[str, float]) -> tuple[Filter | tuple[float, ...], ...]:
-    """Return the filters of a structure; free taps are none, since each has its own column."""
+    """Filters of a structure, without free taps."""
     return filters_of(replace(structure, velocity_filter="none") if structure.taps else structure, numbers)
 
 
 def _later_taps(speed: FloatArray, taps: int, period: float, lead: int) -> Iterator[FloatArray]:
-    """Yield the three columns of each tap but the first: speeds of position and reference, and the position's sum."""
+    """Yield the columns of each later tap: speed of position and reference, position sum."""
     for at in range(1, taps):
         later = np.vstack([np.zeros((at, 2)), speed[:-at]])
         yield from (later[:, 0], later[:, 1], _running_sum(later[:, 0], lead) * period)
 
 
 def _prepend_line(signal: FloatArray, lead: int, slope: int) -> FloatArray:
-    """Return a signal with a straight line before it, as it begins."""
+    """Extrapolate a signal backwards by a straight line."""
     rate = (signal[slope] - signal[0]) / slope
     return np.concatenate([signal[0] + rate * np.arange(-lead, 0), signal])
 
@@ -219,13 +216,13 @@ def _differentiate(signal: FloatArray, period: float) -> FloatArray:
 
 
 def _running_sum(signal: FloatArray, lead: int) -> FloatArray:
-    """Return the sums of the earlier values from the first sample on, where an integral's content is reckoned."""
+    """Sum of earlier values from the first sample on."""
     sums = np.concatenate([[0.0], np.cumsum(signal[:-1])])
     return np.asarray(sums - sums[lead])
 
 
 def _filter_signals(one: Filter | Sequence[float], signals: FloatArray, period: float) -> FloatArray:
-    """Return signals, (periods, signals), behind a filter that has seen their first values for ever."""
+    """Filter signals, (periods, signals), from the steady state of their first values."""
     from scipy.signal import lfilter, lfilter_zi
 
     b, a = as_filter(one).coefficients(period)

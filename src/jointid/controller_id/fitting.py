@@ -1,7 +1,6 @@
-"""Fit one structure: Gauss-Newton on the whitened residual, and the covariance of its numbers.
+"""Fit of one structure: Gauss-Newton on the whitened residual, and covariance.
 
-The steps are its own, not of `solvers`: a few of them are made from each of hundreds of starts, with bounds, and what a
-search compares is the cost after so many.
+`solvers` is not used, since a search makes a few bounded steps from each of hundreds of starts.
 """
 
 from __future__ import annotations
@@ -29,14 +28,14 @@ _SHARES = 0.25 ** np.arange(6)  # of a step, one after the other, until one goes
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedLaw(NumberedStructure):
-    """A structure with all its numbers, and the `noise` that its residual was whitened by."""
+    """A structure with numbers, and the `noise` that whitened its residual."""
 
     noise: Noise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Task:
-    """A record and the gain of the drive's chain: the data of every fit.
+    """A record and the gain of the drive's chain.
 
     Attributes:
         log: the record.
@@ -47,7 +46,7 @@ class Task:
     gain: float
 
     def segment(self, samples: int) -> Task:
-        """Return the same task on so many samples, where the reference is accelerated most."""
+        """Restrict the task to the samples with the strongest reference acceleration."""
         return Task(self.log.segment(samples), self.gain)
 
     def controller(self, structure: Structure, numbers: Mapping[str, float]) -> Controller:
@@ -59,13 +58,13 @@ class Task:
         return self.controller(structure, numbers).law(self.log.period)
 
     def residual(self, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
-        """Return logged less predicted torque, (samples,), 0 where it is left out."""
+        """Logged less predicted torque, (samples,), 0 where excluded."""
         law = self.law(structure, numbers)
         predicted = self.log.predict(law, numbers.get(INTEGRAL, 0.0) * self.gain, structure.curved)
         return (self.log.torque - predicted) * self.log.kept
 
     def response(self, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
-        """Return the magnitude of a law's response to the position at the residual's frequencies."""
+        """Magnitude of a law's response to the position."""
         return response(self.log, structure, numbers, law_coefficients(structure, numbers, self.gain))
 
     def whiten(self, structure: Structure, numbers: Mapping[str, float], noise: Noise) -> FloatArray:
@@ -75,13 +74,13 @@ class Task:
         return np.fft.irfft(np.fft.rfft(error) * noise.weights(seen), error.size)
 
     def noise(self, structure: Structure, numbers: Mapping[str, float]) -> Noise:
-        """Return the noise that explains what a law leaves."""
+        """Noise that explains a law's residual."""
         log, left = self.log, self.residual(structure, numbers)
         heard = self.response(structure, numbers)
         return estimate_noise(left, heard, log.torque, log.kept, log.error.most, log.informative)
 
     def slopes(self, structure: Structure, x: FloatArray, base: FloatArray, noise: Noise) -> FloatArray:
-        """Return the derivatives of the whitened residual by the numbers, (samples, numbers), by differences."""
+        """Derivatives of the whitened residual by differences, (samples, numbers)."""
         names, period = structure.names, self.log.period
         J = np.empty((base.size, x.size))
         for i, name in enumerate(names):
@@ -94,7 +93,7 @@ class Task:
         return J
 
     def _size(self, name: str, x: FloatArray, names: tuple[str, ...]) -> float:
-        """Return the scale of a parameter's difference step, in its own units; a parameter at 0 needs one."""
+        """Scale of a parameter's difference step."""
         period, cascade = self.log.period, names[1] == "velocity_gain"
         gain = abs(float(x[0] * x[1] if cascade else x[0])) or 1.0  # controller units per m
         rate = abs(float(x[1])) or gain * period  # controller units per m/s
@@ -109,7 +108,7 @@ class Task:
 
 
 def fit(task: Task, structure: Structure, start: Mapping[str, float], noise: Noise, steps: int = 8) -> FittedLaw | None:
-    """Return a structure's numbers of least cost near a start, None where the law cannot be, or runs away."""
+    """Fit a structure's numbers near a start; None if impossible or divergent."""
     names, period = structure.names, task.log.period
     limits = Bounds(*np.array([bounds(name, period, structure.rate) for name in names]).T)
     x = limits.clip(np.array([start[name] for name in names], dtype=np.float64))
@@ -139,10 +138,10 @@ def fit(task: Task, structure: Structure, start: Mapping[str, float], noise: Noi
 
 
 def order_rates(task: Task, one: FittedLaw) -> FittedLaw:
-    """Return a P-PI on the reference's full velocity with the larger of its two rates as kp; another as it is.
+    """Return a P-PI on the full reference velocity with the larger rate as kp.
 
-    Its kp and ki are the two roots of one equation, ``kv (kp + ki)``, ``kv (1 - ki T)`` and ``kv kp ki`` being what the
-    torque follows: exchanged, with another kv, they are the same law. Position loops are made faster than integrals.
+    kp and ki are the two roots of one equation, for ``kv (kp + ki)``, ``kv (1 - ki T)`` and ``kv kp ki``; exchanging
+    them gives the same law with another kv. Position loops are usually the faster ones. Other laws stay.
     """
     structure, known, period = one.structure, one.numbers, task.log.period / one.structure.rate
     like = replace(structure, law="P-PI", reference_velocity="full", velocity_filter="none", every=1)
@@ -158,7 +157,7 @@ def order_rates(task: Task, one: FittedLaw) -> FittedLaw:
 
 
 def _gauss_newton_step(J: FloatArray, white: FloatArray, x: FloatArray, limits: Bounds) -> FloatArray:
-    """Return Gauss and Newton's step; a number that would leave its bounds at once stays there."""
+    """Gauss-Newton step; numbers that would leave their bounds stay."""
     free = np.ones(x.size, dtype=np.bool_)
     norms = column_norms(J)
     scaled = J / norms
@@ -174,7 +173,7 @@ def _gauss_newton_step(J: FloatArray, white: FloatArray, x: FloatArray, limits: 
 
 
 def covariance(task: Task, best: FittedLaw) -> Covariance:
-    """Return the covariance of a law's numbers, robust against what colour and what uneven size remain."""
+    """Covariance of a law's numbers, robust against remaining colour and unequal variance."""
     noise = task.noise(best.structure, best.numbers)
     x = np.array(list(best.numbers.values()))
     white = task.whiten(best.structure, best.numbers, noise)
@@ -183,11 +182,10 @@ def covariance(task: Task, best: FittedLaw) -> Covariance:
 
 
 def covariance_by_frequency(J: FloatArray, white: FloatArray) -> Covariance:
-    """Return the covariance from the scores of each frequency alone: J (samples, numbers), the rest (samples,) white.
+    """Covariance from the scores by frequency: J (samples, numbers), white residual.
 
-    An encoder's rounding stands still where the motor does, so that it is loudest where the motion is slow, as the
-    motion itself is: a spectrum that is smoothed, or a few neighbouring rows, would miss that. Heteroscedasticity
-    over frequencies needs neither (White 1980, of the real transform).
+    Quantisation noise is largest at slow motion, where the signal is. Heteroscedasticity over frequencies (White 1980,
+    real transform) covers that; a smoothed spectrum would not.
     """
     norms = column_norms(J)
     products = np.fft.rfft(J / norms, axis=0).conj() * np.fft.rfft(white)[:, np.newaxis]

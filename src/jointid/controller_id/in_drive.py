@@ -1,4 +1,4 @@
-"""What was learned of a controller, as its drive shows it, beside what was declared."""
+"""Learned controller numbers in the drive's units, beside the declared ones."""
 
 from __future__ import annotations
 
@@ -39,21 +39,19 @@ class NumberInDrive:
 
     @property
     def difference(self) -> float | None:
-        """By how much the value differs from what was declared, as a share of that; None where that is 0 or nothing."""
+        """Relative deviation from the declared value; None if none is declared."""
         return self.value / self.declared - 1.0 if self.declared else None
 
 
 def numbers_in_drive(
     learned: Sequence[LearnedNumber], correlation: FloatArray, shown: Iterable[DriveNumber]
 ) -> tuple[NumberInDrive, ...]:
-    """Return the learned numbers that a drive shows, in the order in which they were learned.
-
-    There are none where it shows all of them as they are, and nothing was declared.
+    """Convert learned numbers to the drive's; empty if the drive shows them unchanged.
 
     Args:
         learned: the numbers.
         correlation: (numbers, numbers) of their errors.
-        shown: how the drive shows them.
+        shown: conversion to the drive's numbers.
     """
     known, places = {one.number: one for one in shown}, {one.name: place for place, one in enumerate(learned)}
     law = {one.name: one.value for one in learned}
@@ -77,7 +75,7 @@ def numbers_in_drive(
 
 
 def drive_table(numbers: tuple[NumberInDrive, ...]) -> Table:
-    """Return the table of the numbers as the drive shows them, beside what was declared."""
+    """Table of the drive's numbers beside the declared ones."""
     compared = any(one.declared is not None for one in numbers)
     header = ("in the drive", "learned", "+-", "unit", *(("declared", "differs by") if compared else ()))
     rows = []

@@ -1,4 +1,4 @@
-"""The numbers of a learned law, with intervals over all laws that the record does not distinguish from it."""
+"""Numbers of a learned law, with intervals over all indistinguishable laws."""
 
 from __future__ import annotations
 
@@ -43,16 +43,15 @@ class LearnedNumber:
 def numbers_with_intervals(
     task: Task, best: FittedLaw, known: Covariance, alike: Iterable[FittedLaw]
 ) -> tuple[LearnedNumber, ...]:
-    """Return the numbers of a law, each with its interval over all laws that may be it, which share the number.
+    """Numbers of a law, with intervals over all laws that share the number.
 
-    A number is shared by cascades, or by PD and PID laws, as a gain of one kind is no gain of the other; that of a
-    filter by those of the same kind.
+    Cascades share numbers, as do PD and PID laws; filters of the same kind share theirs.
 
     Args:
         task: the record.
         best: the law.
         known: covariance of its numbers.
-        alike: the laws that the record does not distinguish from it.
+        alike: laws that the record does not distinguish.
     """
     made = task.controller(best.structure, best.numbers)
     spans = {name: [ends] for name, ends in _intervals(best, known)}
@@ -75,7 +74,7 @@ def _intervals(one: FittedLaw, known: Covariance) -> Iterator[tuple[str, tuple[f
 
 
 def _is_same_part(name: str, one: Structure, other: Structure) -> bool:
-    """True if the number of that name is of the same kind of filter in two laws, or of none."""
+    """Test whether a number belongs to the same kind of filter, or none."""
     if name.startswith("velocity_filter"):
         return one.velocity_filter == other.velocity_filter
     return not name.startswith("torque_filters") or one.torque_filter == other.torque_filter

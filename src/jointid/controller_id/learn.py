@@ -1,4 +1,4 @@
-"""Learn a controller's law from a record: its numbers with intervals, its alternatives and its limitations."""
+"""Learn a controller from a record: law, numbers with intervals, alternatives, limitations."""
 
 from __future__ import annotations
 
@@ -79,13 +79,13 @@ def learn_loop(
 
 
 def _require_explained(task: Task, best: FittedLaw, name: str, most: float) -> None:
-    """Raise a `MethodError` if a law leaves more than it may, or does not look at the position.
+    """Refuse a law that leaves too much, or ignores the position.
 
     Args:
         task: the record.
         best: the law.
         name: of the record.
-        most: share of the torque that may be left, averaged over a few samples.
+        most: admissible residual share of the torque, averaged over a few samples.
     """
     residual, torque = task.residual(best.structure, best.numbers), task.log.torque
     lasting = np.convolve(residual, np.full(_LASTING, 1.0 / _LASTING), "same")
@@ -109,7 +109,7 @@ def _require_explained(task: Task, best: FittedLaw, name: str, most: float) -> N
 
 
 def _require_significant(task: Task, best: FittedLaw, known: Covariance) -> None:
-    """Raise a `MethodError` if a gain or a filter constant is not significantly different from 0."""
+    """Refuse insignificant gains and filter constants."""
     open_ones = [
         f"{name} {value:.3g} +- {2 * std:.2g}"
         for (name, value), std in zip(best.numbers.items(), known.std, strict=True)
@@ -184,5 +184,5 @@ def _build_result(
 
 
 def _build_controller(task: Task, one: FittedLaw) -> Controller:
-    """Return a law that counts from the first sample of the record's file, as controllers do."""
+    """Build the controller with the phase of the record's first sample."""
     return shift_start(task.controller(one.structure, one.numbers), -task.log.record.begin)

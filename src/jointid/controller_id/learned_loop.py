@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Alternative:
-    """A structure that was weighed against the one that was chosen.
+    """A structure that was compared with the chosen one.
 
     Attributes:
         structure: of the law.
@@ -99,10 +99,10 @@ class LearnedLoop(Documented):
     regression_share: float = math.nan
 
     def beside(self, shown: Iterable[DriveNumber]) -> LearnedLoop:
-        """Return the same with the numbers as the drive shows them, too.
+        """Add the numbers as the drive shows them.
 
         Args:
-            shown: how it shows them, as `jointid.config.JointFile.drive_numbers` of the learned controller has it.
+            shown: conversion, as `jointid.config.JointFile.drive_numbers` of the learned controller returns.
         """
         return replace(self, in_drive=numbers_in_drive(self.numbers, self.correlation, shown))
 
@@ -115,12 +115,12 @@ class LearnedLoop(Documented):
 
     @property
     def alike(self) -> tuple[Alternative, ...]:
-        """The structures that the record does not distinguish from the chosen one."""
+        """Structures that the record does not distinguish from the chosen one."""
         return tuple(one for one in self.alternatives if one.alike)
 
     @property
     def interrupted(self) -> bool:
-        """True if the search was interrupted, and this is the best law that it had found."""
+        """Whether the search was interrupted."""
         return any(one.code is LimitationCode.INTERRUPTED for one in self.limitations)
 
     @property
@@ -130,30 +130,20 @@ class LearnedLoop(Documented):
 
     @property
     def another_law(self) -> bool:
-        """True if a plain regression leaves so much less that the drive's law must be another."""
+        """Whether a plain regression is so much better as to exclude this law."""
         return any(one.code is LimitationCode.ANOTHER_LAW for one in self.limitations)
 
     @property
     def _said_of_intervals(self) -> str:
-        """What the tables' intervals are, and what one of the controller's own units is."""
+        """Explanation of intervals and controller units."""
         said, gain = "+- is 2 deviations", getattr(self.controller, "gain", 1.0)
         if self.alike:
             others = counted(len(self.alike), "other law")
             said += f"; it spans {others} that the record does not distinguish from this one"
         return f"{said}; [controller] has gain = {number(gain)} {self.torque_unit}" if gain != 1.0 else said
 
-    def _in_si(self) -> Table:
-        """Return the numbers in SI: those in controller units times the controller's gain."""
-        gain, rows = getattr(self.controller, "gain", 1.0), []
-        for n in self.numbers:
-            ours = CONTROLLER_UNITS in n.unit
-            factor, unit = (gain, in_torque(n.unit, self.torque_unit)) if ours else (1.0, n.unit)
-            percent = number(100 * n.spread / abs(n.value), 2) if n.value else "-"
-            rows.append((n.name, number(factor * n.value, 6), number(factor * n.spread, 2), unit, percent))
-        return Table(("parameter in SI", "value", "+-", "unit", "%"), tuple(rows), words=(0, 3))
-
     def _others(self) -> Iterator[Block]:
-        """Yield the laws that the record does not distinguish from this one, and how many it does."""
+        """Yield the indistinguishable laws and the number of rejected ones."""
         if self.alike:
             yield Paragraph("Laws that the record does not distinguish from it, and by how much their torque differs:")
             yield Listing(tuple(f"{one.structure}: {100 * one.apart:.2g} %" for one in self.alike))
@@ -175,15 +165,11 @@ class LearnedLoop(Documented):
         return f"The controller is {self.structure}; it leaves {100 * self.share:.2g} % of the torque.{open_ones}"
 
     def to_dataframe(self) -> DataFrame:
-        """Return the numbers of the law as a pandas data frame: a row each, with value and standard error.
-
-        Raises:
-            ExtraError: pandas is not installed.
-        """
+        """Pandas data frame of the numbers, with standard errors."""
         return data_frame({n.name: {"value": n.value, "stderr": n.std} for n in self.numbers}, "number")
 
     def document(self, *, details: bool = False) -> Document:
-        """Return the numbers, the other structures, and what the record cannot tell; there are no further details."""
+        """Numbers, other structures and limitations."""
         del details
         facts = common_facts(self.resampled, None)
         same = [str(one) for one in self.equivalent if isinstance(one, Message)]  # the others are alike
@@ -199,11 +185,17 @@ class LearnedLoop(Documented):
         )
         elsewhere = (LimitationCode.INDISTINGUISHABLE, LimitationCode.ANOTHER_LAW)
         left_open = [one for one in self.limitations if one.code not in elsewhere]
+        gain, rows = getattr(self.controller, "gain", 1.0), []
+        for n in self.numbers:
+            ours = CONTROLLER_UNITS in n.unit
+            factor, unit = (gain, in_torque(n.unit, self.torque_unit)) if ours else (1.0, n.unit)
+            percent = number(100 * n.spread / abs(n.value), 2) if n.value else "-"
+            rows.append((n.name, number(factor * n.value, 6), number(factor * n.spread, 2), unit, percent))
         blocks: list[Block] = [
             *([Paragraph(self.sentence)] if self.another_law else []),
             Facts(facts),
             *([drive_table(self.in_drive)] if self.in_drive else []),
-            self._in_si(),
+            Table(("parameter in SI", "value", "+-", "unit", "%"), tuple(rows), words=(0, 3)),
             Paragraph(self._said_of_intervals),
             Paragraph(residual),
             *self._others(),

@@ -1,4 +1,4 @@
-"""What a record leaves open about a learned law, and the other forms of the same equation."""
+"""Undetermined properties of a learned law, and equivalent forms."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Equivalence(StrEnum):
 
 
 class LimitationCode(StrEnum):
-    """What a record leaves open about the controller."""
+    """Properties of the controller that a record does not determine."""
 
     NO_INTEGRAL = auto()
     LIMIT_NOT_REACHED = auto()
@@ -51,7 +51,7 @@ INTERRUPTED = Message(
 
 
 def keep_declared(made: Controller, declared: Controller | None) -> tuple[Controller, tuple[Message, ...]]:
-    """Return a law with the declared limit and delay where the record does not show them, and that limitation."""
+    """Take limit and delay from the declaration where the record hides them."""
     said = {} if declared is None else numbers_of(declared)
     if "limit" in said:  # in the units of the law that was learned, which is on the joint's side
         said["limit"] *= abs(_torque_per_unit(declared) / _torque_per_unit(made))
@@ -70,7 +70,7 @@ def _torque_per_unit(controller: Any) -> float:
 
 
 def list_equivalents(structure: Structure) -> Iterator[Message]:
-    """Yield the other forms of a law: the same equation, its gains in terms of those that were found."""
+    """Yield the equivalent forms of a law, with their gains."""
     code, velocity, gains = (
         Equivalence,
         structure.reference_velocity,
@@ -93,7 +93,7 @@ def list_equivalents(structure: Structure) -> Iterator[Message]:
 def list_limitations(
     log: LoopRecord, structure: Structure, alike: tuple[Structure, ...], beside: BesideRegression
 ) -> Iterator[Message]:
-    """Yield what a record leaves open about a law; `alike` are the structures that it does not distinguish from it."""
+    """Yield the limitations of a law; `alike` are indistinguishable structures."""
     code = LimitationCode
     if beside.another:
         yield Message(

@@ -1,4 +1,4 @@
-"""Inputs and output of the controller, prepared from a record, and a law's torque predicted for it."""
+"""Controller inputs and output from a record, and prediction of a law's torque."""
 
 from __future__ import annotations
 
@@ -60,11 +60,11 @@ class LoopRecord:
 
     @property
     def free(self) -> FloatArray:
-        """(samples,) 1 where the residual counts and the torque is at no limit, else 0."""
+        """(samples,) 1 where the residual counts and no limit acts, else 0."""
         return self.kept * _below_limit(self.torque, self.plateau)
 
     def segment(self, samples: int) -> LoopRecord:
-        """Return so many samples of the record, those in which the reference is accelerated most."""
+        """Select the samples with the strongest reference acceleration."""
         if samples >= self.samples:
             return self
         assert self.record.reference is not None
@@ -84,19 +84,19 @@ class LoopRecord:
         return _build_loop_record(self.record, self.torque[rows], self.added[rows], kept, self.plateau, inputs)
 
     def inputs(self, rate: int, curved: bool) -> FloatArray:
-        """Return the inputs of a law with that many periods per sample, (periods, INPUTS)."""
+        """Inputs of a law with `rate` periods per sample, (periods, INPUTS)."""
         if (rate, curved) not in self._inputs:
             filled: Interpolation | None = "cubic" if curved else "linear" if rate > 1 else None
             self._inputs[rate, curved] = _read_inputs(self.record, self.period, self.samples, rate, filled)
         return self._inputs[rate, curved]
 
     def predict(self, law: SampledLaw, content: float = 0.0, curved: bool = False) -> FloatArray:
-        """Return the torque that the log would show of a law, (samples,).
+        """Predict the logged torque of a law, (samples,).
 
         Args:
             law: the law.
-            content: torque that its integral holds at the first sample.
-            curved: whether the reference is filled in by cubics between the log's samples.
+            content: integral torque at the first sample.
+            curved: whether cubics interpolate the reference between samples.
         """
         rate = round(self.period / law.period)
         inputs = self.inputs(rate, curved)
@@ -114,7 +114,7 @@ class LoopRecord:
         return _delay_samples(shown + self.added, late) - self.added if late else shown
 
     def as_logged(self, signals: FloatArray, rate: int) -> FloatArray:
-        """Return signals of a law with so many periods per sample, (periods, signals), as the log shows a torque."""
+        """Sample a law's signals, (periods, signals), as the log shows a torque."""
         assert self.record.torque is not None
         if self.record.torque.timing is not Timing.AVERAGED:
             return signals[::rate]
@@ -122,16 +122,12 @@ class LoopRecord:
 
 
 def _delay_samples(signals: FloatArray, samples: int) -> FloatArray:
-    """Return signals, (samples, ...), so many samples later, at their first value until they begin."""
+    """Delay signals, (samples, ...), holding their first value."""
     return np.concatenate([np.repeat(signals[:1], samples, axis=0), signals[: len(signals) - samples]])
 
 
 def prepare_loop_record(record: Record) -> LoopRecord:
-    """Prepare a record for learning.
-
-    Raises:
-        RecordError: a channel is missing, the record is too short, or nothing moves in it.
-    """
+    """Prepare a record for learning."""
     missing = [name for name in _NEEDED if getattr(record, name) is None]
     if missing:
         raise RecordError(
@@ -178,7 +174,7 @@ def _build_loop_record(
     plateau: float | None,
     inputs: dict[tuple[int, bool], FloatArray],
 ) -> LoopRecord:
-    """Return samples of a record with the error of the position and the informative frequencies."""
+    """Select samples, with position error and informative frequencies."""
     assert record.torque is not None and record.motor_position is not None
     own = inputs[1, False]
     error = position_error(own[:, POSITION], find_encoder_step(record.motor_position))
@@ -191,7 +187,7 @@ def _below_limit(torque: FloatArray, plateau: float | None) -> FloatArray:
 
 
 def _read_inputs(record: Record, period: float, samples: int, rate: int, filled: Interpolation | None) -> FloatArray:
-    """Return the inputs of a law with that many periods per sample, (periods, INPUTS)."""
+    """Inputs of a law with `rate` periods per sample, (periods, INPUTS)."""
     periods, own = samples * rate, period / rate
     assert record.motor_position is not None and record.reference is not None
     velocity = None
@@ -215,7 +211,7 @@ def _interpolate(position: FloatArray, rate: int) -> FloatArray:
 
 
 def _plateau(torque: FloatArray, added: FloatArray) -> float | None:
-    """Return the torque a log stands at where it is largest, or None."""
+    """Largest torque that a log holds, or None."""
     # In a late log, what was added is still in the torque for as many samples.
     changed = np.concatenate([[False], np.diff(added) != 0.0])
     size = np.abs(torque) * (np.convolve(changed, np.ones(max(LATE) + 1))[: torque.size] < 0.5)

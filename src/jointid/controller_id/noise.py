@@ -1,24 +1,21 @@
-"""Noise of the logged torque and position, and the whitening of residuals.
+"""Noise of the logged torque and position, and whitening of residuals.
 
-A law that is applied to a *logged* position sees that position's error n, too. With the law's response G from position
-to torque, the residual of the true law is ``w - G n``, w the error of the logged torque, and its spectrum::
+A law applied to a *logged* position responds to that position's error n. With G the law's response from position to
+torque, the residual of the true law is ``w - G n``, w the error of the logged torque, with the spectrum::
 
     S = a + b |G|^2 R
 
-a of the torque's error, white, b and R, its size and its shape, of the position's: the colour of the residual is the
-law's own. The numbers of a law are those that minimise ``sum over f of |E|^2 / S`` with the S of that very law, E the
-residual's transform: the maximum likelihood of errors in variables (Pintelon and Schoukens 2012, ch. 9). An S that did
-not move with the law would reward every filter that keeps the noise from the prediction, the true one or not.
+a belongs to the white torque error, b and R, its size and shape, to the position error. The numbers of a law minimise
+``sum over f of |E|^2 / S`` with its own S, E the residual's transform: maximum likelihood of errors in variables
+(Pintelon and Schoukens 2012, ch. 9). A fixed S would reward filters that suppress the noise.
 
-R is that of the encoder's rounding, see `position_error`. A filter can still be bent to fit what is left of it, so the
-frequencies are left out at which torque or position are not louder than their noise: there the record tells of the
-noise, not of the law (`informative_frequencies`).
+R is that of the encoder's quantisation, see `position_error`. Frequencies at which torque or position do not exceed
+their noise are excluded (`informative_frequencies`), since a filter could fit the noise there.
 
-Which these are is known before any law: each is linear in the reference, its direction, the position and what is
-injected, but for its limit, and its memory is short but for an integral. So a regression of the torque on long
-stretches of their past leaves little but noise (Zhu 2001, Multivariable System Identification for Process Control, ch.
-6: high orders first). What is louder than *that* is the same for all laws. Judged by what a law itself leaves, a wrong
-one would silence just the frequencies at which it is wrong.
+They are determined before any law: all laws are linear in reference, its direction, position and injection, up to the
+limit, with short memory except integrals. A regression of the torque on long stretches of their past leaves little but
+noise (Zhu 2001, Multivariable System Identification for Process Control, ch. 6). The residual of a wrong law would
+exclude the frequencies at which it is wrong.
 """
 
 from __future__ import annotations
@@ -56,7 +53,7 @@ _DEPENDENT = 1e-12  # of the largest singular value: what is below is rounding
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Noise:
-    """The spectrum of what a law leaves (the module's equations).
+    """The spectrum of a law's residual (the module's equations).
 
     Attributes:
         torque: a, variance of the torque's error.
@@ -70,19 +67,19 @@ class Noise:
     informative: FloatArray
 
     def weights(self, response: FloatArray) -> FloatArray:
-        """Return ``1 / sqrt(S)`` at the frequencies of the real transform, given |G| there; 0 where left out."""
+        """Return ``1 / sqrt(S)`` for given |G|; 0 where excluded."""
         with np.errstate(over="ignore"):  # a candidate that reacts beyond all numbers weighs nothing
             return np.asarray(self.informative / np.sqrt(self.torque + self.position * response**2))
 
     @property
     def rows(self) -> float:
-        """Independent numbers that are left in a whitened residual."""
+        """Independent values in a whitened residual."""
         return 2.0 * float(np.sum(self.informative))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PositionError:
-    """The error of a logged position, before any law is known.
+    """Error of a logged position, independent of the law.
 
     Attributes:
         shape: (frequencies,) the root of its spectrum, over that of white noise of the same variance.
@@ -98,7 +95,7 @@ class PositionError:
     power: FloatArray
 
     def alike(self, samples: int) -> FloatArray:
-        """Return the root of the spectra that look like each frequency's to what reads one of so many samples."""
+        """Root of the aliasing spectra for a reader of every `samples`-th sample."""
         at, frequencies = np.arange(self.shape.size), np.linspace(0.0, 0.5, self.shape.size)
         others = [np.abs((frequencies - m / samples + 0.5) % 1.0 - 0.5) for m in range(1, samples)]
         folded = sum(np.interp(one * 2.0 * at[-1], at, self.shape**2) for one in others)
@@ -108,15 +105,14 @@ class PositionError:
 def position_response(
     response: Callable[[FloatArray], NDArray[np.complex128]], sample_time: float, samples: int, rate: int
 ) -> FloatArray:
-    """Return |G| from the error of a logged position to the logged torque, at the frequencies of the real transform.
+    """|G| from logged position error to logged torque.
 
-    A law that is faster than the log sees cubic splines through the log's samples. The cardinal one has the spectrum::
+    A law faster than the log sees cubic splines; the cardinal one has the spectrum::
 
         C(f) = sinc(f T)^4 / (1 - 2/3 sin^2(pi f T))
 
-    T the log's sample time (Unser 1999, IEEE Signal Processing Magazine 16(6)). The error is not gone above half the
-    log's rate, but has images there; the log's samples of the torque fold them back: ``G(f) = sum over m of
-    C(f + m / T) G_law(f + m / T)``. A smaller or larger |G| than the true one would speak for or against all fast laws.
+    T the log's sample time (Unser 1999, IEEE Signal Processing Magazine 16(6)). The torque's samples alias the images:
+    ``G(f) = sum over m of C(f + m / T) G_law(f + m / T)``. A biased |G| would favour or penalise all fast laws.
 
     Args:
         response: of the law, at frequencies in Hz.
@@ -145,25 +141,22 @@ def _points(size: int) -> FloatArray:
 
 @cache
 def _shares(size: int) -> FloatArray:
-    """Return the frequencies of a real transform, as shares of half the sampling frequency."""
+    """Frequencies of a real transform, relative to Nyquist."""
     return np.linspace(0.0, 1.0, size // 2 + 1)
 
 
 def estimate_noise(
     error: FloatArray, response: FloatArray, torque: FloatArray, kept: FloatArray, most: float, informative: FloatArray
 ) -> Noise:
-    """Return the noise that explains a residual.
+    """Estimate the noise that explains a residual.
 
     Args:
-        error: (samples,) the residual, 0 where it is left out.
-        response: |G| of the law at the frequencies of its real transform, times the shape of the position's error.
+        error: (samples,) the residual, 0 where excluded.
+        response: |G| of the law, times the shape of the position's error.
         torque: (samples,) logged.
         kept: (samples,) 1 where the residual counts, else 0.
         most: bound of the variance of the position's error.
-        informative: (frequencies,) 1 where the record tells of its law, else 0.
-
-    Raises:
-        MethodError: the residual, or the response, is beyond all numbers.
+        informative: (frequencies,) 1 where informative, else 0.
     """
     size, share = error.size, float(np.mean(kept))
     with np.errstate(over="ignore", invalid="ignore"):
@@ -179,16 +172,15 @@ def estimate_noise(
 
 
 def position_error(position: FloatArray, step: float | None) -> PositionError:
-    """Return the error of a logged position.
+    """Estimate the error of a logged position.
 
-    An encoder's rounding is no white noise: at an even speed it is a line, as many steps per sample as are not whole.
-    So it is made again, on the position smoothed and moved by parts of a step. Without a step to be seen, or where the
-    position is nowhere as quiet as that, it is white, and not more than all of the position in the quietest quarter of
-    its spectrum.
+    Quantisation at constant speed is a spectral line, so it is repeated on the smoothed position at several offsets.
+    Without a visible step, or on a noisier position, the error is white, bounded by the quietest quarter of the
+    spectrum.
 
     Args:
         position: (samples,) logged.
-        step: of its encoder; None where none is to be seen.
+        step: of its encoder; None if not visible.
     """
     from scipy.signal import savgol_filter
 
@@ -210,28 +202,28 @@ def position_error(position: FloatArray, step: float | None) -> PositionError:
 
 
 def band_power(signal: FloatArray) -> FloatArray:
-    """Return a signal's averaged periodogram, (bands,), windowed: a loud band does not leak into others."""
+    """Windowed, averaged periodogram of a signal, (bands,)."""
     return band_means(np.abs(np.fft.rfft(np.hanning(signal.size) * signal)) ** 2 / (signal.size * 0.375))
 
 
 def _band_edges(size: int) -> NDArray[np.intp]:
-    """Return where the bands of a real transform of that size begin, from its second frequency on, and the end."""
+    """First index of each band of a real transform, from its second frequency on."""
     return np.unique(np.linspace(1, size, _BINS + 1).astype(np.intp))
 
 
 def band_widths(size: int) -> NDArray[np.intp]:
-    """Return the number of frequencies in each band of a real transform of that size, from its second on."""
+    """Number of frequencies per band of a real transform, from its second on."""
     return np.diff(_band_edges(size))
 
 
 def band_means(values: FloatArray) -> FloatArray:
-    """Return the means over bands, (bands,), of what is given at the frequencies of a real transform but the first."""
+    """Means over bands, (bands,), from the second frequency on."""
     edges = _band_edges(values.size)
     return np.asarray(np.add.reduceat(values, edges[:-1]) / np.diff(edges))
 
 
 def _fit_two_sources(seen: FloatArray, gains: FloatArray, floor: float, most: float) -> tuple[float, float]:
-    """Return (a, b) of the largest Whittle likelihood, ``sum log S + I / S``, by scoring; both at least 0."""
+    """Maximise the Whittle likelihood, ``sum log S + I / S``, over a, b >= 0 by scoring."""
     from scipy.optimize import nnls
 
     spectrum = np.maximum(seen, floor)
@@ -256,16 +248,15 @@ def informative_frequencies(
 ) -> FloatArray:
     """Return 1 at the informative frequencies of the real transform, else 0.
 
-    A law is applied to the logged position. Where that is no louder than its rounding it tells of the law only if it
-    shows in the torque: if the controller saw the same rounding, or a slower position loop makes images there of what
-    moves slowly. A rounding that the controller did not see cannot: what is taken from it is left in the residual.
+    Frequencies where the position does not exceed its quantisation count only if they show in the torque: if the
+    controller saw the same quantisation, or a slower position loop makes images there.
 
     Args:
-        inputs: (samples, INPUTS) what a law as fast as the log reads.
-        torque: (samples,) logged, less what was added after the limit.
-        added: (samples,) what that was; in a log that is late it still shows.
-        kept: (samples,) 1 where the torque is what a law gives, not a limit.
-        error: what is known of the position's.
+        inputs: (samples, INPUTS) of a law as fast as the log.
+        torque: (samples,) logged, without what was added after the limit.
+        added: (samples,) that addition; it remains visible in a late log.
+        kept: (samples,) 1 where the torque is within the limit, else 0.
+        error: of the position.
     """
     r, q = (inputs[:, i] - inputs[0, REFERENCE] for i in (REFERENCE, POSITION))
     asked = [np.ones((r.size, 1)), np.cumsum(r - q)[:, np.newaxis], *signal_and_past(r), *_images(_difference(r))]
@@ -280,9 +271,9 @@ def informative_frequencies(
 def regress(
     asked: list[FloatArray], seen: list[FloatArray], torque: FloatArray, kept: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the torque explained by the position, and the residual, scaled as on samples of its own.
+    """Torque explained by the position, and residual, scaled for degrees of freedom.
 
-    The hundreds of columns are made of a few thousand samples at a time: of a long record they would fill the memory.
+    Columns are processed in blocks of a few thousand samples, to bound memory.
     """
     every, first = [*asked, *seen], sum(one.shape[1] for one in asked)
     parts = [slice(at, at + _ROWS) for at in range(0, torque.size, _ROWS)]
@@ -301,14 +292,14 @@ def regress(
 
 
 def _images(signal: FloatArray) -> list[FloatArray]:
-    """Return the images of a signal in a slower position loop: the signal modulated by fractions of its rate."""
+    """Images of a signal in a slower position loop, by modulation."""
     parts = np.arange(1, max(SLOWER) // 2 + 1)[:, np.newaxis] / max(SLOWER)
     turns = np.exp(2j * np.pi * parts * np.arange(signal.size))
     return [lagged_columns(signal * part, _IMAGES) for turn in turns for part in (turn.real, turn.imag)]
 
 
 def signal_and_past(signal: FloatArray, samples: int = _PAST) -> list[FloatArray]:
-    """Return columns that span a signal and its earlier values; second differences keep them well conditioned."""
+    """Columns that span a signal and its past, conditioned by second differences."""
     change = _difference(signal)
     return [signal[:, np.newaxis], change[:, np.newaxis], lagged_columns(_difference(change), samples)]
 
@@ -318,6 +309,6 @@ def _difference(signal: FloatArray) -> FloatArray:
 
 
 def lagged_columns(signal: FloatArray, samples: int) -> NDArray[np.float64]:
-    """Return a signal and its earlier values, (samples of it, samples + 1), at its first value until it begins."""
+    """A signal and its past, (samples of it, samples + 1), from its first value."""
     led = np.concatenate([np.full(samples, signal[0]), signal])
     return np.lib.stride_tricks.sliding_window_view(led, samples + 1)

@@ -1,8 +1,7 @@
-"""The measuring stick of a law: a plain regression of the torque on the last samples of reference and position.
+"""Reference for laws: a regression of torque on recent reference and position.
 
-A law of the menu that is the drive's leaves what the log's noise makes, and so does the regression, whatever the law:
-a weighted difference, a filter or a loop of its own is among its columns, or nearly. Where a law leaves much more than
-the regression, at frequencies that are louder than their noise, the drive's law is another, and the rest is no noise.
+The regression contains almost any law of linear filters and loops. If a law leaves much more than the regression at
+informative frequencies, the drive has another law.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ _MATERIAL = 2e-3  # of the torque's rms: a law that leaves less is good enough f
 
 @dataclass(frozen=True, slots=True)
 class BesideRegression:
-    """What a law leaves, beside what a plain regression leaves, where the record tells of the law.
+    """Residual of a law compared with that of a plain regression.
 
     Attributes:
         law: share of the torque's rms that the law leaves.
@@ -42,10 +41,9 @@ class BesideRegression:
 
 
 def compare_with_regression(log: LoopRecord, residual: FloatArray) -> BesideRegression:
-    """Return what a law leaves beside a plain regression.
+    """Compare a law's residual with a plain regression.
 
-    Both are compared where the torque is at no limit, and at the informative frequencies: elsewhere the error of the
-    position, which a regression may fit better than any law, is louder than the motion.
+    Only samples within the limit and informative frequencies count; elsewhere the position error dominates.
 
     Args:
         log: the record.
@@ -63,6 +61,6 @@ def compare_with_regression(log: LoopRecord, residual: FloatArray) -> BesideRegr
 
 
 def _heard(signal: FloatArray, informative: FloatArray) -> float:
-    """Return the rms of a signal at the informative frequencies."""
+    """Rms of a signal at the informative frequencies."""
     heard = np.fft.irfft(np.fft.rfft(signal) * (informative > 0), signal.size)
     return math.sqrt(float(np.mean(heard**2)))

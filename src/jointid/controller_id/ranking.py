@@ -1,7 +1,7 @@
-"""Which of two laws is the likelier: Schwarz's criterion, and what is the same law with a part that does nothing.
+"""Ranking of laws by Schwarz's criterion, and equivalence of laws.
 
-The criterion is the whitened cost, relative to that of the best structure, plus the weight of the structure's parts,
-with as many rows as there are informative frequencies. A difference of ten is as good as certain: exp(-5) to 1.
+The criterion is the whitened cost relative to the best structure, plus the penalty of the structure's parts, with one
+row per informative frequency. A difference of ten means odds of exp(-5) to 1.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ MATERIAL = 1e-3  # of the torque's rms: a part that carries less is none
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rival:
-    """A structure beside the best.
+    """A structure compared with the best.
 
     Attributes:
         fitted: with its numbers.
@@ -37,16 +37,15 @@ class Rival:
 
 
 def score(one: NumberedStructure, rows: float) -> float:
-    """Return a structure's cost with what its parts weigh."""
+    """Cost of a structure plus penalty."""
     return one.cost + one.structure.weight(rows)
 
 
 def rank(task: Task, best: FittedLaw, others: list[FittedLaw]) -> list[Rival]:
-    """Return structures, the likeliest first.
+    """Rank structures by likelihood.
 
-    Of two that predict the same torque to within `MATERIAL`, by the same filters, the one with fewer numbers is the
-    likelier, whatever the criterion says: what is there by the statistics, as the error of an encoder that depends on
-    the direction is, need not be of the law.
+    Of two with equal filters and torques equal within `MATERIAL`, the one with fewer numbers ranks first, since
+    direction-dependent encoder errors can be significant.
     """
     own, rivals = criterion(best, best), []
     for one in others:
@@ -61,16 +60,15 @@ def rank(task: Task, best: FittedLaw, others: list[FittedLaw]) -> list[Rival]:
 
 
 def _has_same_filters(one: Structure, other: Structure) -> bool:
-    """Return True if two structures have filters of the same kind; free taps are of every kind of difference."""
+    """Test for filters of the same kind; free taps match any difference."""
     differences = one.taps or other.taps
     return one.filters == other.filters or bool(differences and one.torque_filter == other.torque_filter)
 
 
 def much_simpler(best: FittedLaw, rivals: Iterable[Rival]) -> FittedLaw | None:
-    """Return the simplest law alike that has at most half the parts, None if there is none.
+    """Simplest equivalent law with at most half the parts, if any.
 
-    Where an encoder's steps hide a filter, what is heard of them is not quite of the noise's spectrum: of hundreds of
-    laws one with many parts explains a little of that, too.
+    Hidden by quantisation, a filter's noise spectrum is inexact, which a complex law can fit.
     """
     alike = (one.fitted for one in rivals if one.worse < ALIKE)
     simple = (one for one in alike if 2 * one.structure.parts <= best.structure.parts)
@@ -78,12 +76,12 @@ def much_simpler(best: FittedLaw, rivals: Iterable[Rival]) -> FittedLaw | None:
 
 
 def drop_none(laws: Iterable[_Law | None]) -> list[_Law]:
-    """Return the laws that could be fitted."""
+    """Keep the laws that could be fitted."""
     return [one for one in laws if one is not None]
 
 
 def unique_structures(laws: Iterable[_Law], by: Callable[[_Law], float] = lambda _: 0.0) -> list[_Law]:
-    """Return the best of each structure by something, the first of those that are as good."""
+    """Best law of each structure by a key."""
     best: dict[Structure, _Law] = {}
     for one in laws:
         if one.structure not in best or by(one) < by(best[one.structure]):
@@ -92,12 +90,12 @@ def unique_structures(laws: Iterable[_Law], by: Callable[[_Law], float] = lambda
 
 
 def torque_difference(task: Task, one: FittedLaw, other: FittedLaw) -> float:
-    """Return the rms difference of two laws' predicted torques, as a share of the torque's rms."""
+    """Rms difference of two laws' torques, relative to the torque's rms."""
     change = task.residual(one.structure, one.numbers) - task.residual(other.structure, other.numbers)
     return float(np.sqrt(np.mean(change**2) / np.mean(task.log.torque**2)))
 
 
 def criterion(one: FittedLaw, best: FittedLaw) -> float:
-    """Return Schwarz's criterion of a structure, its cost in units of what the best one leaves."""
+    """Schwarz's criterion, with the best law's residual as unit."""
     rows = one.noise.rows
     return rows * one.cost / best.cost + one.structure.weight(rows)

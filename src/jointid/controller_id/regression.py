@@ -1,8 +1,7 @@
-"""Regressions on a law's columns, its filters and clocks given: the residual that no choice of gains can improve.
+"""Regressions on a law's columns for given filters and clocks (variable projection).
 
-Only the filters' few numbers, the ki of a cascade and a delay are searched for (variable projection: Golub and Pereyra
-2003, Inverse Problems 19). Where all coefficients are free, what is left is the least that any law can leave: filters
-and clocks are told from each other before a law is chosen.
+Only filter numbers, the ki of a cascade and a delay are searched (Golub and Pereyra 2003, Inverse Problems 19). Free
+coefficients give the minimum over all laws, so that filters and clocks can be compared before laws.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ _EVALUATIONS = 6  # of a search for filters' numbers: the law is fitted exactly 
 
 
 class Weighting(NamedTuple):
-    """The noise and the response by which a regression is weighted.
+    """Noise and response that weight a regression.
 
     Attributes:
         noise: of torque and position.
@@ -39,13 +38,13 @@ class Weighting(NamedTuple):
 
     @property
     def weights(self) -> FloatArray:
-        """One over the square root of the noise's spectrum, 0 where that is left out."""
+        """One over the square root of the noise spectrum, 0 where excluded."""
         return self.noise.weights(self.response)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RegressionFit(NumberedStructure):
-    """The regression of a structure on the torque; of a frame, only the clocks and filters count.
+    """Regression of a structure or a frame of clocks and filters on the torque.
 
     Attributes:
         gains: the regression's coefficients, in torque.
@@ -60,7 +59,7 @@ class RegressionFit(NumberedStructure):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CompressedFrame:
-    """A frame's columns, how they change with its numbers, and the torque: rotated into few rows.
+    """A frame's columns, derivatives and torque, rotated into few rows.
 
     Attributes:
         numbers: of the filters, where they were worked out.
@@ -75,7 +74,7 @@ class CompressedFrame:
     late: tuple[int, ...]
 
     def costs(self, structure: Structure, ki: float | None) -> FloatArray:
-        """Return a law's cost after one Gauss-Newton step of its parameters, for each delay."""
+        """Cost of a law after one Gauss-Newton step, for each delay."""
         mixed = design(structure, ki or 0.0)
         X, moves = self.blocks[0] @ mixed, [block @ mixed for block in self.blocks[1:]]
         if ki:
@@ -106,7 +105,7 @@ class Regression:
     own: bool = False
 
     def weighting(self, one: RegressionFit) -> Weighting:
-        """Return the noise that explains what is left, with the law it is the noise of."""
+        """Noise that explains a fit's residual, with its law."""
         log = self.log
         noise = estimate_noise(one.residual, one.response, log.torque, self.kept, log.error.most, log.informative)
         return Weighting(noise, one.response)
@@ -124,12 +123,9 @@ class Regression:
         Args:
             structure: of the law.
             numbers: of filters, ki and delay.
-            weighting: what it is judged under.
-            late: samples by which the log may show the torque late; those of the structure when None.
-            free: whether all coefficients are free, or only those of the structure's law.
-
-        Raises:
-            MethodError: the filters cannot be.
+            weighting: of the residual.
+            late: delays of the logged torque in samples; those of the structure when None.
+            free: whether all coefficients are free.
         """
         late = [structure.late] if late is None else late
         mixed, given = design(structure, numbers.get("integral_gain", 0.0), free), without_taps(numbers)
@@ -153,16 +149,13 @@ class Regression:
     def compress(
         self, frame: Structure, numbers: Mapping[str, float], weighting: Weighting, late: Sequence[int]
     ) -> CompressedFrame:
-        """Compress a frame's columns into few rows, enough for every law: the triangle of a QR decomposition.
+        """Compress a frame's columns to the triangle of a QR decomposition.
 
         Args:
             frame: clocks and filters.
             numbers: of the filters, and of the reference's delay where the laws have one.
-            weighting: what the laws are judged under.
-            late: samples by which the log may show the torque late.
-
-        Raises:
-            MethodError: the filters cannot be.
+            weighting: of the residual.
+            late: possible delays of the logged torque, in samples.
         """
         base = columns(self.log, frame, numbers)
         blocks = [base]
@@ -180,7 +173,7 @@ class Regression:
     def refine(
         self, one: RegressionFit, weighting: Weighting, free: bool = True, evaluations: int = _EVALUATIONS
     ) -> RegressionFit:
-        """Return a structure with its numbers where it explains most, `free` of a law's own coefficients or not."""
+        """Optimise a structure's nonlinear numbers; `free` as in `fit_gains`."""
         from scipy.optimize import least_squares  # itself: `solvers` search for an end, and this stops long before
 
         begun = without_taps(one.numbers)
@@ -207,7 +200,7 @@ class Regression:
         return fit_gains(found.x)
 
     def _targets(self, structure: Structure, numbers: Mapping[str, float], late: Sequence[int]) -> FloatArray:
-        """Return the torque as much earlier, (samples, delays): it is moved, and the columns serve all delays."""
+        """Advanced torques, (samples, delays), so that columns serve all delays."""
         added = self.log.added
         known = injected_torque(self.log, structure, numbers)
         moved = [_advance(self.log.torque + added, n) - added for n in late]
@@ -227,13 +220,13 @@ def regression(log: LoopRecord) -> Regression:
 
 
 def initial_weighting(regression: Regression) -> Weighting:
-    """Return the weighting before anything is known of the noise: all informative frequencies alike."""
+    """Initial weighting: all informative frequencies alike."""
     log = regression.log
     return Weighting(Noise(float(np.var(log.torque)), 0.0, log.informative), np.ones(log.samples // 2 + 1))
 
 
 def law_numbers(one: RegressionFit, gain: float) -> dict[str, float]:
-    """Return the numbers of a law from what its own regression found, `gain` the torque per controller unit."""
+    """Numbers of a law from its regression; `gain` is torque per controller unit."""
     structure, ki = one.structure, one.numbers.get("integral_gain", 0.0)
     parts = coefficient_columns(structure, ki)
     values = np.linalg.lstsq(np.column_stack(list(parts.values())), one.gains / gain, rcond=None)[0]
@@ -254,13 +247,13 @@ def _advance(signal: FloatArray, samples: int) -> FloatArray:
 
 
 def _smallest_scale(name: str, sample_time: float) -> float:
-    """Return the smallest scale of a parameter, which may itself be 0."""
+    """Smallest scale of a parameter, for values near 0."""
     last = name.rpartition(".")[2]
     return {"depth": 0.3, "integral_gain": 1e-3 / sample_time, "reference_delay": 0.1 * sample_time}.get(last, 0.0)
 
 
 def _whiten(X: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return columns made white, at the frequencies that are heard."""
+    """Whiten columns at the informative frequencies."""
     informative = weights > 0
     return _stack(np.fft.rfft(X, axis=0)[informative] * weights[informative, np.newaxis])
 

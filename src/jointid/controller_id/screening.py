@@ -1,4 +1,4 @@
-"""Screen clocks, filters and laws before one is chosen, each by its regression with free gains."""
+"""Screening of clocks, filters and laws by regression with free gains."""
 
 from __future__ import annotations
 
@@ -33,12 +33,10 @@ _COST = attrgetter("cost")
 
 
 def screen_frames(regression: Regression, progress: Progress = silent) -> tuple[Weighting, list[int]]:
-    """Return the weighting under which laws are compared, and the log's likeliest delays.
+    """Return the weighting for the comparison of laws, and the likeliest delays.
 
-    What is quiet beside the noise shows only once something explains the rest: the noise is that of the frame that
-    explains most whatever the gains, and all are judged again under it. At first by one spectrum, as the law's own
-    would reward a far-off law for reacting to the position; at last by each its own, as one for all would reward a
-    filter that keeps the noise away.
+    The noise is that of the best frame with free gains. First all frames share one spectrum, since a law's own would
+    reward a strong reaction to the position; then each has its own, since a shared one would reward filters.
     """
     weighting = initial_weighting(regression)
     fitted = unique_structures(_fit_all_frames(regression, weighting, progress), by=_COST)
@@ -54,7 +52,7 @@ def screen_frames(regression: Regression, progress: Progress = silent) -> tuple[
 def rank_candidates(
     regression: Regression, weighting: Weighting, late: Sequence[int], channel: bool, progress: Progress = silent
 ) -> list[NumberedStructure]:
-    """Return all laws in all frames, each where it begins best, the likeliest first."""
+    """Rank all laws in all frames, each at its best start."""
     begun: list[NumberedStructure] = []
     period, frames = regression.log.period, list(_frames(Structure()))
     for frame in follow(frames, progress, LAWS, len(frames), "clocks and filters"):
@@ -74,7 +72,7 @@ def rank_candidates(
 def start_law(
     regression: Regression, law: Structure, begun: Iterable[Mapping[str, float]], weighting: Weighting
 ) -> NumberedStructure | None:
-    """Return the best starting point of a law, of some numbers; None if it is impossible."""
+    """Best starting point of a law; None if impossible."""
     found = []
     for numbers in begun:
         ki = numbers.get("integral_gain") if law.cascade else None
@@ -108,7 +106,7 @@ def _fit_all_frames(regression: Regression, weighting: Weighting, progress: Prog
 
 
 def _frames(plain: Structure) -> Iterator[Structure]:
-    """Yield clocks with the common filters, and the log's own clock with all pairs of filters."""
+    """Yield clocks with common filters, and the log's clock with all filter pairs."""
     for filtered in (*VELOCITY_FILTERS, FREE_TAPS):
         like = replace(plain, velocity_filter=filtered)
         yield like

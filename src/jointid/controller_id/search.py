@@ -1,4 +1,4 @@
-"""Structure search: from the likeliest laws of the screening, by single changes, minimising Schwarz's criterion."""
+"""Structure search by single changes from the screened laws, by Schwarz's criterion."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ _PROMISING = 20  # candidates that are fitted to the end in a round
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _SearchData:
-    """The data that a structure search fits to.
+    """Data of a structure search.
 
     Attributes:
         task: the record's stretch.
@@ -75,13 +75,13 @@ class _SearchData:
 
     @property
     def limit(self) -> float:
-        """The limit that the log shows, in controller units."""
+        """Observed limit in controller units."""
         return (self.task.log.plateau or math.inf) / self.task.gain
 
     def fit_gains(
         self, structure: Structure, numbers: Mapping[str, float], weighting: Weighting
     ) -> RegressionFit | None:
-        """Return the regression of a structure on the torque; None if its filters or its delay are impossible."""
+        """Regress a structure; None if filters or delay are impossible."""
         try:
             return self.regression.fit_gains(structure, numbers, weighting, free=False)[0]
         except MethodError:
@@ -90,7 +90,7 @@ class _SearchData:
     def best_start(
         self, structure: Structure, known: Mapping[str, float], weighting: Weighting
     ) -> RegressionFit | None:
-        """Return the best of a structure's starts: from known numbers, else on a grid."""
+        """Best start of a structure: from known numbers, else on a grid."""
         begun = starts(structure, known, self.task.log.period)
         found = drop_none(self.fit_gains(structure, numbers, weighting) for numbers in begun)
         return min(found, key=lambda one: one.cost, default=None)
@@ -101,14 +101,14 @@ class _SearchData:
         return None if tried is None else self.refine(tried, weighting)
 
     def refine(self, one: RegressionFit, weighting: Weighting) -> FittedLaw | None:
-        """Return a structure with the numbers of least cost; None where they make no law."""
+        """Optimise a structure's numbers; None if they make no law."""
         try:
             return self.to_law(self.regression.refine(one, weighting, free=False), weighting.noise)
         except MethodError:
             return None
 
     def to_law(self, one: RegressionFit, noise: Noise) -> FittedLaw | None:
-        """Return a regression as a law, fitted exactly where a limit acts; None if a number is impossible."""
+        """Convert a regression to a law, refitted if a limit acts; None if impossible."""
         numbers = law_numbers(one, self.task.gain)
         if _is_invalid(numbers):
             return None
@@ -117,15 +117,15 @@ class _SearchData:
         return fit(self.task, replace(one.structure, limited=True), numbers | {"limit": self.limit}, noise)
 
     def weighting(self, best: FittedLaw) -> Weighting:
-        """Return the weighting under which rivals of a law are compared."""
+        """Weighting for the rivals of a law."""
         return Weighting(best.noise, self.task.response(best.structure, best.numbers))
 
 
 def search(task: Task, progress: Progress = silent) -> tuple[FittedLaw, tuple[Rival, ...], bool]:
-    """Return the structure of the least criterion, the rivals that came near, the likeliest first, and True.
+    """Return the best structure, its close rivals and True.
 
-    They are found on a stretch, and judged on the whole record. An interrupt, once a law is fitted, ends the search
-    with the best so far, no rivals, and False.
+    Candidates come from a segment and are judged on the whole record. An interrupt after the first fit returns the best
+    so far, no rivals, and False.
     """
     channel = task.log.record.reference_velocity is not None
     stretch = task.segment(_SEGMENT)
@@ -155,7 +155,7 @@ def search(task: Task, progress: Progress = silent) -> tuple[FittedLaw, tuple[Ri
 def _search_nearby(
     data: _SearchData, likeliest: list[RegressionFit], path: list[FittedLaw], channel: bool, progress: Progress
 ) -> list[FittedLaw]:
-    """Go from the last law of a path to better ones by single changes, on the stretch, and return what came near."""
+    """Improve the last law of a path by single changes; return close laws."""
     best, seen = _refit_under_own_noise(data.task, path[-1]), set[Structure]()
     while True:
         path.append(best)
@@ -183,13 +183,7 @@ def _search_nearby(
 def _start_search(
     task: Task, channel: bool, progress: Progress
 ) -> tuple[_SearchData, list[RegressionFit], FittedLaw, bool]:
-    """Return the data of a search, the likeliest laws of the screening, the best of them, and True.
-
-    An interrupt leaves the laws as they are fitted by then, and False.
-
-    Raises:
-        KeyboardInterrupt: it was interrupted before any was fitted, which the listener is told.
-    """
+    """Return search data, likely laws, the best of them and True; False if interrupted."""
     data = _SearchData(task, replace(regression(task.log), own=True))
     try:
         weighting, late = screen_frames(data.regression, progress)
@@ -224,10 +218,10 @@ def _start_search(
 
 
 def _shorten_taps(data: _SearchData, begun: list[NumberedStructure], weighting: Weighting) -> list[NumberedStructure]:
-    """Return laws with as many free taps as the likeliest of them needs, or with its named difference.
+    """Reduce free taps to the needed number, or to a named difference.
 
-    All are begun with as many as there may be: to take them away one by one, from each law, would take long. With a
-    named difference, which has no free numbers, they are ranked anew: by what so many taps weigh none may be likely.
+    All laws begin with the maximal number, since removing single taps would take long. A named difference has no free
+    numbers, so that laws are ranked again.
     """
     # What a regression does not find, as a delay, is rough where it begins.
     best = min((one for one in begun if one.structure.taps), key=lambda one: len(one.numbers), default=None)
@@ -246,7 +240,7 @@ def _shorten_taps(data: _SearchData, begun: list[NumberedStructure], weighting: 
 
 
 def _trim(data: _SearchData, one: RegressionFit, weighting: Weighting) -> RegressionFit:
-    """Return a law without the parts that do not pay, and without numbers that cannot be."""
+    """Remove parts that do not pay and invalid numbers."""
     rows = weighting.noise.rows
     while True:
         known = law_numbers(one, data.task.gain)
@@ -258,9 +252,9 @@ def _trim(data: _SearchData, one: RegressionFit, weighting: Weighting) -> Regres
 
 
 def _is_invalid(numbers: Mapping[str, float]) -> bool:
-    """True if a gain is negative, a filter's damping is at its lower bound, or free taps cancel each other.
+    """Test for negative gains, damping at its bound, or cancelling taps.
 
-    Taps that cancel react to what is above all that is heard: they would explain anything by the position's rounding.
+    Cancelling taps react to frequencies above the informative ones, and fit quantisation.
     """
     taps = [value for name, value in numbers.items() if is_tap(name)]
     if abs(1.0 - sum(taps)) + sum(map(abs, taps)) > _CANCELLING:
@@ -270,7 +264,7 @@ def _is_invalid(numbers: Mapping[str, float]) -> bool:
 
 
 def _add_limit(data: _SearchData, best: FittedLaw) -> tuple[_SearchData, FittedLaw]:
-    """Return a law with the limit that the log shows, where that explains more than without."""
+    """Add the observed limit if it improves the fit."""
     task = data.task
     if task.log.plateau is None:
         return data, best
@@ -285,7 +279,7 @@ def _add_limit(data: _SearchData, best: FittedLaw) -> tuple[_SearchData, FittedL
 def _judge_on_whole_record(
     data: _SearchData, best: FittedLaw, others: list[FittedLaw], progress: Progress
 ) -> tuple[FittedLaw, tuple[Rival, ...]]:
-    """Rank, on the whole record, the structures that the search on a segment has left."""
+    """Rank the remaining structures on the whole record."""
     errors: dict[Structure, float] = {}
     decided = False
     # What an integral holds at the first sample is another number here, and no noise is known before it.
@@ -340,9 +334,9 @@ def _fit_nearby(data: _SearchData, best: FittedLaw, structures: Iterable[Structu
 
 
 def _prune(task: Task, best: FittedLaw) -> FittedLaw:
-    """Return a structure without the parts that carry next to nothing when the others may make up for them.
+    """Remove parts with negligible effect after refitting.
 
-    Free taps are the named difference of as many that gives the same torque.
+    Free taps become a named difference if it gives the same torque.
     """
 
     def unless_other_torque(structure: Structure) -> FittedLaw:

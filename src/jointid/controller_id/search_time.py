@@ -1,4 +1,4 @@
-"""How long a search takes, stage by stage, and how far it is."""
+"""Expected time of a search by stage, and its progress."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ _NOT_YET = 99.0  # % at most, before the end
 
 
 class Course:
-    """How far a search is, in % of the time that it is expected to take: it hears how far each of its stages is.
+    """Progress of a search in % of the expected time, from progress of its stages.
 
     Args:
         progress: the listener.
-        seconds: that each stage is expected to take, in their order.
+        seconds: expected for each stage, in order.
     """
 
     def __init__(self, progress: Progress, seconds: Mapping[str, float]) -> None:
@@ -41,7 +41,7 @@ class Course:
         self._progress(message)
 
     def draw(self, what: str, done: float, total: float, unit: str) -> None:
-        """Hear how far a stage is; of one that is gone through again, what is new."""
+        """Update a stage's progress; of a repeated one, the increment."""
         del unit
         stages = list(self._seconds)
         before = sum(self._seconds[one] for one in stages[: stages.index(what)])
@@ -51,16 +51,16 @@ class Course:
             self._work.reach(min(100.0 * reached, _NOT_YET))
 
     def end(self) -> None:
-        """Say that nothing is left."""
+        """Report completion."""
         self._work.reach(100.0)
 
 
 def expect_seconds(task: Task, stretch: Task) -> dict[str, float]:
-    """Return the time that each stage of a search will take on this machine, from that of a few regressions.
+    """Predict the time of each stage from a few timed regressions.
 
     Args:
         task: the whole record.
-        stretch: of it, that the search looks at.
+        stretch: the searched segment.
     """
     own = replace(regression(stretch.log), own=True)
     weighting, frame, longer = initial_weighting(own), Structure(rate=_PROBED), task.log.samples / stretch.log.samples
@@ -72,5 +72,5 @@ def expect_seconds(task: Task, stretch: Task) -> dict[str, float]:
 
 
 def _time_work(work: Callable[[], object]) -> float:
-    """Return the seconds that work takes on the machine as it is, the median of a few times."""
+    """Median time of a few runs, s."""
     return float(np.median(timeit.repeat(work, number=1, repeat=7)))

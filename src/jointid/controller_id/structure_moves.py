@@ -1,4 +1,4 @@
-"""Steps from one structure of a law to the next: its neighbours, its parts taken away, and its one name of several."""
+"""Moves between structures: neighbours, removal of parts, canonical names."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from jointid.controller_id.structures import (
 
 
 def remove_part(structure: Structure, name: str) -> Structure:
-    """Return a structure without the part that a number is of."""
+    """Remove the part to which a number belongs."""
     if name == "integral_gain":
         # A PD without the reference's velocity is a P-P.
         cascade = structure.cascade or structure.reference_velocity == "none"
@@ -42,14 +42,14 @@ def remove_part(structure: Structure, name: str) -> Structure:
 
 
 def _proportional(structure: Structure, cascade: bool) -> dict[str, Any]:
-    """Return the velocity feed-forward under the name that it has once the integral is removed."""
+    """Velocity feed-forward under its name without the integral."""
     if cascade and not structure.cascade and VELOCITY in structure.feedforward:
         return {"reference_velocity": "share", "feedforward": structure.feedforward - {VELOCITY}}
     return {}
 
 
 def canonical(structure: Structure) -> Structure:
-    """Return the name that a law is known by: a cascade's, where a PD or PID is the same equation."""
+    """Canonical name of a law: the cascade's if a PD or PID is equivalent."""
     if structure.cascade:
         return structure
     if structure.reference_velocity == "difference" and structure.velocity_filter == "none":
@@ -83,7 +83,7 @@ def list_simpler(structure: Structure) -> Iterator[Structure]:
 
 
 def list_neighbours(structure: Structure, channel: bool) -> Iterator[Structure]:
-    """Yield the structures that differ from one in a single part, each under its canonical name."""
+    """Yield canonical structures that differ in one part."""
     seen = {structure}
     for one in map(canonical, _changes(structure, channel)):
         if one not in seen:
@@ -92,7 +92,7 @@ def list_neighbours(structure: Structure, channel: bool) -> Iterator[Structure]:
 
 
 def list_laws(frame: Structure, channel: bool) -> Iterator[Structure]:
-    """Yield all laws with a frame's clocks and filters and all feed-forwards, each under its canonical name."""
+    """Yield all canonical laws of a frame, with all feed-forwards."""
     seen = set[Structure]()
     for law in _other_laws(replace(frame, feedforward=frozenset(FEEDFORWARDS)), channel):
         for one in (law, replace(law, reference_delay=True)):
@@ -118,7 +118,7 @@ def _changes(structure: Structure, channel: bool) -> Iterator[Structure]:
 
 
 def _near_taps(structure: Structure) -> Iterator[str]:
-    """Yield the velocity filters of free taps near a structure's: as many as there may be, one more and one fewer."""
+    """Yield neighbouring filters of free taps: the maximum, one more and one fewer."""
     if structure.rate > 1:  # the log shows too little of them
         return
     yield FREE_TAPS
@@ -128,7 +128,7 @@ def _near_taps(structure: Structure) -> Iterator[str]:
 
 
 def _move_filter(structure: Structure) -> Iterator[Structure]:
-    """Yield the law with its filter at the other place; around all of a PD law it may be the same equation."""
+    """Move the filter to the other place; for a PD it may be equivalent."""
     velocity, torque = structure.velocity_filter, structure.torque_filter
     if torque in ("first order", "second order") and velocity == "none":
         yield replace(structure, velocity_filter=torque, torque_filter="none")
@@ -141,9 +141,9 @@ def _move_filter(structure: Structure) -> Iterator[Structure]:
 
 
 def _other_rates(structure: Structure) -> Iterator[Structure]:
-    """Yield the same law at other rates, with means over the same time, and with its position loop at others.
+    """Yield the law at other rates with equal averaging time, or position-loop rates.
 
-    A loop faster than the log is tried with a position loop at its own rate, or at the log's.
+    The position loop of a law faster than the log runs at its rate or the log's.
     """
     for rate in (1, *RATES) if not structure.taps else (1,):
         slower = rate if structure.every > 1 else 1
@@ -158,7 +158,7 @@ def _other_rates(structure: Structure) -> Iterator[Structure]:
 
 
 def _mean_over_same_time(velocity_filter: str, periods: float) -> str:
-    """Return the mean over the same time where a sample becomes so many periods; other filters as they are."""
+    """Convert a mean to another rate, over the same time."""
     if velocity_filter != "none" and not velocity_filter.startswith("mean "):
         return velocity_filter
     samples = (1 if velocity_filter == "none" else int(velocity_filter.split()[1])) * periods

@@ -1,4 +1,4 @@
-"""Controller structures: their parts, their open parameters, and the controller made of both."""
+"""Controller structures: parts, open parameters and the resulting controllers."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Structure:
 
     @property
     def taps(self) -> int:
-        """Number of the free taps of its velocity's filter, 0 of another filter."""
+        """Number of free velocity taps, 0 for other filters."""
         kind, _, count = self.velocity_filter.partition(" ")
         return int(count) if kind == "taps" else 0
 
@@ -110,20 +110,19 @@ class Structure:
 
     @property
     def parts(self) -> int:
-        """Number of its parts: open parameters, and each delay, rate or offset that a plain law does not have."""
+        """Number of parts: parameters, and each delay, rate or offset beyond a plain law."""
         return len(self.names) + (self.rate > 1) + self.curved + (self.every > 1) + (self.late > 0)
 
     def weight(self, rows: float) -> float:
-        """Return the structure's penalty in the criterion: Schwarz's log(rows) for each part.
+        """Penalty in the criterion: Schwarz's log(rows) for each part.
 
-        Of clocks there are many, and the best of many explains more by chance: a clock is charged the 2 log(choices) of
-        the extended criterion as well (Chen and Chen 2008, Biometrika 95(3)).
+        A clock costs 2 log(choices) more, by the extended criterion (Chen and Chen 2008, Biometrika 95(3)).
         """
         choices = (len(RATES) * 2, self.rate > 1), (sum(SLOWER), self.every > 1), (len(LATE), self.late > 0)
         return self.parts * math.log(rows) + sum(2.0 * math.log(number) for number, chosen in choices if chosen)
 
     def __str__(self) -> str:
-        """Return its description: the law, then each part that a plain one does not have."""
+        """Describe the law and its additional parts."""
         said: list[str] = [self.law]
         if self.reference_velocity != "none":
             said.append(_REFERENCE_VELOCITY[self.cascade, self.reference_velocity])
@@ -146,7 +145,7 @@ class Structure:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NumberedStructure:
-    """A structure with numbers, and how well it explains the torque.
+    """A structure with numbers and cost.
 
     Attributes:
         structure: of the law.
@@ -193,22 +192,22 @@ def _filter_names(place: str, kind: str) -> list[str]:
 
 
 def is_tap(name: str) -> bool:
-    """True if a number is one of a velocity's free taps: the torque is linear in them."""
+    """Test for a free velocity tap, in which the torque is linear."""
     return name.rpartition(".")[2].isdigit()
 
 
 def without_taps(numbers: Mapping[str, float]) -> dict[str, float]:
-    """Return those of a law's numbers that a regression on its columns does not find itself."""
+    """Numbers of a law that its regression does not find."""
     return {name: value for name, value in numbers.items() if not is_tap(name)}
 
 
 def may_be_negative(name: str) -> bool:
-    """True if a number of a law has no sign of its own."""
+    """Test for a number of either sign."""
     return name in (INTEGRAL, "constant_feedforward") or is_tap(name)
 
 
 def known_taps(samples: int) -> Iterator[str]:
-    """Yield the velocity filters of so many taps that have a name.
+    """Yield the named velocity filters with a number of taps.
 
     "mean N" is the first difference over N samples, "slope N" the least-squares line through the last N + 1 positions,
     "means K M" the difference over K samples of a mean of M.
@@ -220,12 +219,12 @@ def known_taps(samples: int) -> Iterator[str]:
 
 
 def list_known_taps() -> tuple[str, ...]:
-    """Return the velocity filters that have a name, of all numbers of taps."""
+    """Named velocity filters of all numbers of taps."""
     return tuple(kind for samples in range(2, LONGEST + 1) for kind in known_taps(samples))
 
 
 def _weights(kind: str) -> tuple[float, ...]:
-    """Return the taps of a velocity filter that has a name (see `known_taps`)."""
+    """Taps of a named velocity filter (see `known_taps`)."""
     word, *counts = kind.split()
     sizes = [int(one) for one in counts]
     if word == "slope":  # of a line by least squares, in differences: n, 2 (n - 1), 3 (n - 2), ...
@@ -252,7 +251,7 @@ def _spell_filter(kind: str) -> str:
 
 
 def starts(structure: Structure, known: Mapping[str, float], sample_time: float) -> Iterator[dict[str, float]]:
-    """Yield where to look for the numbers a law is not linear in: as known of a similar structure, or on a grid."""
+    """Yield start values of nonlinear numbers: from a similar structure, or on a grid."""
     places: list[Iterable[dict[str, float]]] = []
     for place, kind in (("velocity_filter", structure.velocity_filter), ("torque_filters.0", structure.torque_filter)):
         names = [] if kind.startswith("taps") else _filter_names(place, kind)  # the regression finds taps
@@ -276,7 +275,7 @@ def starts(structure: Structure, known: Mapping[str, float], sample_time: float)
 
 
 def convert_numbers(structure: Structure, known: Mapping[str, float]) -> dict[str, float]:
-    """Return a law's numbers from those of a similar one, else 0; ``kp kv`` of a cascade is the kp of a PD."""
+    """Convert numbers from a similar law, else 0; ``kp kv`` of a cascade is a PD's kp."""
     given = dict(known)
     if structure.cascade and "derivative_gain" in given:
         given["velocity_gain"] = given.pop("derivative_gain")
@@ -298,7 +297,7 @@ def _dimensioned(name: str, value: float, sample_time: float) -> float:
 
 
 def bounds(name: str, sample_time: float, rate: int) -> tuple[float, float]:
-    """Return the bounds of a parameter of a law with `rate` periods per sample of the log (`sample_time`, s)."""
+    """Bounds of a parameter of a law with `rate` periods per log sample (`sample_time`, s)."""
     period = sample_time / rate
     last = name.rpartition(".")[2]
     if may_be_negative(name):
@@ -314,7 +313,7 @@ def bounds(name: str, sample_time: float, rate: int) -> tuple[float, float]:
 
 
 def controller(structure: Structure, numbers: Mapping[str, float], period: float, gain: float) -> Controller:
-    """Return the law of a structure; `period` of the log, in seconds, `gain` the torque per controller unit."""
+    """Build the controller; `period` of the log in s, `gain` torque per controller unit."""
     own = {name: value for name, value in numbers.items() if "." not in name and name not in (INTEGRAL, "limit")}
     settings: dict[str, Any] = {"gain": gain, **own}
     if structure.limited:
@@ -343,7 +342,7 @@ def controller(structure: Structure, numbers: Mapping[str, float], period: float
 
 
 def filters_of(structure: Structure, numbers: Mapping[str, float]) -> tuple[Filter | tuple[float, ...], ...]:
-    """Return the filters of a structure, that of the velocity and that of the torque."""
+    """Filters of a structure for velocity and torque."""
     return (
         _filter(structure.velocity_filter, "velocity_filter", numbers),
         _filter(structure.torque_filter, "torque_filters.0", numbers),

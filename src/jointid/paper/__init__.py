@@ -1,1 +1,1 @@
-"""The paper: its tables, what follows from them, its digital twin, and its reproduction."""
+"""The paper: tables, recomputation, digital twin and reproduction."""

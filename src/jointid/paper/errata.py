@@ -1,7 +1,6 @@
-"""Errata of the paper: where print differs from what follows from it, and how jointid treats it.
+"""Errata of the paper, and their treatment in jointid.
 
-Every recomputed number comes out of `recomputed` when this module is loaded; none is typed in. What takes a
-measurement instead of arithmetic is left to `jointid reproduce`, and the erratum says so.
+`recomputed` supplies every recomputed number at import. Findings that need a measurement refer to `jointid reproduce`.
 """
 
 from __future__ import annotations
@@ -290,7 +289,7 @@ ERRATA: tuple[Erratum, ...] = (
 
 
 def markdown() -> str:
-    """Return the findings as the sections of `docs/paper-errata.md`."""
+    """Format the findings as the sections of `docs/paper-errata.md`."""
 
     def section(place: int, erratum: Erratum) -> str:
         said = {"printed": erratum.printed, "recomputed": erratum.recomputed, "jointid": erratum.what_we_do}

@@ -1,10 +1,10 @@
-"""The published numbers: Tables 1 to 7 and the settings of the experiment, as printed. Nothing is computed here.
+"""Published numbers as printed: Tables 1 to 7 and experiment settings.
 
 M. Gautier, A. Janot, A. Jubien, P.-O. Vandanjon, "Joint stiffness identification from only motor force/torque data",
-CDC 2011. What follows from these numbers, and where print says otherwise, is in `errata`.
+CDC 2011. `errata` lists inconsistencies.
 
-A printed number is a `Decimal`: it keeps its digits (0.80 is not 0.8), and differences of printed numbers are exact.
-Parameters have the names of `models.joints`; the paper's Fv12, the damping between the masses, is F12.
+`Decimal` keeps printed digits (0.80 is not 0.8) and exact differences. Parameters have the names of `models.joints`;
+the paper's Fv12, the damping between the masses, is F12.
 """
 
 from __future__ import annotations

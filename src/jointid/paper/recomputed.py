@@ -1,7 +1,4 @@
-"""Recompute the published tables: arithmetic on `published`, and each table beside its recomputed values.
-
-Sections and equations are those of the paper.
-"""
+"""Recompute the published tables, by the paper's sections and equations."""
 
 from __future__ import annotations
 
@@ -38,27 +35,24 @@ _UNITS = {p.name: joint.unit(p) for joint in (RigidJoint(), FlexibleJoint()) for
 
 
 def sum_sides(table: PublishedTable) -> dict[str, float]:
-    """Return the inertia, viscous and Coulomb friction of both sides together (Tables 2 to 5)."""
+    """Total inertia, viscous and Coulomb friction (Tables 2 to 5)."""
     found = FlexibleJoint.rigid_sums({**table.values, "offset": 0.0})
     return {name: found[name] for name in ("inertia", "viscous", "coulomb")}
 
 
 def compute_relative_deviations(table: PublishedTable) -> dict[str, Decimal]:
-    """Return ``100 sigma / |chi|`` from the printed 2 sigma (Tables 1 to 5)."""
+    """Compute ``100 sigma / |chi|`` from the printed 2 sigma (Tables 1 to 5)."""
     return {name: 50 * two_sigma / abs(value) for name, (value, two_sigma, _) in table.rows.items()}
 
 
 def compute_variations(before: PublishedTable, after: PublishedTable) -> dict[str, Decimal]:
-    """Return the exact change of each parameter: a column of Table 6 from Tables 2 and 4, or 3 and 5."""
+    """Exact change of each parameter (Table 6, from Tables 2 and 4, or 3 and 5)."""
     start, end = before.column("value"), after.column("value")
     return {name: end[name] - start[name] for name in start}
 
 
 def compute_shifts(before: PublishedTable, after: PublishedTable) -> dict[str, float]:
-    """Return the change of each parameter, in standard deviations of the difference.
-
-    From the printed 2 sigma of both tables, taken as independent.
-    """
+    """Change of each parameter in standard deviations, for independent tables."""
     one, other = before.column("two_sigma"), after.column("two_sigma")
     return {
         name: 2 * float(change) / math.hypot(one[name], other[name])
@@ -69,37 +63,37 @@ def compute_shifts(before: PublishedTable, after: PublishedTable) -> dict[str, f
 def compute_relative_errors(
     idim: PublishedTable, didim: PublishedTable, denominator: Denominator = "DIDIM"
 ) -> dict[str, Decimal]:
-    """Return a column of Table 7 in %: by (15), which divides by the DIDIM value, or by the IDIM value."""
+    """A column of Table 7 in %, by (15) relative to DIDIM, or to IDIM."""
     of = (didim if denominator == "DIDIM" else idim).column("value")
     return {name: 100 * abs(change / of[name]) for name, change in compute_variations(idim, didim).items()}
 
 
 def find_largest_decimation(cutoff: float, sample_rate: float) -> int:
-    """Return n of the thinnest record, one sample in n, that a decimation filter at `cutoff` Hz allows."""
+    """Largest decimation factor that a filter at `cutoff` Hz allows."""
     thinned = Filtering(cutoff=cutoff).resolved(1 / sample_rate).decimation
     assert thinned is not None
     return thinned
 
 
 def compute_stiffness(motor_inertia: float, load_inertia: float, free_free: float) -> float:
-    """Return ``K12 = mu (2 pi f)^2``, ``mu = ZZ1 ZZ2 / (ZZ1 + ZZ2)``, for a free-free frequency in Hz."""
+    """Return ``K12 = mu (2 pi f)^2``, ``mu = ZZ1 ZZ2 / (ZZ1 + ZZ2)``, f free-free in Hz."""
     reduced = motor_inertia * load_inertia / (motor_inertia + load_inertia)
     return reduced * (2 * math.pi * free_free) ** 2
 
 
 def stops(before: float, after: float, tolerance: float, *, absolute: bool = True) -> bool:
-    """True if the rule under (12) ends the iterations at these residual norms; print takes no absolute value."""
+    """Test the stopping rule under (12); print takes no absolute value."""
     change = (after - before) / before
     return (abs(change) if absolute else change) <= tolerance
 
 
 def agrees(printed: Decimal, recomputed: Decimal | float, rounding: str | None = None) -> bool:
-    """True if the recomputed number, rounded to the printed digits, is the printed one."""
+    """Test whether a number rounds to the printed one."""
     return Decimal(recomputed).quantize(printed, rounding) == printed
 
 
 def recompute_cells(table: PublishedTable) -> dict[Cell, tuple[Decimal, ...]]:
-    """Return the cells of a table that follow from other printed numbers: one value, in Table 7 one per denominator."""
+    """Cells that follow from other printed numbers, in Table 7 one value per denominator."""
     columns: dict[str, list[dict[str, Decimal]]]
     if table.number == 6:
         columns = {method: [compute_variations(*METHODS[method])] for method in table.columns}
@@ -118,7 +112,7 @@ def recompute_cells(table: PublishedTable) -> dict[Cell, tuple[Decimal, ...]]:
 
 
 def find_misprints(table: PublishedTable) -> tuple[Cell, ...]:
-    """Return the cells of a table that do not follow from the other printed numbers, with every benefit of the doubt.
+    """Cells that do not follow from other printed numbers by any admissible rounding.
 
     Rounded or cut to the printed digits, rounded to a whole number where a whole one is printed, by any denominator.
     """
@@ -137,7 +131,7 @@ def _follows(printed: Decimal, recomputed: Decimal) -> bool:
 
 
 def find_wrong_entries() -> tuple[tuple[int, str, str], ...]:
-    """Return the entries of the printed regressor that are not those of (2): column, printed, and by (2)."""
+    """Regressor entries that contradict (2): column, printed, correct."""
     return tuple(
         (column, old, new)
         for rows in zip(REGRESSOR, REGRESSOR_OF_2, strict=True)
@@ -167,7 +161,7 @@ class ComparisonRow:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TableComparison:
-    """A published table beside its recomputed values; the headings name the columns of the rows' texts."""
+    """A published table beside its recomputed values, with column headings."""
 
     table: PublishedTable
     printed: tuple[str, ...]
@@ -175,7 +169,7 @@ class TableComparison:
     rows: tuple[ComparisonRow, ...]
 
     def beside(self, run: tuple[str, ...] = (), cells: Mapping[str, tuple[str, ...]] = MappingProxyType({})) -> Table:
-        """Return it as a table, with the columns of a run: their headings, and their cells by the row's name."""
+        """Build a table with the columns of a run, cells by row name."""
         columns = {"printed": self.printed, "recomputed": self.recomputed, "this run": run}
         header = tuple(f"{whose} {text}" for whose, headings in columns.items() for text in headings)
         nothing = ("-",) * len(run)
@@ -188,14 +182,14 @@ class TableComparison:
 
 
 def format_printed(value: Decimal) -> str:
-    """Return a number as the tables show it: 0.80, 8.0e5."""
+    """Format a number as the tables do: 0.80, 8.0e5."""
     exponent = value.as_tuple().exponent
     assert isinstance(exponent, int)
     return f"{value:f}" if exponent <= 0 else f"{value.scaleb(-exponent - 1)}e{exponent + 1}"
 
 
 def format_recomputed(value: Decimal) -> str:
-    """Return a recomputed number with three significant digits."""
+    """Format a recomputed number with three significant digits."""
     return number(float(value), 3)
 
 
@@ -225,7 +219,7 @@ def compare_table(table: PublishedTable) -> TableComparison:
 
 
 def _list_notes_below(table: PublishedTable) -> list[ComparisonRow]:
-    """Return the rows printed under Tables 2 to 5: frequency, sums and residuals."""
+    """Rows printed under Tables 2 to 5: frequency, sums and residuals."""
     rows = []
 
     def add(name: str, label: str, printed: Decimal | None, recomputed: str = "-") -> None:

@@ -1,11 +1,11 @@
-"""Reproduce the paper, end to end, on its digital twin, and report it.
+"""Reproduce the paper on its digital twin, and report it.
 
 Rigid DIDIM at 5 Hz (Table 1), IDIM (2) and DIDIM (3) of the flexible joint, both again with 10 kg on the load (4, 5),
-what changed (6), how far the methods differ (7); the cross test by simulation and the direct validation (Figures 4 and
-5); the excitation check; the test of F12. Everything is seeded, so the same seed gives the same numbers.
+changes (6), differences of the methods (7), cross test and direct validation (Figures 4 and 5), excitation check and
+test of F12. Everything is seeded.
 
-Choices the paper does not give are those of `twin`: loop L19, a white disturbance inside the loop. The filter is the
-correct one, 60 Hz and one sample in six; Nelder-Mead starts from (13) at the paper's 30 Hz.
+Choices that the paper leaves open are those of `twin`: loop L19, a white disturbance inside the loop. The filter is the
+correct one, 60 Hz decimated by six; Nelder-Mead starts from (13) at the paper's 30 Hz.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from jointid.paper.twin import Twin, twin
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReproducedExperiment:
-    """One of the paper's two experiments: without the added mass, or with it.
+    """One of the paper's two experiments.
 
     Attributes:
         axis: the run of the twin.
@@ -76,12 +76,12 @@ class Reproduction:
     without_damping: Estimate
 
     def variations(self, method: str) -> dict[str, float]:
-        """Return the change of each parameter with the added mass, by "idim" or "didim" (Table 6)."""
+        """Change of each parameter with the added mass (Table 6)."""
         before, after = (getattr(part, method).values for part in (self.first, self.second))
         return {name: after[name] - before[name] for name in before}
 
     def relative_errors(self, denominator: Denominator) -> tuple[dict[str, float], dict[str, float]]:
-        """Return the difference of the methods in both experiments, in percent (Table 7, by either denominator)."""
+        """Difference of the methods in both experiments, in percent (Table 7)."""
         assert denominator in DENOMINATORS
         first, second = (
             {
@@ -128,7 +128,7 @@ def reproduce(seed: int = 1, progress: Progress = silent) -> Reproduction:
 
 
 def keep_torque_only(axis: Twin) -> Record:
-    """Return the channels of a run for torque-only identification: torque, reference, and the known pulses."""
+    """Channels for torque-only identification: torque, reference and pulses."""
     return axis.record.without("motor_position", "load_position")
 
 
@@ -156,7 +156,7 @@ Cells = Mapping[str, tuple[str, ...]]
 
 
 def reproduction_document(run: Reproduction, draw: Callable[[Validation], bytes]) -> Document:
-    """Return the report of a reproduction: the paper beside what follows from print and beside this run.
+    """Report of a reproduction, beside the printed and recomputed values.
 
     Args:
         run: the reproduction.
@@ -175,21 +175,17 @@ def reproduction_document(run: Reproduction, draw: Callable[[Validation], bytes]
             f"force of {run.first.axis.noise:.1f} N at 1 kHz inside the loop, which leaves the paper's 8 %."
         ),
     ]
-    blocks += _rigid(run)
+    fit = run.rigid.fit
+    blocks += [
+        Heading("Table 1: the rigid joint"),
+        compare_table(TABLES[1]).beside(("value", "2 sigma", "%"), _parameters(run.rigid)),
+        Paragraph(f"{fit.iterations} iterations, {fit.simulations} simulations; {fit.stop}."),
+    ]
     for numbers, part in (((2, 3), run.first), ((4, 5), run.second)):
         blocks += _experiment(numbers, part)
     blocks += _variations(run) + _relative_errors(run) + _validation(run, draw) + _excitation(run) + _damping(run)
     blocks += _errata()
     return Document("The paper, reproduced", tuple(blocks))
-
-
-def _rigid(run: Reproduction) -> list[Block]:
-    fit = run.rigid.fit
-    return [
-        Heading("Table 1: the rigid joint"),
-        compare_table(TABLES[1]).beside(("value", "2 sigma", "%"), _parameters(run.rigid)),
-        Paragraph(f"{fit.iterations} iterations, {fit.simulations} simulations; {fit.stop}."),
-    ]
 
 
 def _experiment(numbers: tuple[int, int], part: ReproducedExperiment) -> list[Block]:

@@ -1,7 +1,7 @@
-"""The digital twin of the paper's flexible axis: the EMPS positioning unit as Table 2 found it, free for everyone.
+"""Digital twin of the paper's flexible axis, the EMPS positioning unit of Table 2.
 
 The paper gives the parameters (Tables 2 and 4), the kind of motion (trapezoidal velocity with pulses), the encoder
-(100,000 counts) and the error that remains (8 %). What it does not give is chosen here, and marked "ours":
+(100,000 counts) and the remaining error (8 %). Other choices are marked "ours":
 
 - speeds 0.042, 0.083 and 0.125 m/s, acceleration 0.83 m/s2, travel 0.2 m, 24 s (ours);
 - pulses of 150 N for 20 ms, about every 0.4 s, added to the motor force (ours);
@@ -180,5 +180,5 @@ def _get_torque(record: Record) -> FloatArray:
 
 
 def _filter_torque(torque: FloatArray) -> FloatArray:
-    """Return a torque filtered as in the flexible identification: below 60 Hz, one sample in six."""
+    """Filter a torque as the flexible identification does: 60 Hz, decimated by six."""
     return Filtering(cutoff=60.0).resolved(SAMPLE_TIME).decimate(torque, SAMPLE_TIME)

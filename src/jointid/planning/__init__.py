@@ -1,1 +1,1 @@
-"""Tests planned before they are run: what each would tell, and which one tells most."""
+"""Planning of tests: predicted accuracy, and the best test within the axis limits."""

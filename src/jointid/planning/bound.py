@@ -1,18 +1,16 @@
-"""How well any motion could tell a goal within the limits: the floor below which no search need look.
+"""Lower bound of a goal's deviation over all motions within the limits.
 
-While it slides, a flexible joint is linear, and what a test tells adds up over frequencies. With P the response of the
-motor's position to the force on it, H the controller's torque per position, S = 1 / (1 + P H exp(-s d)) and F the force
-at a frequency, the logged torque moves with a parameter as ``-H S dP/dp F``, and the information is::
+A sliding flexible joint is linear, so information adds up over frequencies. With P the response of the motor's position
+to the force on it, H the controller's torque per position, S = 1 / (1 + P H exp(-s d)) and F the force, the torque's
+derivative by a parameter is ``-H S dP/dp F``, and the information is::
 
     M = N sum_f |F(f)|^2 Re(g* g') / s(f),       g = H S dP/dp
 
-with N samples and the noise's spectrum s(f): of the log ``log^2``, of a force ``force^2 |H P S|^2``. It is linear in
-the powers ``|F|^2``, so the least deviation of a combination w, ``w' M^-1 w``, is a convex problem in them, with few
-constraints: their sum is at most the mean square of the torque, and those of the position at most the square of half
-of the stroke. Friction is known in it, the joint never sticks, all frequencies up to the filter's cut-off are free, and
-the peaks of the torque as well: each of these makes it smaller than a test can be. Of the torque's mean square what
-Coulomb friction takes is gone, ``(Fc1 + Fc2)^2``: a force that keeps an axis moving pushes at least so hard in its
-direction, on the mean. A test whose force does not, that rests or rings about a stop, is not bounded by it.
+with N samples and the noise's spectrum s(f): of the log ``log^2``, of a force ``force^2 |H P S|^2``. The variance of a
+combination w, ``w' M^-1 w``, is convex in the powers ``|F|^2``. Constraints are the torque's mean square and half of
+the stroke. The bound is optimistic: friction is known, the joint never sticks, all frequencies up to the cut-off are
+free, and torque peaks are not limited. Coulomb friction takes ``(Fc1 + Fc2)^2`` of the mean square torque, which holds
+for a moving axis, not for one that rests or rings about a stop.
 """
 
 from __future__ import annotations
@@ -45,7 +43,7 @@ Complexes: TypeAlias = NDArray[np.complexfloating[Any, Any]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Floor:
-    """The least deviation that any motion could reach, and the powers of the force that would reach it.
+    """The least deviation over all motions, and the optimal force powers.
 
     Attributes:
         deviation: of the goal.
@@ -60,9 +58,9 @@ class Floor:
 
     @property
     def lines(self) -> tuple[tuple[float, float], ...]:
-        """The frequencies that matter, Hz, each with the amplitude to inject, the largest of which is 1.
+        """Dominant frequencies, Hz, with amplitudes to inject relative to the largest.
 
-        What lies close together is one; what the loop takes away of an injected signal is left to the reference.
+        Neighbouring frequencies are merged. The reference has to compensate for the loop.
         """
         left = np.where(self.sensitivity > _LEFT, self.power, 0.0)
         found = []
@@ -88,7 +86,7 @@ def least_deviation(
     sample_time: float,
     cutoff: float,
 ) -> Floor:
-    """Return the standard deviation of a goal below which no test of a flexible joint comes, and how it is reached.
+    """Lower bound of a goal's standard deviation for tests of a flexible joint.
 
     Args:
         loop: joint and controller.
@@ -99,10 +97,6 @@ def least_deviation(
         samples: of the test.
         sample_time: of its log, s.
         cutoff: of the filter, Hz.
-
-    Raises:
-        MethodError: the joint is rigid, its friction is not symmetric, the noise is that of a record, the goal is no
-            linear parameter, or neither torque nor stroke is limited.
     """
     power = limits.rms_torque or limits.torque
     if not isinstance(loop.joint, FlexibleJoint) or any(name not in values for name in _PARAMETERS):
@@ -150,10 +144,10 @@ def _slope(values: Mapping[str, float], name: str, s: Complexes) -> Complexes:
 
 
 def _least_variance(information: FloatArray, allowed: FloatArray, w: FloatArray) -> tuple[float, FloatArray]:
-    """Return the least ``w' M^-1 w`` over powers whose sums, by the rows of `allowed`, are at most 1, and the powers.
+    """Minimise ``w' M^-1 w`` over powers with sums, by the rows of `allowed`, up to 1.
 
-    By S. D. Silvey's multiplicative rule: a power grows with the root of what it does for the goal, and all are brought
-    back to the constraint that binds.
+    S. D. Silvey's multiplicative rule: scale each power by the root of its gain, then normalise to the active
+    constraint.
     """
     sizes = np.sqrt(np.maximum(np.diag(np.sum(information, axis=2)), 1e-300))
     information = information / np.outer(sizes, sizes)[:, :, np.newaxis]

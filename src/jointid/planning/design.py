@@ -1,9 +1,8 @@
-"""The verb `design_test`: the test that would tell most of a joint within the axis limits, before it is made.
+"""The verb `design_test`: the most informative test within the axis limits.
 
-What is roughly known of the joint comes from an estimate of a first record, or is stated. Tests are looked for
-(`search`) at the joint as it is roughly known and at others of its interval, and the best one is then simulated at many
-more of them, so that a limit is passed in none. Beside it stands what the test there is already would tell, and what a
-load encoder, or twice the time, would add to the new one.
+Prior knowledge comes from an estimate or is stated. The search (`search`) uses several joints of its interval; the best
+test is then simulated at many more, so that none exceeds a limit. The present test, a load encoder and twice the time
+are predicted for comparison.
 """
 
 from __future__ import annotations
@@ -52,7 +51,7 @@ _LINE = 0.6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Design(Charted, Documented):
-    """A test, and what it is foretold to tell.
+    """A proposed test and its predicted intervals.
 
     Attributes:
         record: of what is roughly known; empty where it was stated.
@@ -106,12 +105,12 @@ class Design(Charted, Documented):
 
     @property
     def transmission(self) -> Transmission | None:
-        """On whose `side` all numbers are."""
+        """The transmission on whose `side` all numbers are."""
         return self.loop.joint.transmission
 
     @property
     def sentence(self) -> str:
-        """What the proposed test tells of the goal, beside the present one."""
+        """Predicted interval of the goal, compared with the present test."""
         over = f" Beware: {'; '.join(self.passed)}." if self.passed else ""
         return f"{self._told}.{over}"
 
@@ -141,7 +140,7 @@ class Design(Charted, Documented):
 
     @property
     def tests(self) -> dict[str, Foretold]:
-        """What is foretold, by the name of the test."""
+        """Predictions by the name of the test."""
         found = {
             "present": self.present,
             "proposed": self.proposed,
@@ -152,7 +151,7 @@ class Design(Charted, Documented):
         return {name: told for name, told in found.items() if told is not None}
 
     def document(self, *, details: bool = False) -> Document:
-        """Return the intervals side by side, the test, and what it reaches; there are no further details."""
+        """Intervals side by side, the test, and its maxima."""
         del details
         tests, proposed = self.tests, self.proposed
         rows = []
@@ -189,7 +188,7 @@ class Design(Charted, Documented):
         return Document(self.sentence, tuple(blocks))
 
     def chart(self) -> Chart:
-        """Return the reference, the torque that is foretold, and the spectrum of both beside the modes."""
+        """Plot reference and predicted torque, and their spectra beside the modes."""
         torque, T = self.proposed.motion.torque, self.proposed.sample_time
         q, u = self.position_unit, self.torque_unit
         lines = [Line(_times(torque.size, T), torque, SIMULATED, "torque", width=_LINE)]
@@ -212,15 +211,11 @@ class Design(Charted, Documented):
         return Chart("test", "", panels, title="the proposed test")
 
     def write(self, folder: Path) -> tuple[Path, ...]:
-        """Write the test into a folder, and return the paths: a CSV and a MAT table, and a page on how to run it.
-
-        Raises:
-            RecordError: they cannot be written.
-        """
+        """Write CSV and MAT tables and instructions into a folder; return the paths."""
         return write_folder(folder, self.files())
 
     def files(self) -> dict[str, bytes]:
-        """Return what `write` writes, by name."""
+        """Files of `write`, by name."""
         record = replace(self.test, name="test", torque=None, motor_position=None, load_position=None)
         files: dict[str, bytes] = {}
         with tempfile.TemporaryDirectory() as place:
@@ -288,7 +283,7 @@ def design_test(
     record: str = "",
     progress: Progress = silent,
 ) -> Design:
-    """Look for the test that tells most of a joint within the axis limits, and foretell what it tells.
+    """Search for the most informative test within the axis limits.
 
     Args:
         loop: joint and controller.
@@ -387,9 +382,9 @@ def design_test(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Chosen:
-    """A test: in words and as a record, what it reaches, and what it is held to.
+    """A test as a description and a record, with its maxima and limits.
 
-    `beware` is what is to be known of it beside the limits that it passes.
+    `beware` holds notes beside exceeded limits.
     """
 
     description: str
@@ -411,7 +406,7 @@ def _search(
     seed: int,
     progress: Progress,
 ) -> _Chosen:
-    """Look for the test that tells most, within the limits and those that the present test adds by what it reaches."""
+    """Search within the stated limits and those of the present test."""
     loop, values, T = purpose.loop, purpose.joints[0], purpose.sample_time
     limits, found = _complete(limits, before)
     resolved = purpose.filtering.resolved(T, loop.joint.model)
@@ -445,11 +440,7 @@ def _search(
 
 
 def _take(purpose: Purpose, limits: AxisLimits, motion: Record) -> _Chosen:
-    """Return a test of the user's own, or a past record: only what is stated limits it.
-
-    Raises:
-        MethodError: it cannot be simulated, or does not tell a parameter.
-    """
+    """Take the user's own test or a past record; only stated limits apply."""
     reference = motion.reference
     if reference is None:
         raise MethodError("A test of your own has a reference; give the position that the axis is to follow.")
@@ -470,17 +461,14 @@ def _take(purpose: Purpose, limits: AxisLimits, motion: Record) -> _Chosen:
 def plan_from_estimate(
     estimate: Estimate, record: Record, *, noise: Noise | None = None, progress: Progress = silent, **asked: object
 ) -> Design:
-    """Look for the next test after a first record: its estimate says what is known, its residual how it is disturbed.
+    """Plan the next test from an estimate and its residual.
 
     Args:
         estimate: by DIDIM, with every parameter identified.
         record: that it was identified from.
-        noise: instead of what the residual says.
-        progress: is told.
+        noise: instead of the residual.
+        progress: receives messages.
         asked: the other arguments of `design_test`.
-
-    Raises:
-        MethodError: the estimate refuses a parameter; see `Noise.of`, and `design_test`.
     """
     loop = estimate.settings.loop
     disturbed = noise or Noise.of(estimate, record)
@@ -497,7 +485,7 @@ def plan_from_estimate(
 
 
 def _complete(limits: AxisLimits, before: Mapping[str, float] | None) -> tuple[AxisLimits, dict[str, float]]:
-    """Return the limits with those that the present test adds, and the largest of each quantity to begin from."""
+    """Complete the limits from the present test, and return its maxima."""
     needed = ("stroke", "speed", "acceleration", "torque")
     if before is None:
         missing = [name for name in needed if name not in limits.given]
@@ -512,7 +500,7 @@ def _complete(limits: AxisLimits, before: Mapping[str, float] | None) -> tuple[A
 
 
 def _as_plan(present: Record, sample_time: float) -> tuple[Plan, ...]:
-    """Return the present test as the first that is tried; none where it is not played at the sample time of the log."""
+    """The present test as a first candidate, if it has the log's sample time."""
     assert present.reference is not None
     injected = present.injected
     rates = {present.reference.sample_time, *([] if injected is None else [injected.channel.sample_time])}
@@ -526,7 +514,7 @@ def _floor(
     loop: ClosedLoop, values: Mapping[str, float], noise: Noise, goal: Goal, limits: AxisLimits, samples: int,
     sample_time: float, cutoff: float,
 ) -> Floor | None:  # fmt: skip
-    """Return the bound of a goal; that of white noise of the same size where the noise is a first record's."""
+    """Lower bound of a goal; white noise of equal size replaces a first record's."""
     known = noise.left is None
     size = 1.0 if noise.left is None else float(np.sqrt(np.mean(noise.left**2)))
     asked = goal if goal.weights else Goal("stiffness", {"stiffness": 1.0})
@@ -543,7 +531,7 @@ def _floor(
 def _draw(
     values: Mapping[str, float], free: Sequence[Parameter], covariance: FloatArray | None, count: int, seed: int
 ) -> list[dict[str, float]]:
-    """Return joints drawn from the interval, within the bounds of their parameters; none where it is not known."""
+    """Draw joints from the interval, within the parameters' bounds, if known."""
     if covariance is None:
         return []
     rng = np.random.default_rng([seed, 1])
@@ -561,7 +549,7 @@ def _draw(
 def _look(
     asked: Asked, begin: Sequence[Plan], seconds: float, seed: int, progress: Progress
 ) -> tuple[list[Tried], bool]:
-    """Return the tests of a search, each better than those before, and whether it was interrupted."""
+    """Return successively better tests, and whether the search was interrupted."""
     found: list[Tried] = []
     interrupted = False
     try:
@@ -579,9 +567,9 @@ def _look(
 
 
 def _choose(asked: Asked, found: Sequence[Tried], progress: Progress) -> tuple[Tried, bool]:
-    """Return the best test at all joints of the last that were found, and whether it was interrupted.
+    """Return the best test at all joints, and whether it was interrupted.
 
-    Where a test has to be made smaller to keep the limits everywhere, the one before it may tell more.
+    A test that has to be reduced to keep the limits may be worse than its predecessor.
     """
     kept: list[Tried] = []
     last = found[-_CANDIDATES:]
@@ -598,7 +586,7 @@ def _choose(asked: Asked, found: Sequence[Tried], progress: Progress) -> tuple[T
 
 
 def _keep_within(asked: Asked, best: Tried) -> Tried:
-    """Return a test that keeps the limits at all joints: its added signal and its speed are lowered until it does."""
+    """Reduce a test's added signal and speed until it keeps the limits at all joints."""
     tried = try_plan(asked, best.plan, margin=1.0)
     for _ in range(_TRIES):
         smaller = tried.plan.scaled(_SHRINKS)

@@ -1,23 +1,19 @@
-"""Foretell the intervals of a test that has not been made, from exact sensitivities at rough parameters.
+"""Predict the intervals of a planned test, from exact sensitivities at rough parameters.
 
-The loop is simulated along the planned reference, with what is to be injected, and the derivatives J of the torque by
-every parameter go through the filter that the identification will use. With S the covariance of ``J' e``, e the
-filtered error of the torque that the noise makes, least squares will scatter by::
+The loop is simulated along the planned reference and injection. The derivatives J of the torque pass the
+identification's filter. With S the covariance of ``J' e``, e the filtered torque error from noise::
 
     cov = (J' J)^-1  S  (J' J)^-1
 
-S comes from what is known of the noise (`Noise`):
+S depends on the known noise (`Noise`):
 
-- white noise on the log of the torque, or a white force on the motor inside the loop: runs of the loop with it. A force
-  does not show while friction holds the axis, and is coloured by the loop where it slides, so that no spectrum is
-  assumed: S is the mean of ``(J' e)(J' e)'`` over the runs.
-- what an identification of a first record left: its residual keeps its spectrum, and every interval is wider, or
-  narrower, by as much as that record's was reported wider than the spectrum alone makes it. In that way what repeats
-  with the motion, and is no noise, is in it as well.
+- white noise on the logged torque, or a white force on the motor: S is the mean of ``(J' e)(J' e)'`` over simulated
+  runs, since friction hides a force and the loop colours it.
+- the residual of a first record: it keeps its spectrum, and each interval is scaled as that record's reported interval
+  relative to the one by spectrum. This includes repeatable errors.
 
-The identification is the least squares of `DIDIM`, and what it frees beside the joint is free here: the motor's
-position at the first sample, and with an integral its torque there. A parameter at a bound, a loop at its limit most of
-the time, or a value that a search does not reach are not foretold.
+The identification is the least squares of `DIDIM` with free initial position and, with an integral, torque. Bounds,
+saturation most of the time, and failed searches are not predicted.
 """
 
 from __future__ import annotations
@@ -54,7 +50,7 @@ RUNS = 200
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Noise:
-    """What will disturb a test; all that is given acts together.
+    """Disturbances of a test; all given ones act together.
 
     Attributes:
         log: standard deviation of white noise on each logged torque, in its unit.
@@ -81,7 +77,7 @@ class Noise:
 
     @classmethod
     def of(cls, estimate: Estimate, record: Record) -> Noise:
-        """Return what the identification of a first record left, by DIDIM and with every parameter identified.
+        """Noise from the residual of a first record, by DIDIM with all parameters identified.
 
         Raises:
             MethodError: the estimate is not of a simulated loop as declared, or not of this record, or refuses a value.
@@ -103,7 +99,7 @@ class Noise:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Foretold:
-    """The intervals that a test will give.
+    """The predicted intervals of a test.
 
     Attributes:
         name: of the test.
@@ -147,10 +143,10 @@ def planned_record(
     tap: Tap | str = Tap.COMMAND,
     name: str = "test",
 ) -> Record:
-    """Return a test as a record without a torque yet: what the drive is to play.
+    """Return a test as a record without torque, as the drive is to play it.
 
     Args:
-        loop: whose joint says the units.
+        loop: whose joint sets the units.
         reference: (samples,) commanded position, m or rad.
         sample_time: of reference and log, s.
         injected: (samples,) a signal added to the torque, in its unit.
@@ -181,13 +177,13 @@ def foretell(
     runs: int = RUNS,
     seed: int = 0,
 ) -> Foretold:
-    """Return the intervals that a test will give.
+    """Predict the intervals of a test.
 
     Args:
         loop: joint and controller.
         values: every parameter of the joint by name, roughly known.
-        test: what the drive is to play, see `planned_record`; a past record does as well, its torque is not read.
-        noise: what will disturb it.
+        test: see `planned_record`; a past record also serves, its torque is ignored.
+        noise: disturbances of the test.
         filtering: of the identification; see `Filtering`.
         parameters: changes to the joint's parameters by name, as for `identify`: those that are fixed.
         motor_encoder: steps of an encoder on the motor, m or rad, read beside the torque.
@@ -196,7 +192,7 @@ def foretell(
         seed: of them.
 
     Raises:
-        MethodError: the loop cannot be simulated along the test, or the test does not tell a parameter at all.
+        MethodError: the loop cannot be simulated, or the torque does not depend on a parameter.
         RecordError: the test lacks what the controller reads.
     """
     problem = _pose(loop, test, filtering or Filtering(), parameters or {})
@@ -211,7 +207,12 @@ def foretell(
     matrix = _scatter(problem, x, J, noise, runs, seed)
     steps = [step for step in (motor_encoder, load_encoder) if step is not None]
     if steps:
-        disturbed = _with_error(problem, x, noise, seed)
+        if noise.left is None:
+            added = _errors(problem, x, noise, 1, seed)[0]
+        else:
+            size = float(np.sqrt(np.mean(noise.left**2)))
+            added = size * np.random.default_rng(seed).standard_normal(problem.measured.size)
+        disturbed = replace(problem, measured=problem.measured + added)
         source = find_noise_source(test) if noise.left is not None else "log" if noise.log > noise.force else "loop"
         motor, load = compute_encoder_information(disturbed, x, source, steps[0], steps[-1])
         read = (motor if motor_encoder is not None else None, load if load_encoder is not None else None)
@@ -236,7 +237,7 @@ def foretell(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoughlyForetold:
-    """What a test tells, from one run with noise, and what it reaches.
+    """A rough prediction of a test, from one run with noise, and its maxima.
 
     Attributes:
         names: of the joint's free parameters.
@@ -258,10 +259,9 @@ def foretell_roughly(
     filtering: Filtering,
     parameters: Mapping[str, Parameter],
 ) -> Iterator[RoughlyForetold]:
-    """Yield for each of some joints what `foretell` does, from the spectrum of one run with noise.
+    """Predict a test at several joints, from the spectrum of one run with noise.
 
-    That is for a search, which tries many tests. Args and errors are those of `foretell`; each joint has noise of its
-    own.
+    A search uses it for many tests. Arguments as for `foretell`; each joint has its own noise.
     """
     problem = _pose(loop, test, filtering, parameters)
     own = len(problem.free_joint)
@@ -295,10 +295,7 @@ def reach(
     filtering: Filtering,
     parameters: Mapping[str, Parameter],
 ) -> dict[str, float]:
-    """Return what a test reaches of each quantity that may be limited, whether or not it tells anything.
-
-    Args and errors are those of `foretell`.
-    """
+    """Maxima of a test's limited quantities, even of an uninformative test; see `foretell`."""
     problem = _pose(loop, test, filtering, parameters)
     x = _place(problem, values)
     size = 0.0 if noise.left is None else float(np.mean(noise.left**2))
@@ -309,7 +306,7 @@ def reach(
 
 
 def _reached(run: Simulation, reference: Channel, size: float) -> dict[str, float]:
-    """Return what a run reaches with noise whose mean square is `size` on top of its torque."""
+    """Maxima of a run with noise of mean square `size` added to its torque."""
     torque = run.torque + _PEAKS * math.sqrt(size) * np.sign(run.torque)
     found = reached(run, reference.values, torque, reference.sample_time)
     found["rms_torque"] = math.sqrt(float(np.mean(run.torque**2)) + size)
@@ -319,7 +316,7 @@ def _reached(run: Simulation, reference: Channel, size: float) -> dict[str, floa
 def _pose(
     loop: ClosedLoop, test: Record, filtering: Filtering, parameters: Mapping[str, Parameter]
 ) -> ClosedLoopProblem:
-    """Return the problem that the identification of a test will solve, its torque still 0."""
+    """The identification problem of a test, with zero torque."""
     reference = test.reference
     if reference is None:
         raise MethodError("A test needs a reference; give the position that the axis is to follow.")
@@ -333,7 +330,7 @@ def _pose(
 
 
 def _place(problem: ClosedLoopProblem, values: Mapping[str, float]) -> FloatArray:
-    """Return the free parameters of a joint that rests when the test begins."""
+    """Free parameters of a joint that starts at rest."""
     begins = float(problem.experiment.inputs[0, REFERENCE])
     held = _holding_torque(problem.loop, values, begins)
     position = beginning_position(replace(problem, measured=np.full_like(problem.measured, held)))
@@ -342,7 +339,7 @@ def _place(problem: ClosedLoopProblem, values: Mapping[str, float]) -> FloatArra
 
 
 def _holding_torque(loop: ClosedLoop, values: Mapping[str, float], position: float) -> float:
-    """Return the torque that holds the joint at a position: an axis at rest has it before the test begins."""
+    """Torque that holds the joint at a position."""
     gravity, ripple, held = loop.joint.gravity, loop.joint.ripple, values.get("offset", 0.0)
     here, forces = np.array([position]), list[tuple[FloatArray, tuple[Parameter, ...]]]()
     forces += [] if gravity is None else [(gravity.columns(here)[0], gravity.parameters)]
@@ -351,7 +348,7 @@ def _holding_torque(loop: ClosedLoop, values: Mapping[str, float], position: flo
 
 
 def _require_told(problem: ClosedLoopProblem, J: FloatArray) -> None:
-    """Raise a `MethodError` if the torque of a test stays the same along a parameter of the joint, or a sum of some."""
+    """Refuse a test whose torque does not depend on a parameter, or a combination."""
     norms = np.linalg.norm(J, axis=0)
     norms[norms == 0.0] = 1.0
     sizes, directions = np.linalg.eigh((J / norms).T @ (J / norms))
@@ -384,7 +381,7 @@ def _scatter(
 
 
 def _errors(problem: ClosedLoopProblem, x: FloatArray, noise: Noise, runs: int, seed: int) -> list[FloatArray]:
-    """Return what noise adds to the logged torque in each of some runs, raw, (samples,) each."""
+    """Noise in the logged torque for each run, raw, (samples,) each."""
     experiment, quiet = problem.experiment, problem.torque(x)
 
     def error(number: int) -> FloatArray:
@@ -399,13 +396,3 @@ def _errors(problem: ClosedLoopProblem, x: FloatArray, noise: Noise, runs: int, 
         return added
 
     return in_threads(error, range(runs))
-
-
-def _with_error(problem: ClosedLoopProblem, x: FloatArray, noise: Noise, seed: int) -> ClosedLoopProblem:
-    """Return the problem of a torque with noise, as an encoder's information asks for its size."""
-    if noise.left is None:
-        added = _errors(problem, x, noise, 1, seed)[0]
-    else:
-        size = float(np.sqrt(np.mean(noise.left**2)))
-        added = size * np.random.default_rng(seed).standard_normal(problem.measured.size)
-    return replace(problem, measured=problem.measured + added)

@@ -1,4 +1,4 @@
-"""What a test is to tell: one parameter, a combination, the worst known direction, or all of them together."""
+"""Goals of a test: a parameter, a combination, the worst direction, or all."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _TINY = 1e-30
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """What a test is to tell.
+    """Goal of a test.
 
     Attributes:
         name: as it was asked for.
@@ -31,12 +31,12 @@ class Goal:
     weights: Mapping[str, float]
 
     def score(self, covariance: FloatArray, names: Sequence[str], values: Mapping[str, float]) -> float:
-        """Return a logarithm that is the smaller, the better a test tells the goal; its differences are relative.
+        """Logarithmic objective; lower is better, differences are relative.
 
         Args:
             covariance: (parameters, parameters).
             names: of the parameters, in their order.
-            values: of them, by which deviations are measured where the goal is all of them.
+            values: of them, the scale of deviations if the goal is all of them.
         """
         if self.weights:
             w = np.array([self.weights.get(name, 0.0) for name in names])
@@ -49,14 +49,11 @@ class Goal:
 
 
 def goal_named(name: str, units: Mapping[str, str]) -> Goal:
-    """Return the goal that is asked for.
+    """Parse a goal.
 
     Args:
         name: of a parameter, a sum or a difference such as "motor_viscous - load_viscous", "weakest" or "all".
         units: of the joint's free parameters, by name.
-
-    Raises:
-        MethodError: there is no such parameter, or the sum is of several units.
     """
     if name in (WEAKEST, ALL):
         return Goal(name, {})

@@ -1,4 +1,4 @@
-"""What an axis may do in a test, and what is passed of it."""
+"""Axis limits of a test, and how far a test exceeds them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _SLACK = 1e-9  # relative: what rounding passes a limit by
 @documented
 @dataclass(frozen=True, slots=True)
 class AxisLimits:
-    """What an axis may do in a test, on the side and in the units of the joint; what is not given is not limited.
+    """Axis limits of a test, on the joint's side; None is unlimited.
 
     A torque is in A or V where the joint is identified per ampere or volt.
 
@@ -53,13 +53,13 @@ class AxisLimits:
 
     @property
     def given(self) -> dict[str, float]:
-        """The limits on quantities that are given, by name."""
+        """Given limits by name."""
         found = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("lowest", "highest")}
         return {name: value for name, value in found.items() if value is not None}
 
 
 def reached(run: Simulation, reference: FloatArray, torque: FloatArray, sample_time: float) -> dict[str, float]:
-    """Return what a simulated test reaches of each quantity that may be limited.
+    """Maxima of the limited quantities in a simulated test.
 
     Args:
         run: of the loop.
@@ -87,13 +87,13 @@ def reached(run: Simulation, reference: FloatArray, torque: FloatArray, sample_t
 
 
 def passed(limits: AxisLimits, found: Mapping[str, float]) -> dict[str, float]:
-    """Return by which factor each limit is passed; none that is kept."""
+    """Factors by which limits are exceeded."""
     over = {name: found[name] / limit for name, limit in limits.given.items() if name in found}
     return {name: factor for name, factor in over.items() if factor > 1 + _SLACK}
 
 
 def describe_passed(limits: AxisLimits, found: Mapping[str, float], units: Mapping[str, str]) -> Iterator[str]:
-    """Yield a clause for each limit that is passed."""
+    """Yield a clause for each exceeded limit."""
     for name in passed(limits, found):
         unit = units.get(name, "")
         allowed = number(limits.given[name], 3)
@@ -101,7 +101,7 @@ def describe_passed(limits: AxisLimits, found: Mapping[str, float], units: Mappi
 
 
 def units_of_limits(loop: ClosedLoop) -> dict[str, str]:
-    """Return the unit of each quantity that may be limited."""
+    """Units of the limited quantities."""
     q, u = POSITION_UNIT[loop.joint.kind], loop.joint.force_unit
     return {
         "stroke": q, "speed": f"{q}/s", "acceleration": f"{q}/s2", "jerk": f"{q}/s3", "torque": u, "rms_torque": u,

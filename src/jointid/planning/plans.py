@@ -1,8 +1,7 @@
-"""Tests that a drive can play by itself: a motion, and a signal added to the torque, each in a few numbers.
+"""Parametrised tests that a drive can play: a motion with a signal added to the torque.
 
-A drive's own generators make trapezoids (with a jerk limit, where it has one), chirps, sums of sines and pulses; a
-table of samples is what a test bench plays. A family is one motion with one added signal, and says between which
-numbers the search looks: from the axis limits, or where one is not given from the test there is already.
+Drives generate trapezoids (with a jerk limit), chirps, sums of sines and pulses; test benches play tables. A family
+combines one motion with one added signal; the axis limits or the present test bound its numbers.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ _APART = 1.02  # of two sines, at least: the ratio of their frequencies
 
 @dataclass(frozen=True, slots=True)
 class Trapezoids:
-    """There and back from `start` at each speed in turn; `smoothing` is the time in which the acceleration rises, s."""
+    """Back and forth from `start` at each speed; `smoothing` is the jerk time, s."""
 
     speeds: tuple[float, ...]
     acceleration: float
@@ -50,7 +49,7 @@ class Trapezoids:
         )
 
     def describe(self, unit: str) -> str:
-        """Return it in words, positions in that unit."""
+        """Describe it, with positions in that unit."""
         speeds = ", ".join(number(one, 3) for one in self.speeds)
         ramps = f", the acceleration rising in {number(1e3 * self.smoothing, 3)} ms" if self.smoothing else ""
         return (
@@ -62,7 +61,7 @@ class Trapezoids:
 
 @dataclass(frozen=True, slots=True)
 class Sines:
-    """A sum of sines of a position whose accelerations are alike, between two frequencies, Hz."""
+    """A sum of position sines with equal accelerations, between two frequencies, Hz."""
 
     amplitude: float
     lowest: float
@@ -76,7 +75,7 @@ class Sines:
         )
 
     def describe(self, unit: str) -> str:
-        """Return it in words, positions in that unit."""
+        """Describe it, with positions in that unit."""
         return (
             f"a sum of {_LINES} sines of the position, {number(self.lowest, 2)} to {number(self.highest, 2)} Hz, "
             f"within {number(self.amplitude, 3)} {unit} of {number(self.start, 3)} {unit}"
@@ -90,7 +89,7 @@ class Table:
     values: FloatArray
 
     def play(self, samples: int, sample_time: float) -> FloatArray:
-        """Return the positions, (samples,); the table again, turned round in time, where it is shorter."""
+        """Positions, (samples,); a short table is repeated, reversed in time."""
         del sample_time
         whole = self.values
         while whole.size < samples:
@@ -98,7 +97,7 @@ class Table:
         return np.asarray(whole[:samples])
 
     def describe(self, unit: str) -> str:
-        """Return it in words, positions in that unit."""
+        """Describe it, with positions in that unit."""
         return f"the reference as given, {number(float(np.ptp(self.values)), 3)} {unit} of travel"
 
 
@@ -111,11 +110,11 @@ class Pulses:
     every: float
 
     def play(self, samples: int, sample_time: float) -> FloatArray:
-        """Return the torque that is added, (samples,)."""
+        """Added torque, (samples,)."""
         return excitation.pulses(samples, sample_time, self.height, self.width, self.every, seed=0)
 
     def describe(self, unit: str) -> str:
-        """Return it in words, torques in that unit."""
+        """Describe it, with torques in that unit."""
         return (
             f"pulses of {number(self.height, 3)} {unit} and {number(1e3 * self.width, 3)} ms on the torque, of "
             f"alternating sign, one in {number(self.every, 2)} s"
@@ -124,18 +123,18 @@ class Pulses:
 
 @dataclass(frozen=True, slots=True)
 class TorqueSines:
-    """A sum of sines of the torque, of equal size, between two frequencies, Hz; `amplitude` is its largest value."""
+    """A sum of equal torque sines between two frequencies, Hz, with peak `amplitude`."""
 
     amplitude: float
     lowest: float
     highest: float
 
     def play(self, samples: int, sample_time: float) -> FloatArray:
-        """Return the torque that is added, (samples,)."""
+        """Added torque, (samples,)."""
         return excitation.multisine(samples, sample_time, self.amplitude, self.lowest, self.highest, lines=_LINES)
 
     def describe(self, unit: str) -> str:
-        """Return it in words, torques in that unit."""
+        """Describe it, with torques in that unit."""
         return (
             f"a sum of {_LINES} sines of up to {number(self.amplitude, 3)} {unit} on the torque, "
             f"{number(self.lowest, 2)} to {number(self.highest, 2)} Hz"
@@ -144,17 +143,17 @@ class TorqueSines:
 
 @dataclass(frozen=True, slots=True)
 class TorqueLines:
-    """Sines of the torque at given frequencies, Hz, and of given amplitudes, with phases that keep their peaks low."""
+    """Torque sines of given frequencies, Hz, and amplitudes, with low peaks."""
 
     frequencies: tuple[float, ...]
     amplitudes: tuple[float, ...]
 
     def play(self, samples: int, sample_time: float) -> FloatArray:
-        """Return the torque that is added, (samples,)."""
+        """Added torque, (samples,)."""
         return excitation.sines(samples, sample_time, self.frequencies, self.amplitudes)
 
     def describe(self, unit: str) -> str:
-        """Return it in words, torques in that unit."""
+        """Describe it, with torques in that unit."""
         pairs = zip(self.frequencies, self.amplitudes, strict=True)
         each = ", ".join(f"{number(size, 2)} {unit} at {number(f, 3)} Hz" for f, size in pairs)
         return f"sines on the torque: {each}"
@@ -162,18 +161,18 @@ class TorqueLines:
 
 @dataclass(frozen=True, slots=True)
 class TorqueChirp:
-    """A sine on the torque whose frequency rises from one to the other, Hz, over the whole test."""
+    """A torque sine whose frequency rises over the test, Hz."""
 
     amplitude: float
     lowest: float
     highest: float
 
     def play(self, samples: int, sample_time: float) -> FloatArray:
-        """Return the torque that is added, (samples,)."""
+        """Added torque, (samples,)."""
         return excitation.chirp(samples, sample_time, self.amplitude, self.lowest, self.highest)
 
     def describe(self, unit: str) -> str:
-        """Return it in words, torques in that unit."""
+        """Describe it, with torques in that unit."""
         return (
             f"a chirp of {number(self.amplitude, 3)} {unit} on the torque, {number(self.lowest, 2)} to "
             f"{number(self.highest, 2)} Hz"
@@ -182,17 +181,17 @@ class TorqueChirp:
 
 @dataclass(frozen=True, slots=True)
 class TorqueTable:
-    """A signal on the torque as it stands in a table, one value each sample."""
+    """A tabulated torque signal, one value per sample."""
 
     values: FloatArray
 
     def play(self, samples: int, sample_time: float) -> FloatArray:
-        """Return the torque that is added, (samples,); the table again where it is shorter."""
+        """Added torque, (samples,); a short table is repeated."""
         del sample_time
         return np.asarray(np.resize(self.values, samples))
 
     def describe(self, unit: str) -> str:
-        """Return it in words, torques in that unit."""
+        """Describe it, with torques in that unit."""
         return f"the signal as given on the torque, of up to {number(float(np.max(np.abs(self.values))), 3)} {unit}"
 
 
@@ -202,13 +201,13 @@ Added: TypeAlias = Pulses | TorqueSines | TorqueLines | TorqueChirp | TorqueTabl
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """A test: a motion, and a signal added to the torque or none."""
+    """A test: a motion, and optionally a signal added to the torque."""
 
     motion: Motion
     added: Added | None = None
 
     def play(self, samples: int, sample_time: float) -> tuple[FloatArray, FloatArray | None]:
-        """Return the reference and what is injected, (samples,) each."""
+        """Reference and injected signal, (samples,) each."""
         injected = None if self.added is None else self.added.play(samples, sample_time)
         return self.motion.play(samples, sample_time), injected
 
@@ -218,7 +217,7 @@ class Plan:
         return said if self.added is None else f"{said}; {self.added.describe(torque_unit)}"
 
     def scaled(self, factor: float) -> Plan:
-        """Return the test with its added signal and its motion so many times as large."""
+        """Scale the added signal and the motion."""
         added, motion = self.added, self.motion
         if isinstance(added, Pulses):
             added = replace(added, height=factor * added.height)
@@ -240,7 +239,7 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class Room:
-    """Between what a search looks: the largest of each quantity, and the frequencies in Hz.
+    """Ranges of a search: largest values, and frequencies in Hz.
 
     Attributes:
         stroke, speed, acceleration, torque: in the joint's units.
@@ -348,14 +347,14 @@ class Family:
         return _MOTIONS[self.motion][0] + _ADDED[self.added][0]
 
     def plan(self, u: Sequence[float], room: Room) -> Plan:
-        """Return the test that numbers between 0 and 1 say, (size,)."""
+        """Return the test for numbers between 0 and 1, (size,)."""
         count, motion = _MOTIONS[self.motion]
         make = _ADDED[self.added][1]
         return Plan(motion(u[:count], room), None if make is None else make(u[count:], room))
 
 
 def families_in(room: Room) -> tuple[Family, ...]:
-    """Return all that a search tries."""
+    """Families that a search tries."""
     return tuple(Family(motion, added) for motion in _MOTIONS for added in _ADDED if added != "lines" or room.lines)
 
 
@@ -368,12 +367,12 @@ def room_of(
     lines: tuple[tuple[float, float], ...] = (),
     low: float = 0.0,
 ) -> Room:
-    """Return between what a search looks.
+    """Ranges of a search, from limits and the present test.
 
     Args:
         given: the axis limits by name.
-        found: what the test there is already reaches, by the same names; where no limit is given, twice of it is the
-            most that is tried of a speed or an acceleration, and itself of stroke and torque.
+        found: maxima of the present test; twice its speed and acceleration, and its stroke and torque, replace missing
+            limits.
         lowest: frequency, Hz.
         highest: frequency, Hz.
         mode: of the joint, Hz.

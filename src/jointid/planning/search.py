@@ -1,11 +1,9 @@
-"""Look for the test that tells most within the axis limits: several families at once, the better ones for longer.
+"""Search for the most informative test, over several families, within the axis limits.
 
-A test is a family and some numbers between 0 and 1 (`plans`). Each is simulated at several joints, the one that is
-roughly known and others drawn from its interval, with noise: what it tells is the mean over them, and what it reaches
-the largest of them. A test that passes a limit is worse than any that keeps them all, and the worse the farther it
-passes. A few tests of every family are drawn; the best of each is moved a few times, then the best of these, by steps
-that grow where they help and shrink where they do not, as an evolution strategy does (I. Rechenberg's rule of one
-success in five). While there is time others are drawn, and the best of all is moved on in between.
+A test is a family and numbers between 0 and 1 (`plans`). It is simulated with noise at the rough joint and at others of
+its interval; its objective is the mean, its maxima the largest. A test that exceeds a limit ranks below all others, by
+the excess. Random tests of every family start the search; the best of each and then the best of all take adaptive
+steps of an evolution strategy (I. Rechenberg's one-fifth rule). New random tests are mixed in while time remains.
 """
 
 from __future__ import annotations
@@ -50,7 +48,7 @@ _SMALLEST, _LONGEST = 2e-3, 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Purpose:
-    """What a test is planned for.
+    """Purpose of a test.
 
     Attributes:
         loop: joint and controller.
@@ -75,14 +73,14 @@ class Purpose:
     def foretell(
         self, test: Record, *, motor_encoder: float | None = None, load_encoder: float | None = None
     ) -> Foretold:
-        """Return what a test tells of the joint that is roughly known; see `foretell`."""
+        """Predict a test at the rough joint; see `foretell`."""
         return foretell(
             self.loop, self.joints[0], test, self.noise, filtering=self.filtering, parameters=self.parameters,
             motor_encoder=motor_encoder, load_encoder=load_encoder,
         )  # fmt: skip
 
     def foretell_roughly(self, test: Record) -> Iterator[RoughlyForetold]:
-        """Yield for each joint what a test tells and reaches; see `foretell_roughly`."""
+        """Predict a test at each joint; see `foretell_roughly`."""
         return foretell_roughly(
             self.loop, self.joints, test, self.noise, filtering=self.filtering, parameters=self.parameters
         )
@@ -90,7 +88,7 @@ class Purpose:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Asked:
-    """What a search is for.
+    """The search problem.
 
     Attributes:
         purpose: what the test is planned for.
@@ -106,7 +104,7 @@ class Asked:
     in_torque: bool = True
 
     def record(self, plan: Plan, samples: int | None = None) -> Record:
-        """Return a test as a drive is to play it, of as many samples as are asked for."""
+        """Return a test as a record for the drive."""
         reference, injected = plan.play(samples or self.purpose.samples, self.purpose.sample_time)
         return planned_record(
             self.purpose.loop, reference, self.purpose.sample_time, injected, at=self.at, in_torque=self.in_torque,
@@ -116,7 +114,7 @@ class Asked:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tried:
-    """A test that was tried.
+    """An evaluated test.
 
     Attributes:
         plan: the test.
@@ -132,18 +130,18 @@ class Tried:
 
     @property
     def rank(self) -> tuple[float, float]:
-        """What the better of two tests has less of: passing limits first."""
+        """Sort key: exceeded limits first."""
         return max(self.over, 1.0), self.score
 
 
 def try_plan(asked: Asked, plan: Plan, *, margin: float = _MARGIN, than: Tried | None = None) -> Tried:
-    """Simulate a test at every joint, and say what it tells and reaches.
+    """Evaluate a test at every joint.
 
     Args:
-        asked: what is looked for.
+        asked: the search problem.
         plan: the test.
-        margin: share of each limit that it may reach.
-        than: a test that it is to be better than; where it clearly is not at the first joint, the others are left out.
+        margin: admissible share of each limit.
+        than: a test to beat; if it clearly loses at the first joint, the others are skipped.
     """
     test = asked.record(plan)
     scores, most = [], dict[str, float]()
@@ -167,7 +165,7 @@ def try_plan(asked: Asked, plan: Plan, *, margin: float = _MARGIN, than: Tried |
 
 @dataclass(slots=True)
 class _Line:
-    """One test that is moved: its family, its numbers, how well it does, and the length of its steps."""
+    """A test in the evolution strategy: family, numbers, objective and step length."""
 
     family: Family
     u: FloatArray
@@ -175,7 +173,7 @@ class _Line:
     step: float = _FIRST_STEP
 
     def move(self, asked: Asked, rng: np.random.Generator) -> None:
-        """Try two tests beside this one, and take the place of the better one if it is better than this."""
+        """Try two neighbouring tests, and move to the better one if it improves."""
         moved = [np.clip(self.u + self.step * rng.standard_normal(self.u.size), 0.0, 1.0) for _ in range(2)]
         tries = in_threads(lambda u: try_plan(asked, self.family.plan(list(u), asked.room), than=self.tried), moved)
         first = min(range(2), key=lambda k: tries[k].rank)
@@ -195,16 +193,16 @@ def search(
     seed: int = 0,
     clock: Callable[[], float] = time.monotonic,
 ) -> Iterator[Tried]:
-    """Yield ever better tests, until the time is over or it is interrupted; at least one that can be simulated.
+    """Yield ever better tests until the time is over; at least one.
 
     Args:
-        asked: what is looked for.
-        begin: tests to compare with first, as the one there is already.
-        seconds: that it may take.
-        progress: is told.
-        families: that are looked at; all there is room for when None.
+        asked: the search problem.
+        begin: first tests to compare with, such as the present one.
+        seconds: time limit.
+        progress: receives messages.
+        families: to search; all possible ones when None.
         seed: of the draws.
-        clock: seconds that pass.
+        clock: source of time, s.
     """
     ends, rng = clock() + seconds, np.random.default_rng(seed)
     work = Work(progress, "looking for the test that tells most", 100.0, "%")
@@ -223,7 +221,7 @@ def search(
 def _try_all(
     asked: Asked, begin: Sequence[Plan], families: Sequence[Family], rng: np.random.Generator
 ) -> Iterator[Tried]:
-    """Yield every test as it is tried: those to begin with, some of each family, then what the best become."""
+    """Yield every evaluated test: given ones, random ones, then steps of the best."""
     yield from (try_plan(asked, plan) for plan in begin)
     leader: _Line | None = None
     while True:
@@ -246,7 +244,7 @@ def _try_all(
 
 
 def _best_of_each(lines: Sequence[_Line]) -> list[_Line]:
-    """Return the best test of each family, the best first."""
+    """Best test of each family, sorted."""
     best: dict[Family, _Line] = {}
     for line in sorted(lines, key=lambda line: line.tried.rank):
         best.setdefault(line.family, line)

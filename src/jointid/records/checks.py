@@ -1,4 +1,4 @@
-"""Check a record, one sentence for each fault; and warn of what limits its use."""
+"""Check a record for faults, and warn of limitations."""
 
 from __future__ import annotations
 
@@ -50,16 +50,13 @@ _NUMBERS, _TIMES = (1e-30, 1e30), (1e-9, 1e6)
 
 
 def check_record(record: Record, *, limit: float | None = None, side: str | None = None, ratio: float = 1.0) -> None:
-    """Check that a record is what it is declared to be, and that a joint can be identified from it.
+    """Check that a record matches its declaration and allows identification.
 
     Args:
         record: what was logged.
-        limit: the controller's torque limit, in the unit of the record's torque; None does not check it.
-        side: of a transmission, on which the record's torque and the limit are told; None without one.
-        ratio: of the transmission, motor per load; 1 without one.
-
-    Raises:
-        RecordError: with one sentence for each fault found.
+        limit: the controller's torque limit, in the record's unit; None skips the check.
+        side: transmission side of the record's torque and the limit; None without a transmission.
+        ratio: of the transmission, motor per load.
     """
     faults = [f for name, c in record.items() for f in finite_faults(name, c.values, c.time)]
     if not faults:  # of numbers that are none, nothing more can be said
@@ -70,7 +67,7 @@ def check_record(record: Record, *, limit: float | None = None, side: str | None
 
 
 def still_faults(record: Record) -> list[str]:
-    """Return the faults of a record in which nothing happens: a constant torque, a constant reference."""
+    """Faults of a constant torque or reference."""
     faults = []
     if record.torque is not None and np.ptp(record.torque.values) == 0:
         faults.append(
@@ -86,13 +83,13 @@ def still_faults(record: Record) -> list[str]:
 
 
 def limit_faults(record: Record, limit: float, side: str | None = None) -> list[str]:
-    """Return the faults of a torque that stands at the controller's limit, or goes beyond it.
+    """Faults of a torque at or beyond the controller's limit.
 
-    What is known to be added after the limit is taken off the torque first.
+    The known injection is subtracted first.
 
     Args:
-        record: the record; without a torque there is no fault.
-        limit: largest torque the controller can ask for, positive, in the unit of the record's torque.
+        record: without a torque there is no fault.
+        limit: positive, in the unit of the record's torque.
         side: see `check_record`.
     """
     if not limit > 0:
@@ -122,7 +119,7 @@ def limit_faults(record: Record, limit: float, side: str | None = None) -> list[
 
 @np.errstate(over="ignore", invalid="ignore")  # a wrong column can hold any number, the largest too
 def scale_faults(record: Record, ratio: float = 1.0) -> list[str]:
-    """Return the faults of signals that cannot have the unit, the sign or the side that they are declared to have."""
+    """Faults of signals with an implausible unit, sign or side."""
     reference, motor, velocity = record.reference, record.motor_position, record.reference_velocity
     faults = [fault for name, channel in record.items() for fault in _magnitude_faults(name, channel)]
     if faults:
@@ -141,7 +138,7 @@ def scale_faults(record: Record, ratio: float = 1.0) -> list[str]:
 
 
 def _magnitude_faults(name: str, channel: Channel) -> list[str]:
-    """Return the fault of numbers or times of a size that nothing measured has."""
+    """Faults of values or times of implausible magnitude."""
     largest = float(np.max(np.abs(channel.values), initial=0.0))
     time = channel.sample_time
     if largest and not _NUMBERS[0] <= largest <= _NUMBERS[1]:
@@ -158,7 +155,7 @@ def _magnitude_faults(name: str, channel: Channel) -> list[str]:
 
 
 def _size_faults(name: str, position: Channel) -> list[str]:
-    """Return the fault of a position that moves faster or farther than a joint can."""
+    """Faults of a position that moves too fast or too far."""
     if len(position) < 2:
         return []
     steps = np.abs(np.diff(position.values))
@@ -174,7 +171,7 @@ def _size_faults(name: str, position: Channel) -> list[str]:
 
 
 def _ratio_faults(name: str, channel: Channel, other_name: str, other: Channel, gear: float = 1.0) -> list[str]:
-    """Return the faults of two signals that should agree, follow each other, and differ in sign or scale."""
+    """Faults of two related signals that differ in sign or scale."""
     x, y = np.interp(channel.time, other.time, other.values), channel.values
     if np.ptp(x) == 0 or np.ptp(y) == 0:
         return []
@@ -193,14 +190,14 @@ def _ratio_faults(name: str, channel: Channel, other_name: str, other: Channel, 
 
 
 def _gear_hint(ratio: float, gear: float) -> str:
-    """Return that one of two signals is of the other side of a gear, where its ratio is theirs; else nothing."""
+    """Suggest the other side of the gear if the ratio matches; else nothing."""
     if gear == 1.0 or not any(abs(ratio / one - 1) < _GEAR_TOLERANCE for one in (gear, 1 / gear)):
         return ""
     return f", as if one of them were of the other side of the {gear:g}:1 gear; give its channel side"
 
 
 def _unit_hint(ratio: float, name: str, other_name: str, declared: str) -> str:
-    """Return what a ratio of two signals says of their units, and what to do."""
+    """Suggest the unit that explains the ratio of two signals."""
     for entry in map(unit, units_of(unit(declared).dimension)):
         for suspect, factor in ((name, 1 / entry.factor), (other_name, entry.factor)):
             if factor != 1 and abs(ratio / factor - 1) < _RATIO_TOLERANCE:
@@ -209,11 +206,11 @@ def _unit_hint(ratio: float, name: str, other_name: str, declared: str) -> str:
 
 
 def find_record_warnings(record: Record, channels: Collection[str]) -> tuple[str, ...]:
-    """Return the warnings on the channels that were read, one sentence each.
+    """Warnings on the channels of a record, one sentence each.
 
-    A value that is rounded to steps of q has an error of q / sqrt(12) rms, and a torque that is refreshed every n
-    samples is late by half of n more than its timing says. A late encoder differs from the other by its lag times the
-    velocity, as a spring with viscous friction behind it does: where that is nearly all, no stiffness is seen.
+    Quantisation in steps of q adds an error of q / sqrt(12) rms. A torque that is refreshed every n samples is n / 2
+    samples late. An encoder lag looks like a spring with viscous friction; if it explains nearly all of the difference
+    between the encoders, it hides the stiffness.
     """
     notes: list[str] = []
     for name, channel in record.items():
@@ -229,7 +226,7 @@ def find_record_warnings(record: Record, channels: Collection[str]) -> tuple[str
 
 @dataclass(frozen=True, slots=True)
 class EncoderLag:
-    """A lag of one encoder that explains nearly all of the difference of both.
+    """A lag of one encoder that explains nearly all of the difference.
 
     Attributes:
         late, early: the channels.
@@ -244,7 +241,7 @@ class EncoderLag:
 
 
 def find_encoder_lag(record: Record) -> EncoderLag | None:
-    """Return the lag that hides the spring between a record's encoders; None where there is no such lag."""
+    """Find the lag that hides the spring between two encoders, if any."""
     motor, load = record.motor_position, record.load_position
     if motor is None or load is None or len(motor) < _FEWEST_SAMPLES:
         return None
@@ -317,7 +314,7 @@ def _rounding_warnings(name: str, channel: Channel) -> Iterator[str]:
 
 
 def find_quantum(values: FloatArray) -> float | None:
-    """Return the step that values (samples,) are rounded to; None where they are not, or too finely to be told."""
+    """Return the quantisation step of values (samples,); None if not detectable."""
     grain = float(np.ptp(values)) * _GRAIN
     if not (math.isfinite(grain) and grain > 0):
         return None
@@ -334,9 +331,9 @@ def find_quantum(values: FloatArray) -> float | None:
 
 
 def find_encoder_step(channel: Channel | None) -> float | None:
-    """Return the step of the encoder that a position was read from, in its unit; None where none is to be seen.
+    """Return the encoder step in a position's unit; None if not detectable.
 
-    The smallest gap between two positions is a small whole number of steps, of which all other positions are multiples.
+    All positions are multiples of the step, and the smallest gap is a small multiple.
     """
     if channel is None:
         return None

@@ -1,8 +1,4 @@
-"""Read a record that may be longer than memory in chunks: each is a record with its place in the whole.
-
-Chunks begin a length apart, and each overlaps the next, so that a simulation or a filter can settle at both ends of a
-chunk and every sample still counts in one of them.
-"""
+"""Read long records in overlapping chunks, so that filters and simulations settle."""
 
 from __future__ import annotations
 
@@ -40,7 +36,7 @@ class Chunk:
 
 
 class LongRecord(Protocol):
-    """A source of a record that is read in chunks."""
+    """A record that can be read in chunks."""
 
     @property
     def name(self) -> str:
@@ -53,24 +49,21 @@ class LongRecord(Protocol):
         ...
 
     def chunks(self, length: int, overlap: int, every: int = 1) -> Iterator[Chunk]:
-        """Yield one chunk after the other, or one in so many.
+        """Yield every `every`-th chunk.
 
-        What is left at the end, and shorter than the overlap, is in the chunk before it, and is none of its own.
+        A remainder shorter than the overlap belongs to the chunk before it.
 
         Args:
-            length: samples from the beginning of a chunk to that of the next.
-            overlap: samples that a chunk goes on beyond that, `length` at most.
-            every: of so many chunks the first is read.
-
-        Raises:
-            RecordError: the record cannot be read, or does not hold what it is declared to hold.
+            length: samples between the beginnings of chunks.
+            overlap: samples beyond the length, `length` at most.
+            every: 1 yields all chunks.
         """
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Log:
-    """A record in a file, read when it is asked for.
+    """A record in a file, read on demand.
 
     Attributes:
         path: the file, of a format that has rows one after the other; MAT files of version 7 and ROS 2 bags have not.
@@ -107,7 +100,7 @@ class Log:
 
     @property
     def name(self) -> str:
-        """The one that was given, or the file's without its suffix."""
+        """The given name, or the file's without suffix."""
         return str(self.settings.get("name") or Path(self.path).stem)
 
     @property
@@ -119,7 +112,7 @@ class Log:
         return _require_one_rate(self._reader.build_record(first[1], self.name))
 
     def chunks(self, length: int, overlap: int, every: int = 1) -> Iterator[Chunk]:
-        """Yield one chunk after the other, or one in so many; see `LongRecord`."""
+        """See `LongRecord.chunks`."""
         reader, sample_time = self._reader, self.sample_time
         for number, table, last in self._tables(length, overlap, every):
             try:
@@ -135,7 +128,7 @@ class Log:
         return RecordReader(self.columns, **{"drive": Drive(), **self.settings})
 
     def _tables(self, length: int, overlap: int, every: int) -> Iterator[tuple[int, Table, bool]]:
-        """Yield the index and the numbers of one chunk in so many, and True with the last."""
+        """Yield start index, table and end flag of every `every`-th chunk."""
         held: tuple[int, Table] | None = None
         for number, block in enumerate(read_blocks(self.path, length, **self.options)):
             rest = number > 0 and block.rows < overlap
@@ -167,7 +160,7 @@ class InMemory:
         return _require_one_rate(self.record)
 
     def chunks(self, length: int, overlap: int, every: int = 1) -> Iterator[Chunk]:
-        """Yield one chunk after the other, or one in so many; see `LongRecord`."""
+        """See `LongRecord.chunks`."""
         samples = min(len(channel) for _, channel in self.record.items())
         firsts = range(0, max(samples - max(overlap, 1), 0) + 1, length)
         for number, first in enumerate(firsts):
@@ -189,7 +182,7 @@ def _require_one_rate(record: Record) -> float:
 
 
 def _set_rate(record: Record, sample_time: float, first: int) -> Record:
-    """Return a chunk of a record at the sample time of all of it, beginning with that sample."""
+    """Set a chunk's sample time and first sample."""
     own = _require_one_rate(record)
     if not is_same_rate(own, sample_time):
         raise RecordError(f"the sample time is {own:g} s here and {sample_time:g} s at the beginning; cut it there.")

@@ -1,4 +1,4 @@
-"""The clocks of a table: the time between samples, and how far stamps are from a uniform clock."""
+"""Clocks of a table: sample time and deviation of time stamps."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _TIME = re.compile(r"(?:t|time)\s*(?:[\[(].*[\])])?", re.IGNORECASE)
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """The time between samples [s] and the time stamps [s], as far as they are known, and their column."""
+    """Sample time [s], time stamps [s] and their column, if known."""
 
     sample_time: float | None = None
     stamps: FloatArray | None = None
@@ -42,14 +42,14 @@ class Clock:
 
 @dataclass(frozen=True, slots=True)
 class Clocks:
-    """The record's clock, those of other time columns by name, and by column the name of its own time column."""
+    """The record's clock, other clocks by time column, and time columns by column."""
 
     common: Clock
     own: Mapping[str, Clock] = field(default_factory=dict)
     columns: Mapping[str, str] = field(default_factory=dict)
 
     def clock_of(self, column: Column) -> Clock:
-        """Return the clock of a channel's column; one with a sample time of its own needs no stamps."""
+        """Return a column's clock; a declared sample time needs no stamps."""
         if column.sample_time is not None:
             return Clock(column.sample_time)
         time = column.time or self.columns.get(column.column)
@@ -59,13 +59,13 @@ class Clocks:
 def find_clock(
     table: Table, time: str | None, time_unit: str | None, sample_time: float | None, tolerance: float | None
 ) -> tuple[Clock, list[str]]:
-    """Return a table's clock, from the stamps, from the sample time, or from both, and what is wrong with it.
+    """Determine a table's clock, and its faults.
 
     Args:
         table: of the samples.
-        time: name of the time column; None takes the only one that is called t or time.
-        time_unit: of it; None takes the one in its name, or else s.
-        sample_time: seconds, if it is given; without `time` it is all that counts.
+        time: name of the time column; None takes the only one called t or time.
+        time_unit: None takes the unit in the name, or else s.
+        sample_time: seconds; without `time` it alone counts.
         tolerance: largest jitter, as a share of the sample time; None for stamps that are resampled.
     """
     if sample_time is not None and not 0 < sample_time < np.inf:
@@ -78,7 +78,7 @@ def find_clock(
 def _stamped_clock(
     table: Table, time: str | None, time_unit: str | None, sample_time: float | None, tolerance: float | None
 ) -> tuple[Clock, list[str]]:
-    """Return the clock of a time column, and what is wrong with it; see `find_clock`."""
+    """Determine the clock of a time column, and its faults; see `find_clock`."""
     column, wrong = _time_column(table, time)
     if wrong:
         return Clock(), wrong
@@ -106,9 +106,9 @@ def _stamped_clock(
 
 
 def _contradiction_faults(table: Table, time_unit: str | None, sample_time: float) -> list[str]:
-    """Return the fault of a sample time beside a column that is called t or time and has another one.
+    """Faults of a sample time that contradicts a column called t or time.
 
-    A column whose unit is not said may be in any, or count samples; one whose clock is not uniform only has to be near.
+    Without a stated unit any unit is possible; without a uniform clock the sample time only has to be near.
     """
     column, missing = _time_column(table, None)
     if missing:
@@ -136,7 +136,7 @@ def is_same_rate(sample_time: float, other: float) -> bool:
 
 
 def beginning_faults(clocks: Mapping[str, Clock], tolerance: float) -> list[str]:
-    """Return the fault of channels whose stamps begin farther apart than a tolerance, a share of the sample time."""
+    """Faults of channels whose stamps begin too far apart."""
     stamped = {name: clock for name, clock in clocks.items() if clock.stamps is not None and clock.sample_time}
     firsts = {name: float(clock.stamps[0]) for name, clock in stamped.items() if clock.stamps is not None}
     if not firsts:
@@ -152,7 +152,7 @@ def beginning_faults(clocks: Mapping[str, Clock], tolerance: float) -> list[str]
 
 
 def _time_column(table: Table, time: str | None) -> tuple[str, list[str]]:
-    """Return the name of the time column, or the fault of one that is missing or in doubt."""
+    """Return the name of the time column, or the fault."""
     if time is not None:
         if time in table.columns:
             return time, []
@@ -166,7 +166,7 @@ def _time_column(table: Table, time: str | None) -> tuple[str, list[str]]:
 
 
 def _period(stamps: FloatArray) -> float:
-    """Return the time between samples [s] of stamps that have been checked."""
+    """Sample time [s] of checked stamps."""
     index, first = np.arange(stamps.size), float(stamps[1] - stamps[0])
     if np.array_equal(stamps[0] + index * first, stamps):
         return first  # stamps that were computed give their sample time back to the last bit
@@ -175,9 +175,9 @@ def _period(stamps: FloatArray) -> float:
 
 
 def measure_irregularity(stamps: FloatArray) -> Irregularity:
-    """Return how far stamps [s], shape (samples,), two or more and finite, are from a uniform clock.
+    """Measure the deviation of stamps [s], (samples,), from a uniform clock.
 
-    A stamp that is repeated is no further sample, and one that runs backward is.
+    Repeated stamps do not count as samples, backward ones do.
     """
     steps = np.diff(stamps)
     forward = steps[steps > 0]
@@ -200,16 +200,14 @@ def measure_irregularity(stamps: FloatArray) -> Irregularity:
 
 @np.errstate(over="ignore", invalid="ignore")
 def clock_faults(stamps: FloatArray, tolerance: float | None = CLOCK_TOLERANCE, name: str = "The time") -> list[str]:
-    """Return the faults of a clock: stamps that do not run forward, jumps, and jitter beyond a tolerance.
+    """Faults of a clock: backward stamps, jumps and jitter.
 
-    The sample time is the median step. A step that is more than half a sample time off is a jump (samples
-    left out, a repeated or a backward stamp); what is less is jitter, judged by its largest value as a share
-    of the sample time.
+    The sample time is the median step. A step off by more than half a sample time is a jump, otherwise jitter.
 
     Args:
-        stamps: time stamps [s], shape (samples,).
+        stamps: time stamps [s], (samples,).
         tolerance: largest jitter, as a share of the sample time; None for stamps that are resampled, which may jump.
-        name: what the sentences call the clock.
+        name: of the clock, in sentences.
     """
     if stamps.size < 2:
         return [f"{name} has a single stamp, which tells no sample time; give sample_time."]
@@ -252,7 +250,7 @@ def clock_faults(stamps: FloatArray, tolerance: float | None = CLOCK_TOLERANCE, 
 
 
 def _jump(step: float, sample_time: float) -> str:
-    """Return what a step of the time that is no jitter does."""
+    """Describe a jump of the clock."""
     if step == 0:
         return "repeats its stamp"
     lost = round(step / sample_time) - 1

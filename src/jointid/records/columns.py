@@ -1,4 +1,4 @@
-"""Columns of a table that become the channels of a record: name, unit, gain and sign."""
+"""Table columns for the channels of a record: name, unit, gain and sign."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
 @documented
 @dataclass(frozen=True, slots=True)
 class Column:
-    """Column of a file that holds one channel: its values are `sign` x `gain` x column, in `unit`.
+    """A file column for one channel: `sign` x `gain` x column, in `unit`.
 
     Raises:
         RecordError: gain, sample_time, wrap or update_time is not positive and finite, sign is not 1 or -1, there is
@@ -97,19 +97,19 @@ class Column:
         object.__setattr__(self, "at", InjectionPoint(self.at))
 
     def stated_unit(self, known: tuple[str, ...]) -> str | None:
-        """Return the unit of the values as far as it is stated, here or in the column's name."""
+        """Unit stated here or in the column's name, if any."""
         # A gain takes the values from the unit in the name to another one.
         if self.unit is not None:
             return self.unit if self.unit in known else units.spelled(self.unit)
         return None if self.gain != 1 else unit_in_name(self.column, known)
 
     def doubled_unit(self, known: tuple[str, ...]) -> str | None:
-        """Return the unit in the column's name where it is another one than is declared, and no gain leads there."""
+        """Unit in the column's name that contradicts the declared one without a gain."""
         named = None if self.unit is None or self.gain != 1 else unit_in_name(self.column, known)
         return named if named in known and named != self.stated_unit(known) else None
 
     def misplaced_faults(self, channel: str) -> list[str]:
-        """Return the faults of settings that belong to other channels than `channel`."""
+        """Faults of settings that belong to other channels."""
         faults = []
         if channel != "torque" and self.tap is not None:
             faults.append(f"{channel} has tap = {self.tap}, which says where a torque was logged; leave it out.")
@@ -121,7 +121,7 @@ class Column:
 
 
 def unit_in_name(column: str, known: tuple[str, ...]) -> str | None:
-    """Return the unit that a column's name ends with; one that is not known only if in square brackets."""
+    """Unit at the end of a column's name; unknown ones only in square brackets."""
     match = _IN_BRACKETS.search(column)
     if match is None or match[1].isdigit():  # "phi[0]" is an element
         return None
@@ -131,12 +131,12 @@ def unit_in_name(column: str, known: tuple[str, ...]) -> str | None:
 
 
 def unit_fault(what: str, name: str, known: tuple[str, ...]) -> str:
-    """Return the fault of a unit that is not among those known."""
+    """Describe an unknown unit."""
     return f'{what} is in "{name}"; expected one of {", ".join(known)}: give its unit, and the gain to it.'
 
 
 def known_units(channel: str, kind: str) -> tuple[str, ...]:
-    """Return the units that a channel of a joint of this kind can have, SI first."""
+    """Units allowed for a channel and kind of joint, SI first."""
     if channel in ("torque", "injected"):
         return units.units_of(*units.TORQUE_UNITS[kind])
     dimensions = units.VELOCITY_UNITS if channel == "reference_velocity" else units.POSITION_UNITS
@@ -144,7 +144,7 @@ def known_units(channel: str, kind: str) -> tuple[str, ...]:
 
 
 def unit_of_column(channel: str, columns: Mapping[str, Column], kind: str) -> str:
-    """Return the unit of a channel's values: as stated, or SI, of what is injected that of the torque."""
+    """Unit of a channel's values: as stated, the torque's for injections, or SI."""
     known = known_units(channel, kind)
     default = known[0]
     if channel == "injected" and "torque" in columns:
@@ -154,9 +154,12 @@ def unit_of_column(channel: str, columns: Mapping[str, Column], kind: str) -> st
 
 
 def finite_faults(name: str, values: FloatArray, time: FloatArray | None = None) -> list[str]:
-    """Return the faults of raw values, shape (samples,), that are not finite: an early end, and gaps.
+    """Faults of non-finite raw values (samples,): an early end, and gaps.
 
-    The sentences call them `name`, and say when by `time`, the instants [s], (samples,), where these are known.
+    Args:
+        name: of the values, in sentences.
+        values: (samples,).
+        time: instants [s], (samples,), if known.
     """
     bad = np.flatnonzero(~np.isfinite(values))
     if bad.size == 0:
@@ -181,18 +184,18 @@ def finite_faults(name: str, values: FloatArray, time: FloatArray | None = None)
 
 
 def format_instant(time: FloatArray | None, index: int) -> str:
-    """Return the instant of a sample, in brackets; "" where it is not known."""
+    """Format a sample's instant in brackets; empty if unknown."""
     return "" if time is None else f" (t = {time[index]:g} s)"
 
 
 def unwrap(values: FloatArray, wrap: float) -> FloatArray:
-    """Return a position that wraps round as one that does not, (samples,); each step is taken the short way."""
+    """Unwrap a position (samples,), taking the shorter way at each step."""
     steps = np.diff(values)
     return np.asarray(values - wrap * np.concatenate([[0.0], np.cumsum(np.round(steps / wrap))]))
 
 
 def wrap_faults(name: str, values: FloatArray, wrap: float) -> list[str]:
-    """Return the faults of raw values, (samples,), that do not fit their wrap, or move too fast to be unwrapped."""
+    """Faults of raw values (samples,) that contradict their wrap or move too fast."""
     span = float(np.ptp(values))
     if span > wrap * (1 + _BEYOND_WRAP):
         return [f"{name} spans {span:g}, more than its wrap of {wrap:g}; correct the wrap, or leave it out."]

@@ -1,10 +1,9 @@
-"""Hunting: an axis at rest whose torque saws up and down, as an integral drives it against a friction that sticks.
+"""Hunting: a limit cycle of integral action against stiction at rest.
 
-While the axis sticks, the integral of what it stands off winds the torque up in a ramp until the friction gives way;
-the axis slips beyond where it should be, and the next ramp goes the other way (B. Armstrong-Helouvry, P. Dupont,
-C. Canudas de Wit, Automatica 30, 1994). So turning points are counted in the longest rest of the reference: far apart,
-a good share of the torque of the motion, and not dying away as the ringing after a stop does. A cycle that is longer
-than half of that rest is not seen.
+While the axis sticks, the integral ramps the torque up until the friction gives way; the axis overshoots, and the ramp
+reverses (B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, Automatica 30, 1994). Turning points are counted in the
+longest rest of the reference: far apart, large against the torque in motion, and not decaying as ringing does. Cycles
+longer than half of that rest are not detected.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ _LASTS = 0.6  # of the first half's swings, that those of the second are at leas
 
 @dataclass(frozen=True, slots=True)
 class Hunting:
-    """Torque that saws between two levels, in its unit, and the time in seconds from one turn up to the next."""
+    """Sawtooth torque: its two levels, and the period in seconds."""
 
     low: float
     high: float
@@ -36,10 +35,9 @@ class Hunting:
 
 
 def find_hunting(record: Record) -> Hunting | None:
-    """Return how an axis hunts in the longest of its rests; None where it does not, or rests nowhere.
+    """Detect hunting in the longest rest; None without it.
 
-    Args:
-        record: whatever its channels are; without torque and reference, or with a signal injected, nothing is told.
+    A record without torque and reference, or with an injection, gives None.
     """
     torque, reference = record.torque, record.reference
     if torque is None or reference is None or record.injected is not None or len(reference) < 2:
@@ -65,7 +63,7 @@ def find_hunting(record: Record) -> Hunting | None:
 
 
 def _turns(values: FloatArray, swing: float) -> list[int]:
-    """Return where values, (samples,), turn by more than a swing; without the first, where they may begin."""
+    """Indices at which values (samples,) turn by more than a swing."""
     found: list[int] = []
     low = high = sense = 0
     for k, value in enumerate(values):

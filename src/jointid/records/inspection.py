@@ -1,4 +1,4 @@
-"""Inspect a file: size, unit, clock, range and a sparkline of every channel, in bounded memory."""
+"""Inspect a file in bounded memory: size, unit, clock, range, sparkline per channel."""
 
 from __future__ import annotations
 
@@ -81,9 +81,9 @@ class Inspection(Charted, Documented):
     passed: Mapping[str, str]
 
     def document(self, *, details: bool = False) -> Document:
-        """Return the table of the channels, single numbers, what is not read, and the clocks; no further details.
+        """Table of channels, scalars, skipped content and clocks.
 
-        Of more than 1,000 channels the first are listed, and how many more there are.
+        Only the first 1,000 channels are listed.
         """
         del details
         header = ("channel", "rows", "unit", "sample time", "min", "max", "NaN", "picture")
@@ -102,9 +102,9 @@ class Inspection(Charted, Documented):
         return Document(title, (*blocks, Listing(tuple(self.clocks()))))
 
     def chart(self) -> Chart:
-        """Return a panel for each channel that is no clock: the range of its numbers in every stretch of its time.
+        """Plot the range of each channel over time.
 
-        Of more than 90 channels the first are drawn, and the title says so.
+        Only the first 90 channels are drawn, as the title says.
         """
         every = [channel for channel in self.channels if not channel.is_time] or list(self.channels)
         drawn = every[:_DRAWN]
@@ -145,17 +145,16 @@ class Inspection(Charted, Documented):
 def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
     """Inspect a file of any format.
 
-    A clock is a column whose name ends in t, time, timestamp or stamp, whose unit is one of time, and whose numbers
-    only rise. A column belongs to the clock that its format gives it, or else to that of its length whose name has the
-    longest beginning, up to a "/" or ".", in common with it. Where the format allows it, the file is read in chunks,
-    and memory does not grow with it.
+    A clock is a rising column in a unit of time whose name ends in t, time, timestamp or stamp. Other columns take the
+    clock of their format, or the clock of their length that shares the longest path prefix. Memory is bounded where the
+    format allows chunks.
 
     Args:
         path: the file, or the folder of a ROS 2 bag.
         options: of the format's reader; see `jointid.records.formats.Csv`.
 
     Raises:
-        RecordError: there is no such file, or it cannot be read; the sentence says why.
+        RecordError: the file is missing or cannot be read.
     """
     path = Path(path)
     outlining: dict[str, OutlineBuilder] = {}
@@ -191,7 +190,7 @@ def _is_clock(name: str, outline: Outline, unit: str | None) -> bool:
 
 
 class _Clocks:
-    """The clocks of a file, by their length and by how their names begin."""
+    """Clocks of a file, by length and path."""
 
     def __init__(self, clocks: Mapping[str, Outline]) -> None:
         self._beginning: dict[tuple[int, tuple[str, ...]], list[str]] = {}
@@ -203,9 +202,9 @@ class _Clocks:
             self._whole.setdefault((outline.rows, parts), []).append(clock)
 
     def find(self, name: str, outline: Outline) -> str | None:
-        """Return the clock of a column; None where there is none of its length that is nearest.
+        """Find the clock of a column; None if missing or ambiguous.
 
-        A clock "name/time" has all of the name's parts in common, and so has one whose path the name goes on from.
+        A clock "name/time" shares all parts with "name" and with paths below it.
         """
         parts, rows = _split_path(name), outline.rows
         above = [clock for count in range(len(parts)) for clock in self._whole.get((rows, parts[:count]), ())]
@@ -217,7 +216,7 @@ class _Clocks:
 
 
 def _split_path(name: str) -> tuple[str, ...]:
-    """Return the parts of a path, of which the first few tell one from another."""
+    """Leading parts of a path, enough to distinguish clocks."""
     return tuple(_STEPS.split(name, _PARTS))
 
 
@@ -237,7 +236,7 @@ def _table_row(channel: InspectedChannel) -> tuple[str, ...]:
 
 
 def draw_sparkline(outline: Outline) -> str:
-    """Return a line of blocks: of each stretch of a channel the number that is farthest from the channel's middle."""
+    """Draw the extreme value of each stretch as a line of blocks."""
     if outline.minimum is None or outline.maximum is None or not math.isfinite(outline.maximum - outline.minimum):
         return ""
     middle, span = (outline.minimum + outline.maximum) / 2, outline.maximum - outline.minimum
@@ -253,7 +252,7 @@ def draw_sparkline(outline: Outline) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outline:
-    """A signal in short.
+    """A summarised signal.
 
     Attributes:
         rows: how many numbers it has, NaN included.
@@ -281,7 +280,7 @@ class Outline:
     length: int
 
     def stretches(self, count: int) -> list[tuple[float, float]]:
-        """Return the range of so many stretches, or of as many as there are."""
+        """Range of at most `count` stretches."""
         count = min(count, self.low.size)
         starts = np.arange(count) * self.low.size // count
         low, high = np.fmin.reduceat(self.low, starts), np.fmax.reduceat(self.high, starts)
@@ -290,7 +289,7 @@ class Outline:
 
 @dataclass(slots=True)
 class OutlineBuilder:
-    """Builder of an outline from a signal that comes part after part: thousands of them are made for one file."""
+    """Builds an outline incrementally."""
 
     rows: int = 0
     missing: int = 0
@@ -322,7 +321,7 @@ class OutlineBuilder:
         self.last = float(values[-1])
 
     def _add(self, values: FloatArray) -> None:
-        """Add numbers to the stretches, which are made twice as long until there are few enough."""
+        """Add numbers, doubling the stretches when there are too many."""
         total = self.rows + values.size
         while total > _STRETCHES * self.length:
             self.low, self.high = _halved(self.low, np.fmin), _halved(self.high, np.fmax)
@@ -350,5 +349,5 @@ class OutlineBuilder:
 
 
 def _halved(kept: FloatArray, smaller: np.ufunc) -> FloatArray:
-    """Return the ends of stretches twice as long."""
+    """Merge neighbouring stretches."""
     return np.asarray(smaller.reduceat(kept, np.arange(0, kept.size, 2)) if kept.size else kept)

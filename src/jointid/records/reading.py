@@ -1,4 +1,4 @@
-"""Read a record from a file: its clock, its channels in SI, and every fault reported at once."""
+"""Read a record from a file: clock and channels in SI, with all faults at once."""
 
 from __future__ import annotations
 
@@ -40,33 +40,28 @@ def read(
     resample: Resampling | None = None,
     **options: object,
 ) -> Record:
-    """Read a record from a file; everything that is wrong with it is reported at once.
+    """Read a record from a file, and report all faults at once.
 
-    The time between samples is `sample_time`, or else that of the time column: the one that `time` names, or
-    else the one called t or time ("Time [ms]" is one). Where a channel has a rate of its own, columns end at
-    their last number; elsewhere a column that ends early is a fault. A clock that jitters is a fault unless `resample`
-    says what is to be done about it.
-
-    A unit that the file states for a column counts where neither `columns` nor the column's name states one.
+    The clock is `sample_time`, or the time column: named by `time`, or the only one called t or time (as "Time [ms]").
+    Channels of different rates end at their last number; otherwise an early end is a fault. Jitter is a fault unless
+    `resample` is given. The file's own unit applies where neither `columns` nor the column's name states one.
 
     Args:
-        path: the file; its suffix tells the format.
-        columns: channel -> its column, by name or as a `Column`; the channels are those of `CHANNELS`. With a profile
-            of the drive, those that are left out are found by its names.
-        drive: the numbers behind counts, shares of a rated torque and ampere, and the profile of its traces.
+        path: the file; its suffix selects the format.
+        columns: channel of `CHANNELS` -> column name or `Column`. A drive's profile finds those left out.
+        drive: factors for counts, shares of rated torque and ampere, and the profile of the traces.
         time: name of the time column.
         time_unit: unit of the time column; None takes the one in its name, or else s.
-        sample_time: time between samples [s]; given together with `time`, the two must agree.
+        sample_time: time between samples [s]; it must agree with `time`.
         kind: "prismatic" (m, m/s, N unless a column says otherwise) or "revolute" (rad, rad/s, N m).
-        transmission: between motor and load; it then says both kinds, and every channel is referred to its `side`.
-        name: what reports call the record; None takes the file's name without its suffix.
+        transmission: between motor and load; it sets both kinds and refers every channel to its `side`.
+        name: of the record in reports; None takes the file's name without suffix.
         clock_tolerance: largest jitter of the time stamps, as a share of the sample time.
-        resample: to which uniform clock all channels are brought, and how; every channel then needs stamps.
-        options: options of the format's reader; see `jointid.records.formats.Csv`.
+        resample: rules for a uniform clock; every channel then needs stamps.
+        options: of the format's reader; see `jointid.records.formats.Csv`.
 
     Raises:
-        RecordError: the file cannot be read, or does not hold what it is declared to hold; `faults` has a
-            sentence for each missing column, wrong unit, gap, jump of the clock and impossible scale.
+        RecordError: the file cannot be read, or contradicts its declaration; `faults` has a sentence for each fault.
     """
     reader = RecordReader(
         columns or {},
@@ -85,11 +80,7 @@ def read(
 
 @dataclass(frozen=True, slots=True)
 class RecordReader:
-    """Settings by which a table becomes a record; `read` explains each.
-
-    Raises:
-        RecordError: there is no channel of a name, or no such kind of joint.
-    """
+    """Settings that turn a table into a record; see `read`."""
 
     columns: Mapping[str, str | Column]
     drive: Drive
@@ -110,11 +101,7 @@ class RecordReader:
             raise RecordError(f'A joint is "prismatic" or "revolute"; got {self.kind!r}.')
 
     def build_record(self, table: Table, name: str) -> Record:
-        """Return the record that a table holds, under its own name or this one.
-
-        Raises:
-            RecordError: see `read`.
-        """
+        """Build the record that a table holds."""
         columns = self.columns
         wanted = {n: Column(c) if isinstance(c := columns[n], str) else c for n in CHANNELS if n in columns}
         if any(column.sample_time or column.time for column in wanted.values()):
@@ -147,7 +134,7 @@ class RecordReader:
         return record
 
     def _clocks(self, table: Table, found: Mapping[str, Column], faults: list[str]) -> Clocks:
-        """Return the clocks of the columns that were found; what is wrong with them goes to the faults."""
+        """Determine the clocks of the columns, and append faults."""
         time = self.time
         if time is None and self.sample_time is None and self.drive.traces is not None:
             time = self.drive.traces.time_column(table.columns)
@@ -168,7 +155,7 @@ class RecordReader:
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """The columns of a table that become channels; faults are collected, and reading goes on."""
+    """Table columns for channels; faults are collected."""
 
     table: Table
     kind: str
@@ -177,7 +164,7 @@ class _Columns:
     faults: list[str]
 
     def apply_profile(self, wanted: Mapping[str, Column]) -> Mapping[str, Column]:
-        """Return the columns with what the drive's profile knows; one that nothing names is a fault."""
+        """Complete the columns from the drive's profile."""
         profile = self.drive.traces
         if profile is not None:
             kinds = {channel: self.kind_of(channel, wanted.get(channel)) for channel in CHANNELS}
@@ -191,7 +178,7 @@ class _Columns:
         return {channel: column for channel, column in wanted.items() if column.column}
 
     def apply_file_units(self, wanted: Mapping[str, Column], found: Mapping[str, Column]) -> dict[str, Column]:
-        """Return the columns, in the units of the file where neither the joint file nor a name states one."""
+        """Apply the file's units where none is declared."""
         made = dict(found)
         for channel, column in found.items():
             declared = replace(wanted.get(channel, column), column=column.column)
@@ -208,9 +195,9 @@ class _Columns:
     def undeclared_current_faults(
         self, wanted: Mapping[str, Column], found: Mapping[str, Column], said: str
     ) -> list[str]:
-        """Return the fault of a current that nobody but the profile or the file takes for the torque.
+        """Faults of a current that serves as torque without declaration.
 
-        Nobody asked for results in A.
+        Results in A have to be requested.
         """
         torque = found.get("torque")
         if torque is None or torque.unit != "A" or self.drive.torque_constant is not None:
@@ -223,7 +210,7 @@ class _Columns:
         ]
 
     def find_columns(self, wanted: Mapping[str, Column]) -> dict[str, Column]:
-        """Return the columns that are there; one that is not is a fault unless it is optional."""
+        """Return the existing columns; a missing required one is a fault."""
         missing = {n: column for n, column in wanted.items() if column.column not in self.table.columns}
         needed = [f'"{column.column}" (for {n})' for n, column in missing.items() if not column.optional]
         if needed:
@@ -237,7 +224,7 @@ class _Columns:
         return {n: column for n, column in wanted.items() if n not in missing}
 
     def kind_of(self, channel: str, column: Column | None) -> str:
-        """Return how the side moves on which a channel is measured."""
+        """Kind of motion on the side of a channel."""
         if self.transmission is None:
             return self.kind
         return self.transmission.kind_of(self.drive.side(channel, column))
@@ -245,7 +232,7 @@ class _Columns:
     def resolve_unit(
         self, what: str, name: str, known: tuple[str, ...], kind: str, *, of_load: bool
     ) -> units.Unit | None:
-        """Return the unit of that name on a side that moves so; one that is not among `known` is a fault."""
+        """Resolve a unit; one not among `known` is a fault."""
         if name in known:
             try:
                 geared = self.transmission is not None and self.transmission.geared
@@ -257,7 +244,7 @@ class _Columns:
         return None
 
     def build_channel(self, name: str, found: Mapping[str, Column], clocks: Clocks) -> Channel | None:
-        """Return a channel in SI, None if its unit or its rate is at fault."""
+        """Build a channel in SI; None if its unit or rate is at fault."""
         column = found[name]
         what, values = f'{name} (column "{column.column}")', self.table.columns[column.column]
         clock = clocks.clock_of(column)
@@ -296,7 +283,7 @@ class _Columns:
         return refer_channel(gear, name, channel, self.drive.side(name, column))
 
     def find_other_positions(self, found: Mapping[str, Column], clocks: Clocks) -> dict[str, Channel]:
-        """Return the positions of other axes that moved, by their columns; one that cannot be read is left out."""
+        """Positions of other moving axes, by column, if readable."""
         position = _own_position(found)
         own = position and replace(self, faults=[]).build_channel(position, found, clocks)
         made: dict[str, Channel] = {}
@@ -314,7 +301,7 @@ class _Columns:
 
 
 def _cut_tails(table: Table) -> Table:
-    """Return the table with each column cut after its last number."""
+    """Cut each column after its last number."""
     cut = {}
     for name, values in table.columns.items():
         filled = np.flatnonzero(~np.isnan(values))
@@ -325,7 +312,7 @@ def _cut_tails(table: Table) -> Table:
 def _add_stamps(
     logged: Mapping[str, Channel], others: Mapping[str, Channel], found: Mapping[str, Column], clocks: Clocks
 ) -> dict[str, Stamped]:
-    """Return the channels with their instants; raise what has none, or is thinned to its updates."""
+    """Attach instants to channels; refuse missing stamps or refreshed channels."""
     faults = []
     made = {}
     position = _own_position(found)
@@ -362,16 +349,15 @@ def _build_record(channels: Mapping[str, Channel], found: Mapping[str, Column], 
 
 
 def _own_position(channels: Collection[str]) -> str:
-    """Return the channel that tells this axis from others, "" without one."""
+    """Column that distinguishes this axis, or an empty name."""
     return next((channel for channel in ("motor_position", "reference") if channel in channels), "")
 
 
 def find_other_axes(channels: Mapping[str, str], names: Collection[str]) -> tuple[str, ...]:
-    """Return the position columns of other axes, in the log's order.
+    """Position columns of other axes, in the log's order.
 
-    An axis has its number in several names: `pos[2]` and `torque[2]` beside `pos[0]` and `torque[0]`. One name with a
-    number tells nothing: `data[0]` and `data[1]` may be anything. `channels` has the column of each of this joint's,
-    `names` are those of all columns.
+    The axis number appears in several names: `pos[2]` and `torque[2]` beside `pos[0]` and `torque[0]`. A single
+    numbered name is no evidence. `channels` has the columns of this joint, `names` all column names.
     """
     numbered = {channel: dict(_axis_numbers(column, names)) for channel, column in channels.items()}
     position = _own_position(channels)
@@ -385,7 +371,7 @@ def find_other_axes(channels: Mapping[str, str], names: Collection[str]) -> tupl
 
 
 def _axis_numbers(column: str, names: Collection[str]) -> Iterator[tuple[int, frozenset[str]]]:
-    """Yield each number in a column's name for which there are columns with another one, and those columns."""
+    """Yield each varying number in a column name, with the related columns."""
     for match in _NUMBER.finditer(column):
         alike = re.compile(re.escape(column[: match.start()]) + r"\d+" + re.escape(column[match.end() :]))
         others = frozenset(name for name in names if name != column and alike.fullmatch(name))

@@ -1,7 +1,7 @@
-"""A record: the signals a drive logged, in SI units, each with its sample time, timing and source.
+"""A record: logged signals in SI units, with sample time, timing and source.
 
-Time is part of the data: a controller's torque is *held* between samples, an encoder is *sampled*, some drives
-log the *average* over the period that ends at the sample. Reading one as another shifts it by half a period.
+A controller's torque is *held* between samples, an encoder is *sampled*, and some drives log the *average* over the
+period that ends at the sample. Confusing them shifts the signal by half a period.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 class Timing(StrEnum):
-    """Instants that a logged value stands for."""
+    """Instants represented by a logged value."""
 
     SAMPLED = "sampled"  # the value at the sample's instant
     HELD = "held"  # the value from this instant to the next
@@ -35,7 +35,7 @@ class Timing(StrEnum):
 
     @property
     def begins(self) -> float:
-        """Samples after its stamp from which on a torque acts; a sampled one holds for half a period on each side."""
+        """Samples from the stamp to the action of a torque; -0.5 if sampled."""
         return {Timing.HELD: 0.0, Timing.SAMPLED: -0.5, Timing.AVERAGED: -1.0}[self]
 
 
@@ -124,7 +124,7 @@ class Injection:
 
 @dataclass(frozen=True, slots=True)
 class Irregularity:
-    """Deviation of time stamps from a uniform clock: the straight line of least squares through them.
+    """Deviation of time stamps from their least-squares line.
 
     Attributes:
         sample_time: of the uniform clock, s.
@@ -156,7 +156,7 @@ class Irregularity:
 
 @dataclass(frozen=True, slots=True)
 class Resampled:
-    """Resampling that a record went through.
+    """Applied resampling.
 
     Attributes:
         sample_time: of the record, s.
@@ -186,7 +186,7 @@ _TORQUES = ("torque", "injected")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Record(Charted, Documented):
-    """Signals logged in one run; a channel that was not logged is None.
+    """Signals of one run; a channel that was not logged is None.
 
     Attributes:
         torque: motor torque (force), in N m (N), or in A or V while the torque constant is unknown.
@@ -235,7 +235,7 @@ class Record(Charted, Documented):
             raise RecordError(f"The channels do not cover the same time ({lengths}); cut them to one length.")
 
     def items(self) -> Iterator[tuple[str, Channel]]:
-        """Yield the name and the channel of each channel there is, in the order of `CHANNELS`."""
+        """Yield name and channel, in the order of `CHANNELS`."""
         for name in CHANNELS:
             value = getattr(self, name)
             if value is not None:
@@ -248,18 +248,18 @@ class Record(Charted, Documented):
 
     @property
     def duration(self) -> float:
-        """Seconds covered by the channel that ends first."""
+        """Duration of the shortest channel [s]."""
         return min(channel.duration for _, channel in self.items())
 
     @property
     def sentence(self) -> str:
-        """What was logged, for how long."""
+        """Channels and duration, in words."""
         names = listed([name.replace("_", " ") for name in self.channels])
         rates = listed([*dict.fromkeys(f"{1e3 * channel.sample_time:.6g} ms" for _, channel in self.items())])
         return f"{names[0].upper()}{names[1:]}, {self.duration:.6g} s, a sample every {rates}."
 
     def document(self, *, details: bool = False) -> Document:
-        """Return the table of the channels; there are no further details."""
+        """Table of the channels."""
         del details
         rows = tuple(
             (
@@ -284,7 +284,7 @@ class Record(Charted, Documented):
         return Chart("record", "", tuple(panels), title=self.name)
 
     def to_dataframe(self) -> DataFrame:
-        """Return the channels over time as a pandas data frame, a column each; NaN where a slower one has no sample.
+        """Return a pandas data frame; NaN where a slower channel has no sample.
 
         Raises:
             ExtraError: pandas is not installed.
@@ -303,14 +303,14 @@ class Record(Charted, Documented):
         return replace(self, **changes)
 
     def with_channels(self, channels: Mapping[str, Channel]) -> Record:
-        """Return this record with these channels, by name, in place of its own."""
+        """Replace channels by name."""
         changes: dict[str, Any] = dict(channels)
         if self.injected is not None and "injected" in changes:
             changes["injected"] = replace(self.injected, channel=changes["injected"])
         return replace(self, **changes)
 
     def require(self, names: tuple[str, ...], method: str) -> None:
-        """Raise a `RecordError` that names every channel of `names` that is not there, and what is."""
+        """Refuse a record that lacks channels."""
         missing = [name for name in names if getattr(self, name) is None]
         if missing:
             raise RecordError(
@@ -320,9 +320,9 @@ class Record(Charted, Documented):
 
 
 def require_units(record: Record, kind: str, torque_unit: str | None) -> None:
-    """Raise a `RecordError` if a record's channels are not in the units of a joint of that kind.
+    """Refuse a record with other units than the joint's.
 
-    Its torque is kept in `torque_unit`; None is the SI unit.
+    The torque is in `torque_unit`; None is SI.
     """
     wrong = []
     for name, channel in record.items():
@@ -337,12 +337,12 @@ def require_units(record: Record, kind: str, torque_unit: str | None) -> None:
 
 
 def refer_channel(transmission: Transmission, name: str, channel: Channel, side: Side) -> Channel:
-    """Return a channel of that name as it is on the joint's side, from the side it was logged on."""
+    """Refer a channel from its logged side to the joint's side."""
     return _refer(name, channel, transmission.position(side), transmission.kind)
 
 
 def refer_to_drive(transmission: Transmission, record: Record, sides: Mapping[str, Side]) -> Record:
-    """Return a record of the joint's side as a drive logs it: each channel on its own side, by name."""
+    """Refer a record from the joint's side to each channel's logged side."""
     return record.with_channels(
         {
             name: _refer(name, channel, 1.0 / transmission.position(sides[name]), transmission.kind_of(sides[name]))
@@ -358,7 +358,7 @@ def _refer(name: str, channel: Channel, position: float, kind: str) -> Channel:
 
 
 def si_unit(name: str, kind: str) -> str:
-    """Return the SI unit of a channel of that name on a side that moves so."""
+    """SI unit of a channel for a kind of motion."""
     position, torque = POSITION_UNIT[kind], TORQUE_UNIT[kind]
     if name in _TORQUES:
         return torque

@@ -1,7 +1,7 @@
-"""Bring channels to one uniform clock, to the rate at which they are refreshed, or to a controller's instants.
+"""Resample channels to a uniform clock, their update rate, or a controller's period.
 
-Resampling is right where the *samples* were taken at the stamps. Where only the stamps jitter, the samples are uniform
-already, and resampling would add the jitter to them: `sample_time` without a time column is right there.
+Resampling is right where *samples* were taken at the stamps. If only the stamps jitter, use `sample_time` without a
+time column instead; resampling would add the jitter to the samples.
 """
 
 from __future__ import annotations
@@ -42,9 +42,6 @@ class Resampling:
     A lower rate is refused: it needs a filter against aliasing, and `Filtering` has the one that torque and model go
     through alike. Nothing is extrapolated.
 
-    Raises:
-        RecordError: the sample time is not positive, there is no such method, or the gap is no whole number.
-
     An averaged channel is taken as the mean over the new periods, of values that are each the mean over their own.
 
     Example:
@@ -68,7 +65,7 @@ class Resampling:
         check_settings(self, RecordError)
 
     def method_for(self, timing: Timing) -> str:
-        """Return how a channel of that timing is taken between its samples."""
+        """Interpolation method for a channel's timing."""
         if timing is Timing.AVERAGED:
             return "mean"
         return self.held if timing is Timing.HELD else self.method
@@ -76,7 +73,7 @@ class Resampling:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stamped:
-    """A channel as logged, at instants [s], (samples,), that need not be uniform, and the name of its time column."""
+    """A channel as logged, at instants [s], (samples,), and its time column."""
 
     channel: Channel
     stamps: FloatArray
@@ -84,13 +81,10 @@ class Stamped:
 
 
 def resample_together(logged: Mapping[str, Stamped], how: Resampling) -> tuple[dict[str, Channel], float, Resampled]:
-    """Return the channels at the instants that all of them cover, where they begin, and how they were resampled.
+    """Resample channels to their common interval; return them, its start and a summary.
 
-    The first instant is such that, where stamps only jitter about the new clock, every held value is taken once: at the
-    latest of its phases. They begin so many seconds after the first stamp of all.
-
-    Raises:
-        RecordError: a clock runs backward or leaves out too much, a rate would alias, or nothing is covered by all.
+    The first instant is at the latest phase of the held channels, so that jitter does not skip or repeat a held value.
+    It is relative to the first stamp of all.
     """
     zero = min((one.stamps[0] for one in logged.values()), default=0.0)  # of seconds since 1970 a float keeps too few
     logged = {name: replace(one, stamps=one.stamps - zero) for name, one in logged.items()}
@@ -159,7 +153,7 @@ def _rate_faults(name: str, one: Stamped, clocks: Mapping[str, Irregularity], ho
 
 
 def _drop_repeats(one: Stamped) -> Stamped:
-    """Return a channel without the samples that were logged twice, stamp and value."""
+    """Drop samples with repeated stamp and value."""
     again = (np.diff(one.stamps) == 0) & (np.diff(one.channel.values) == 0)
     if not again.any():
         return one
@@ -168,10 +162,10 @@ def _drop_repeats(one: Stamped) -> Stamped:
 
 
 def _find_beginning(first: float, held: list[Stamped], T: float) -> float:
-    """Return the first instant from `first` on, at the phase of the latest stamps of what is held.
+    """First instant from `first` on at the latest phase of held stamps.
 
-    Stamps that jitter about a clock of period T fill an arc of the circle t mod T; an instant at its end has each
-    sample behind it, and none of the next.
+    Jittering stamps of period T fill an arc of the circle t mod T; an instant at its end is after each sample and
+    before the next.
     """
     if not held:
         return first
@@ -182,7 +176,7 @@ def _find_beginning(first: float, held: list[Stamped], T: float) -> float:
 
 
 def _interpolate(one: Stamped, grid: FloatArray, method: str, T: float) -> FloatArray:
-    """Return the values of a channel at the instants of the grid, which its stamps cover."""
+    """Interpolate a channel at the instants of the grid."""
     stamps, values = one.stamps, one.channel.values
     if method == "hold":
         behind = np.searchsorted(stamps, grid + _ONE_INSTANT * T, side="right") - 1
@@ -199,21 +193,21 @@ def _interpolate(one: Stamped, grid: FloatArray, method: str, T: float) -> Float
 
 @dataclass(frozen=True, slots=True)
 class _Rhythm:
-    """The samples at which a channel is new: phase, phase + every, ..."""
+    """Samples at which a channel is refreshed: phase, phase + every, ..."""
 
     channel: Channel
     every: int = 1
     phase: int = 0
 
     def begins(self, time: float) -> int | None:
-        """Return the sample at that time [s], if it is a new one."""
+        """Sample index at a time [s], if refreshed there."""
         samples = time / self.channel.sample_time
         sample = round(samples)
         new = abs(samples - sample) < _SAME * max(sample, 1) and (sample - self.phase) % self.every == 0
         return sample if new else None
 
     def thin(self, first: int) -> Channel:
-        """Return the channel at its own rate, from a sample on that is new."""
+        """Decimate a channel to its own rate, from a refreshed sample on."""
         one = self.channel
         return replace(one, values=one.values[first :: self.every], sample_time=one.sample_time * self.every)
 
@@ -221,12 +215,9 @@ class _Rhythm:
 def align_updates(
     logged: Mapping[str, Channel], update_times: Mapping[str, float | None]
 ) -> tuple[dict[str, Channel], float]:
-    """Return the channels, each at its own update rate from the first instant on at which all are new; that instant.
+    """Decimate channels to their update rates; return them and the first common instant.
 
-    The times between updates [s] are by channel; None, or none, where every sample is new.
-
-    Raises:
-        RecordError: a channel does not change at the rate that is declared, or no instant is new to all.
+    The update times [s] are by channel, None for a channel that is refreshed at every sample.
     """
     rhythms, faults = {}, list[str]()
     for name, channel in logged.items():
@@ -252,7 +243,7 @@ def align_updates(
 
 
 def _find_rhythm(what: str, channel: Channel, update_time: float) -> tuple[_Rhythm, str]:
-    """Return the rhythm of a channel that is refreshed so often [s], and the fault of one that is not; "" for none."""
+    """Find the rhythm of a channel, and its fault."""
     period = channel.sample_time
     ratio = update_time / period
     every = round(min(ratio, 1e9))
@@ -282,7 +273,7 @@ def _find_rhythm(what: str, channel: Channel, update_time: float) -> tuple[_Rhyt
 
 
 def update_interval(values: FloatArray) -> int:
-    """Return the number of samples after which, and only then, a signal (samples,) changes; 1 if no such number."""
+    """Number of samples between changes of a signal (samples,); 1 if irregular."""
     changes = np.flatnonzero(np.diff(values))
     return int(np.gcd.reduce(np.diff(changes))) if changes.size >= _CHANGES else 1
 
@@ -290,15 +281,10 @@ def update_interval(values: FloatArray) -> int:
 def at_period(
     channel: Channel, period: float, periods: int, name: str, interpolation: Interpolation | None = None
 ) -> FloatArray:
-    """Return a channel at the controller's instants.
+    """Resample a channel to the controller's instants.
 
-    A channel that is faster than the controller is picked. One that is slower is filled in: held until its next
-    sample, by straight lines, or by Catmull-Rom's cubic, whose slope at a sample is half the difference of its
-    neighbours; after the last sample it stays. What is not said follows from the channel: one that is sampled (as a
-    reference is, unless it is declared held) gets lines.
-
-    Raises:
-        RecordError: neither of the two periods is a multiple of the other.
+    A faster channel is decimated. A slower one is held, or interpolated by lines or Catmull-Rom cubics; the last value
+    stays. The default follows from the channel's timing; a sampled one gets lines.
     """
     every, repeat = period_ratio(period, channel.sample_time, name)
     if interpolation is None:
@@ -318,7 +304,7 @@ def at_period(
 
 
 def period_ratio(long: float, short: float, name: str) -> tuple[int, int]:
-    """Return (every, repeat): how many of `short` make one `long`, or the other way round; one of them is 1."""
+    """Return (every, repeat) between two periods; one of them is 1."""
     ratio = long / short
     every, repeat = max(round(min(ratio, 1e9)), 1), max(round(min(1 / ratio, 1e9)), 1)
     if max(every, repeat) > _MOST or abs(ratio * repeat / every - 1) > _SAME_RATE:

@@ -1,4 +1,4 @@
-"""Write a record so that reading gives it back; or convert a file to another format."""
+"""Write a record so that reading restores it, or convert a file."""
 
 from __future__ import annotations
 
@@ -40,28 +40,26 @@ def write(
     transmission: Transmission | None = None,
     **options: object,
 ) -> None:
-    """Write a record to a file that `jointid.records.reading` gives back, told the same of it.
+    """Write a record to a file that `jointid.read` restores with the same arguments.
 
-    A channel that neither `columns` nor the drive's profile has a name for is written in SI under its own. A record of
-    which nothing is said comes back to the last bit, once reading is told what a table of numbers does not hold: the
-    joint's kind, a torque in A or V, and what differs from the defaults of `Column`. The positions of other axes are
-    not written.
+    Unnamed channels are written in SI under their own names. Reading needs what a table does not hold: the joint's
+    kind, a torque in A or V, and non-default settings of `Column`. Positions of other axes are not written.
 
     Args:
-        record: its channels share one rate and have at least two samples; on its joint's side of the transmission.
-        path: the file; its suffix tells the format. A file that is there is replaced.
-        columns: channel -> its column, by name or as a `Column`.
-        drive: the numbers behind counts, shares of a rated torque and ampere, and the profile of its traces.
+        record: at least two samples, one rate; on its joint's side of the transmission.
+        path: the file; its suffix selects the format. An existing file is replaced.
+        columns: channel -> column name or `Column`.
+        drive: factors for counts, shares of rated torque and ampere, and the profile of the traces.
         time: name of the time column; None is "t", or no column where the sample time is given.
         time_unit: unit of the time column; None takes the one in its name, or else s.
-        sample_time: time between samples at which it will be read [s].
+        sample_time: time between samples for reading [s].
         kind: "prismatic" or "revolute".
-        transmission: between motor and load; every channel is written as it is on its own side.
-        options: with which the format will read it; see `jointid.records.formats.Csv`.
+        transmission: between motor and load; every channel is written on its own side.
+        options: of the format's reader; see `jointid.records.formats.Csv`.
 
     Raises:
-        RecordError: the channels differ in rate or have one sample, two of them have one column, the file would not be
-            read back, or cannot be written.
+        RecordError: the channels differ in rate or have one sample, two share a column, or the file would not be
+            restored or cannot be written.
     """
     made = columns_to_write(
         record, columns, drive=drive, time=time, time_unit=time_unit, sample_time=sample_time, kind=kind,
@@ -71,11 +69,7 @@ def write(
 
 
 def write_columns(columns: Mapping[str, FloatArray], path: str | os.PathLike[str], **options: object) -> None:
-    """Write columns by their names; those of a file without names, numbers, in their order.
-
-    Raises:
-        RecordError: the file would not be read back, or cannot be written.
-    """
+    """Write columns by name; of unnamed ones, in order."""
     by_number = all(name.isdecimal() for name in columns)
     write_table(path, Table({n: columns[n] for n in (sorted(columns, key=int) if by_number else columns)}), **options)
 
@@ -91,11 +85,7 @@ def columns_to_write(
     kind: str = "prismatic",
     transmission: Transmission | None = None,
 ) -> dict[str, FloatArray]:
-    """Return a record as the columns of the file that `write` makes of it, by their names; arguments as there.
-
-    Raises:
-        RecordError: the channels differ in rate or have one sample, or two of them have one column.
-    """
+    """Return the columns that `write` writes, by name; arguments as there."""
     wanted = {n: Column(c) if isinstance(c, str) else c for n, c in (columns or {}).items()}
     writing = _Writer(drive or Drive(), kind, transmission)
     named = writing.name_columns(record, wanted)
@@ -122,7 +112,7 @@ def columns_to_write(
 def _time_column(
     channels: Mapping[str, Channel], time: str | None, time_unit: str | None, sample_time: float | None
 ) -> dict[str, FloatArray]:
-    """Return the time column, by its name; none where the sample time is all that is read."""
+    """Time column by name; empty if reading needs the sample time only."""
     if len({channel.sample_time for channel in channels.values()}) > 1:
         rates = ", ".join(f"{name} {channel.sample_time:g} s" for name, channel in channels.items())
         raise RecordError(f"A file holds channels of one rate; got {rates}: write each rate to a file of its own.")
@@ -141,25 +131,25 @@ def _time_column(
 
 
 def _stamps(channel: Channel, name: str, time_unit: str | None) -> FloatArray:
-    """Return a channel's instants in the unit of the time column of that name."""
+    """A channel's instants in the unit of its time column."""
     unit = units.unit(time_unit or unit_in_name(name, units.units_of("time")) or "s")
     return channel.time / unit.factor
 
 
 @dataclass(frozen=True, slots=True)
 class _Writer:
-    """The drive whose log is written, and the kind and transmission of its joint."""
+    """Drive, kind and transmission of the written joint."""
 
     drive: Drive
     kind: str
     transmission: Transmission | None
 
     def kind_of(self, name: str, column: Column | None) -> str:
-        """Return how the side moves on which a channel is measured."""
+        """Kind of motion on the side of a channel."""
         return self.kind if self.transmission is None else self.transmission.kind_of(self.drive.side(name, column))
 
     def name_columns(self, record: Record, wanted: Mapping[str, Column]) -> dict[str, Column]:
-        """Return the columns that have a name, as declared or by the drive's profile."""
+        """Columns with a declared or profile name."""
         traces = self.drive.traces
         found: dict[str, Column | None] = {name: wanted.get(name) for name in record.channels}
         if traces is not None:
@@ -169,7 +159,7 @@ class _Writer:
         return {name: column for name, column in found.items() if column is not None and column.column}
 
     def column_values(self, name: str, channel: Channel, columns: Mapping[str, Column]) -> FloatArray:
-        """Return a channel, on its own side, in the numbers of its column."""
+        """Convert a channel to its side and column unit."""
         column = columns[name]
         kind = self.kind_of(name, column)
         geared = self.transmission is not None and self.transmission.geared
@@ -216,22 +206,21 @@ def convert(
     reading: Mapping[str, Any] | None = None,
     writing: Mapping[str, Any] | None = None,
 ) -> Conversion:
-    """Write the columns of a file into a file of another format, each number to the last bit.
+    """Convert a file to another format without loss of digits.
 
-    A name that the target cannot have is changed as little as possible. Where all columns need one length, shorter ones
-    are filled up with NaN at their end. Single numbers and units that have no place are left out. All of it is told.
+    Illegal names are changed as little as possible. Where all columns need one length, shorter ones are padded with
+    NaN. Unsupported scalars and units are left out. The result lists all changes.
 
     Args:
-        source: the file that is read.
-        target: the file that is written; its suffix tells the format. One that is there is replaced.
-        columns: names of those that are taken, in this order; None takes all. From a file that is read in chunks only
-            these need memory.
+        source: the file to read.
+        target: the file to write; its suffix selects the format. An existing one is replaced.
+        columns: names to take, in order; None takes all. Files read in chunks need memory only for these.
         reading: options of the source's format; see `jointid.records.formats.Csv`.
         writing: options of the target's; see `jointid.records.formats.Matlab`.
 
     Raises:
-        RecordError: source and target are one file, the source cannot be read or has no such column, or the target
-            cannot be written.
+        RecordError: source and target are one file, the source is unreadable or lacks a column, or the target cannot be
+            written.
     """
     source, target = Path(source), Path(target)
     if target.exists() and source.exists() and source.samefile(target):
@@ -262,7 +251,7 @@ def _read_columns(source: Path, columns: Sequence[str] | None, options: Mapping[
 
 
 def _choose_names(names: list[str], writer: Format) -> dict[str, str]:
-    """Return what every column is called in the target; no two have one name."""
+    """Choose unique legal names for all columns."""
     made = {name: name for name in names if writer.legal_name(name, names) == name}
     taken = set(made)
     for name in names:
@@ -281,7 +270,7 @@ def _choose_names(names: list[str], writer: Format) -> dict[str, str]:
 
 
 def _fit_table(table: Table, writer: Format, notes: list[str]) -> Table:
-    """Return what the target can hold of a table; what it cannot is noted."""
+    """Reduce a table to what the target holds; note the rest."""
     sizes = {values.size for values in table.columns.values()}
     if len(sizes) > 1 and Holds.LENGTHS not in writer.holds:
         short = [name for name, values in table.columns.items() if values.size < max(sizes)]

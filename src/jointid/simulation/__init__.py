@@ -1,4 +1,4 @@
-"""Exact simulation: the compiled kernels, and what closes the loop around a joint."""
+"""Exact simulation of a joint in closed loop, drive-side and in open loop."""
 
 from jointid.simulation import excitation
 

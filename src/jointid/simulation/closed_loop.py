@@ -1,4 +1,4 @@
-"""The closed loop, run: `simulate` takes one candidate through an experiment, `simulate_many` many on all cores."""
+"""Closed-loop simulation: `simulate` one candidate, `simulate_many` in parallel."""
 
 from __future__ import annotations
 
@@ -52,10 +52,10 @@ _HARDLY = 0.01  # of the reference's largest speed: at less a friction has not w
 
 @dataclass(frozen=True, slots=True)
 class Initial:
-    """Position and velocity of the motor at the first sample; None: on the reference, at rest.
+    """Motor position and velocity at the first sample; None: on the reference, at rest.
 
-    `torque` is what a controller with an integral puts out there; None: its integral begins at 0. `wound_up` is 1 or -1
-    where a friction that winds up has done so in that direction, 0 where it has not; None: as the velocity says.
+    `torque` is the output of an integral there; None: its content is 0. `wound_up`, 1 or -1, is the direction of
+    presliding friction; None: that of the velocity.
     """
 
     position: float | None = None
@@ -66,7 +66,7 @@ class Initial:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Response:
-    """The torque of one run, all that an estimator compares.
+    """The torque of one run, for an estimator.
 
     Attributes:
         torque: (samples,) as the record's torque channel would show it; after a failure, its last value.
@@ -85,7 +85,7 @@ class Response:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Simulation(Response):
-    """One run of a loop, at the log's instants; after a failure everything is held.
+    """One run at the log's instants; held after a failure.
 
     Attributes:
         sample_time: seconds between samples.
@@ -168,13 +168,13 @@ class ClosedLoopRun:
         return start_state(self.loop, values, position, velocity, self.sliding)
 
     def response(self) -> Response:
-        """Return the signals that an estimator reads."""
+        """Signals for an estimator."""
         torque = as_logged(self.experiment, seen_torque(self.experiment, self.command, self.tapped))
         events, _, done, clipped = self.counts.tolist()
         return Response(torque, self.outcome, done / self.command.size, events, clipped / max(done, 1))
 
     def simulation(self) -> Simulation:
-        """Return the run, whose states were kept, at the log's instants."""
+        """The run with states, at the log's instants."""
         experiment, response = self.experiment, self.response()
         flexible = self.loop.joint.model == "flexible"
         states, push = self.states[:, : 4 if flexible else 2], self.command + experiment.after_limit
@@ -219,7 +219,7 @@ def run(
     taped: int = 0,
     room: Room | None = None,
 ) -> ClosedLoopRun:
-    """Run one candidate; `keep` its states and modes, and so many rows of its tape, in fresh memory or in a room."""
+    """Run one candidate; optionally keep states, modes and a tape, in given memory."""
     from jointid.simulation.kernels import drive as kernels
     from jointid.simulation.kernels import stepped_drive
 
@@ -281,7 +281,7 @@ def run(
 def first_state(
     experiment: LoopInput, position: float, velocity: float, torque: float | None
 ) -> tuple[FloatArray, float]:
-    """Return the feedback's states at the first period, (states,), and the torque that acts before it."""
+    """Feedback states at the first period, (states,), and the torque before it."""
     law, integral = experiment.feedback, experiment.integral
     state = experiment.state + experiment.memory @ np.array([position, velocity])
     first = float(experiment.feedforward[law.output, 0] + law.C[0, law.output] @ state)
@@ -302,23 +302,23 @@ def simulate_torque(
 def simulate(
     loop: ClosedLoop, experiment: LoopInput, values: Mapping[str, float], initial: Initial | None = None
 ) -> Simulation:
-    """Run one candidate; never raises for a candidate's sake: see `Response.outcome`.
+    """Simulate one candidate; failures are in `Response.outcome`.
 
     Args:
         loop: joint and controller.
-        experiment: what they are driven with.
+        experiment: its inputs.
         values: every parameter of the joint by name.
         initial: where the motor is at the first sample.
 
-    Exact to rounding for held torques and laws in pieces of lines; gravity that follows the position is held over each
-    part of a period, at an error of second order in it; with smooth laws (`Joint.stepped`) the motion is
-    followed by its Taylor series, whose last coefficient is below 1e-9 of the largest velocity.
+    Exact to rounding for held torques and piecewise linear laws. Position-dependent gravity is held over each part of a
+    period, with second-order error. Smooth laws (`Joint.stepped`) use Taylor series, whose last coefficient is below
+    1e-9 of the largest velocity.
     """
     return run(loop, experiment, values, initial, keep=True).simulation()
 
 
 def _possible(drive: FloatArray, gravity: FloatArray | None) -> bool:
-    """True for a physical drive: positive masses, friction that is not negative, a spring that holds the load."""
+    """Test for a physical drive: positive masses and non-negative friction and stiffness."""
     if gravity is not None and not (np.all(np.isfinite(gravity)) and (drive[2] > 0 or gravity[4] == 0)):
         return False
     row = drive.tolist()  # a few plain numbers take less time than an array of them
@@ -327,9 +327,9 @@ def _possible(drive: FloatArray, gravity: FloatArray | None) -> bool:
 
 
 def _ordered(segments: FloatArray | None) -> bool:
-    """True of pieces that follow each other, each with a stiffness and a damping that are not negative.
+    """Test for ordered pieces with non-negative stiffness and damping.
 
-    A friction in pieces holds a mass at rest with no less than nothing.
+    Piecewise friction holds a mass at rest with a non-negative force.
     """
     if segments is None:
         return True
@@ -342,7 +342,7 @@ def _ordered(segments: FloatArray | None) -> bool:
 
 
 def _smooth(laws: SmoothLaws | None, places: FloatArray, drive: FloatArray, duration: float) -> bool:
-    """True of smooth laws whose numbers are not negative, shares below 1, and of friction that never is below 0."""
+    """Test for smooth laws with valid numbers and non-negative friction."""
     if laws is None:
         return True
     motor, load, spring = laws
@@ -358,7 +358,7 @@ def _smooth(laws: SmoothLaws | None, places: FloatArray, drive: FloatArray, dura
 def start_state(
     loop: ClosedLoop, values: Mapping[str, float], position: float, velocity: float, sliding: float
 ) -> FloatArray:
-    """Return the state at rest or in steady motion, (4,); friction that has not wound up drags no more than at rest."""
+    """State at rest or in steady motion, (4,), with unwound presliding friction at rest."""
     start = loop.joint.start(values, position, velocity)
     if loop.joint.stepped and not sliding:
         start[::2] = loop.joint.start(values, position, 0.0)[::2]
@@ -366,21 +366,21 @@ def start_state(
 
 
 def wound_up(experiment: LoopInput, velocity: float) -> float:
-    """Return the direction of a motion that began before the first sample, 0 of one that is hardly any."""
+    """Direction of a motion before the first sample, 0 if negligible."""
     reference = experiment.inputs[:, REFERENCE]
     fastest = float(np.max(np.abs(np.diff(reference)), initial=0.0)) / experiment.law.period
     return math.copysign(1.0, velocity) if abs(velocity) > _HARDLY * fastest > 0.0 else 0.0
 
 
 def _ends(segments: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return where segments end, but the last: in the deflection, and in the speeds of motor and load."""
+    """Upper ends of segments but the last: deflection, motor and load speed."""
     of_spring, of_motor, _ = segments[0, 20:].astype(int)
     ends = segments[::of_spring, 15], segments[:of_spring:of_motor, 17], segments[:of_motor, 19]
     return ends[0][:-1], ends[1][:-1], ends[2][:-1]
 
 
 def _drive_at(out: ClosedLoopRun, states: FloatArray) -> FloatArray:
-    """Return the coefficients of the drive, (14,), or in the segments that it is in, (14, samples)."""
+    """Drive coefficients, (14,), or those of each sample's segment, (14, samples)."""
     if out.segments is None:
         return out.drive
     position, velocity, *load = states
@@ -396,7 +396,7 @@ def _drive_at(out: ClosedLoopRun, states: FloatArray) -> FloatArray:
 def _acceleration(
     drive: FloatArray, gravity: FloatArray | None, states: FloatArray, torque: FloatArray, side: int
 ) -> FloatArray:
-    """Return the acceleration of the motor (side 0) or load (1) just after `torque` begins to act; 0 at rest.
+    """Acceleration of motor (0) or load (1) just after `torque` acts; 0 at rest.
 
     The drive is (14,), or (14, samples).
     """
@@ -429,10 +429,7 @@ def simulate_many(
     initial: Initial | None = None,
     workers: int | None = None,
 ) -> list[Response]:
-    """Run many candidates for their torque, on all cores (or `workers` of them); the order is kept.
-
-    The compiled kernel releases the interpreter, so threads are enough, and nothing is copied or pickled.
-    """
+    """Simulate many candidates in parallel threads, in order."""
     return in_threads(lambda values: simulate_torque(loop, experiment, values, initial), candidates, workers)
 
 

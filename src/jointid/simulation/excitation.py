@@ -1,4 +1,4 @@
-"""Excitation: motions and signals that make a joint show its parameters."""
+"""Excitation signals for identification."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def trapezoids(
     rest: float = 0.0,
     duration: float | None = None,
 ) -> FloatArray:
-    """Return a reference that goes there and back at each speed in turn, with trapezoidal velocity.
+    """Reference back and forth at each speed, with trapezoidal velocity.
 
     Inertia shows in the ramps, viscous friction in the difference between speeds, Coulomb friction in the
     difference between directions; a rest makes the joint stick.
@@ -76,7 +76,7 @@ def _way(speed: float, acceleration: float, travel: float) -> tuple[float, float
 
 
 def pulses(samples: int, sample_time: float, height: float, width: float, every: float, seed: int) -> FloatArray:
-    """Return short rectangular pulses of alternating sign at irregular times: they ring a flexible joint.
+    """Rectangular pulses of alternating sign at irregular times.
 
     Args:
         samples: how many.
@@ -104,7 +104,7 @@ def pulses(samples: int, sample_time: float, height: float, width: float, every:
 def chirp(
     samples: int, sample_time: float, amplitude: float, lowest: float, highest: float, *, rest: float = 0.0
 ) -> FloatArray:
-    """Return a sine whose frequency rises in even steps of its logarithm, and that begins and ends at 0.
+    """Sine with logarithmic frequency sweep, which begins and ends at 0.
 
     Args:
         samples: how many.
@@ -148,7 +148,7 @@ def multisine(
     tilt: float = 0.0,
     period: float | None = None,
 ) -> FloatArray:
-    """Return a sum of sines at harmonics of one period, with the phases of M. R. Schroeder that keep its peaks low.
+    """Sum of sines at harmonics of one period, with Schroeder's phases.
 
     Args:
         samples: how many.
@@ -183,7 +183,7 @@ def multisine(
 
 
 def sines(samples: int, sample_time: float, frequencies: Sequence[float], amplitudes: Sequence[float]) -> FloatArray:
-    """Return sines of given frequencies and amplitudes, with Schroeder's phases, that fade in and out.
+    """Sines of given frequencies and amplitudes, with Schroeder's phases, faded in and out.
 
     Args:
         samples: how many.
@@ -206,7 +206,7 @@ def sines(samples: int, sample_time: float, frequencies: Sequence[float], amplit
 def fourier_series(
     samples: int, sample_time: float, period: float, cosines: Sequence[float], sines: Sequence[float]
 ) -> FloatArray:
-    """Return ``sum_k a_k (cos(k w t) - 1) + b_k sin(k w t)``, w = 2 pi / period: the usual excitation of robots.
+    """Return ``sum_k a_k (cos(k w t) - 1) + b_k sin(k w t)``, w = 2 pi / period.
 
     Args:
         samples: how many.
@@ -228,7 +228,7 @@ def fourier_series(
 
 
 def smoothed(reference: FloatArray, sample_time: float, seconds: float) -> FloatArray:
-    """Return a reference averaged over so many seconds: steps of the acceleration become ramps of that length.
+    """Average a reference over `seconds`, which limits its jerk.
 
     A drive calls it jerk limit, or S-curve: the jerk is at most the change of the acceleration over those seconds.
 
@@ -246,7 +246,7 @@ def smoothed(reference: FloatArray, sample_time: float, seconds: float) -> Float
 
 
 def _faded(samples: int, over: float) -> FloatArray:
-    """Return a factor that rises smoothly from 0 to 1 over so many samples, and falls so at the end."""
+    """Factor that fades in and out over `over` samples."""
     at = np.arange(samples, dtype=np.float64)
     ramp = np.minimum(np.clip(at / over, 0.0, 1.0), np.clip(at[::-1] / over, 0.0, 1.0))
     return np.asarray(ramp * ramp * (3 - 2 * ramp))

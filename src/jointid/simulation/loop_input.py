@@ -1,7 +1,7 @@
-"""Parameter-independent inputs of a closed-loop simulation, computed once; and the log of its output.
+"""Parameter-independent inputs of a closed-loop simulation, and its log.
 
-`prepare` lowers the controller to its sampled law, computes its answer to the reference, and cuts a controller period
-into the parts in which the torque, or what the log looks at, changes.
+`prepare` lowers the controller to its sampled law, computes its response to the reference, and cuts a period at changes
+of the torque and at log instants.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _FAR = 1e3  # times the commanded travel: a motor this far away will not come ba
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoopInput:
-    """Parameter-independent inputs of a closed-loop simulation, at the controller's instants; made by `prepare`.
+    """Inputs of a closed-loop simulation at the controller's instants; see `prepare`.
 
     Attributes:
         law: the controller's state-space form. feedback: what of it the motion moves, and the same as the kernels read
@@ -99,7 +99,7 @@ class LoopInput:
 
     @property
     def periods(self) -> int:
-        """Of the controller that are simulated."""
+        """Number of simulated controller periods."""
         return len(self.inputs)
 
     @property
@@ -113,18 +113,18 @@ class LoopInput:
         return self.after_limit if self.tap is Tap.MEASURED else self.logged
 
     def law_of(self, controller: Controller) -> SampledLaw:
-        """Return the law of a controller here: its position loop counts from the first sample of the record's file."""
+        """Law of a controller with its phase relative to the record's file."""
         return shift_start(controller, self.begin).law(self.sample_time)
 
     def with_law(self, law: SampledLaw) -> LoopInput:
-        """Return the same experiment under another law of the same period and delay."""
+        """Replace the law by one of the same period and delay."""
         return _experiment(
             law, self.inputs, self.after_limit, self.logged, self.sample_time, self.samples, self.tap, self.timing,
             self.begin,
         )  # fmt: skip
 
     def scaled(self, factor: float) -> LoopInput:
-        """Return the same experiment with the law's output, and what is added to it, `factor` times as large."""
+        """Scale the law's output and what is added to it."""
         more = replace(self, after_limit=factor * self.after_limit, logged=factor * self.logged)
         return more.with_law(scaled(self.law, factor))
 
@@ -195,7 +195,7 @@ def _experiment(
 
 
 def _beforehand(law: SampledLaw, inputs: FloatArray) -> tuple[SampledLaw, FloatArray, FloatArray, FloatArray]:
-    """Return what of a law the motion moves, and what is known before it: see `LoopInput`."""
+    """Split a law into motion-dependent part and known signals; see `LoopInput`."""
     feedback, beforehand = law.split()
     moved = law.fed_back()
     state = law.known_memory(inputs)
@@ -208,10 +208,9 @@ def _beforehand(law: SampledLaw, inputs: FloatArray) -> tuple[SampledLaw, FloatA
 
 
 def _for_kernel(law: SampledLaw, driven: FloatArray) -> Feedback:
-    """Return a law as the kernels read it; `driven` (periods, states) is what everything but the position puts into it.
+    """Convert a law for the kernels; `driven` (periods, states) are known state inputs.
 
-    That is where it is not in the elements' answers, as for an integrator, which the reference alone would carry far
-    away; else it is (0, states).
+    They are used where the elements' responses would diverge, as for an integrator; else (0, states).
     """
     from jointid.simulation.kernels.drive import Feedback
 
@@ -221,7 +220,7 @@ def _for_kernel(law: SampledLaw, driven: FloatArray) -> Feedback:
 
 
 def _parts(law: SampledLaw, repeat: int) -> tuple[FloatArray, NDArray[np.int64]]:
-    """Cut a period where the torque changes (the delay) and where the log looks (a log faster than the loop)."""
+    """Cut a period at the delay and at log instants."""
     late = law.delay / law.period
     whole = math.floor(late + SNAP)
     fraction = max(late - whole, 0.0)
@@ -246,16 +245,16 @@ def _far(law: SampledLaw, feedforward: FloatArray, after_limit: FloatArray) -> f
 
 
 def seen_torque(experiment: LoopInput, command: FloatArray, tapped: FloatArray) -> FloatArray:
-    """Return the torque at the log's tap, (periods,): the controller's output, or the torque behind its limit."""
+    """Torque at the log's tap, (periods,): output, or behind its limit."""
     behind = tapped if experiment.tap is Tap.COMMAND else command
     return behind + experiment.shown if experiment.shows else behind
 
 
 def as_logged(experiment: LoopInput, signal: FloatArray) -> FloatArray:
-    """Return a signal of the controller's instants as the log's torque channel shows it; linear in it.
+    """Convert a controller signal to the log's torque channel; linear.
 
-    The signal, (periods,) or (periods, columns), is the controller's output, or at a tap that measures what acts the
-    torque before the delay: piecewise constant over periods, or over the parts of periods.
+    The signal, (periods,) or (periods, columns), is the output, or behind the limit the torque before the delay:
+    piecewise constant over periods, or parts of periods.
     """
     shown = acting(experiment, signal)
     if experiment.timing is not Timing.AVERAGED:
@@ -267,7 +266,7 @@ def as_logged(experiment: LoopInput, signal: FloatArray) -> FloatArray:
 
 
 def acting(experiment: LoopInput, signal: FloatArray) -> FloatArray:
-    """Return a signal of the controller's instants in each part of each period as the tap sees it, parts in a row."""
+    """Signal at the tap in each part of each period, parts in a row."""
     parts = experiment.lengths.size
     if experiment.tap is Tap.MEASURED:
         sources = (np.arange(len(signal))[:, np.newaxis] - experiment.lags).reshape(-1)
@@ -276,7 +275,7 @@ def acting(experiment: LoopInput, signal: FloatArray) -> FloatArray:
 
 
 def averages(experiment: LoopInput, integrals: FloatArray) -> FloatArray:
-    """Return the mean over each sample time that ends at an instant of the log, from the integrals over the parts."""
+    """Mean over each sample time up to a log instant, from integrals over parts."""
     integral = np.zeros((len(integrals) + 1, *integrals.shape[1:]))
     np.cumsum(integrals, axis=0, out=integral[1:])
     means = np.zeros((experiment.looked.size, *integrals.shape[1:]))

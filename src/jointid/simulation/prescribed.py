@@ -1,24 +1,20 @@
-"""A joint without its controller: the record prescribes the motor's motion, or its torque, and the other follows.
+"""A joint without its controller: prescribed motor motion, or prescribed torque.
 
-**The drive side.** The motor's motion is prescribed, the load is simulated, and the motor torque follows. What the
-controller is does not matter then; the record needs the motor's position instead::
+**The drive side.** The motor's motion is prescribed, the load is simulated, and the motor torque follows, independent
+of the controller; the record needs the motor's position::
 
     0   = ZZ2 a12 + Fv2 v12 + Fc2 sign(v12) + K12 (q12 - q1) + F12 (v12 - v1)
     tau = ZZ1 a1  + Fv1 v1  + Fc1 sign(v1)  + K12 (q1 - q12) + F12 (v1 - v12) + offset
 
-The load hangs on a point that moves as the motor did. Seen from a fixed point it hangs on a spring and a damper and is
-pushed by ``K12 q1 + F12 v1``, so the kernels serve as they are: the load is their first mass, and their second one is a
-wall. They hold a force between two instants; each sample is cut into `PARTS`, and the force held is not the mean of the
-prescribed one alone but ``mean(s) - h^2/12 s''``, which makes up for what holding takes from a curved force. On the
-paper's axis with components up to 60 Hz at 1 kHz the torque then errs by 6e-6, twenty times less than without
-(tests/simulation/test_drive_side.py). Sticking, sliding and reversing are as exact as in the closed loop.
-A rigid joint has no load to simulate: its torque along the motion is its inverse model.
+The load hangs on a spring and a damper from a moving point, which is equivalent to a fixed point and the force
+``K12 q1 + F12 v1``. So the kernels serve with the load as first mass and a wall as second. They hold forces, so each
+sample is cut into `PARTS` with the force ``mean(s) - h^2/12 s''``, which corrects for curvature. On the paper's axis
+with components up to 60 Hz at 1 kHz the torque error is 6e-6, twenty times less than without
+(tests/simulation/test_drive_side.py). A rigid joint's torque is its inverse model.
 
-**The open loop.** The torque is prescribed as the drive logged it, and the motor's motion follows. The kernels take it
-as a controller without feedback, whose reference is the torque, held from each of its instants to the next. When it
-begins to act follows from its stamp, its timing and how late the log is. Nothing holds a motor in open loop: its
-position is the double integral of every small force that the model lacks, so it drifts, and only what is faster than
-the drift can be compared.
+**The open loop.** The logged torque is prescribed, and the motor's motion follows. The kernels take it as a controller
+without feedback, with the torque as held reference; timing and log delay shift it. The position is a double integral of
+all model errors, so it drifts, and only faster components can be compared.
 """
 
 from __future__ import annotations
@@ -61,7 +57,7 @@ LOAD_STATE = ("initial_load_position", "initial_load_velocity")
 
 @dataclass(frozen=True, slots=True)
 class DriveSide:
-    """A joint whose motor moves as the record says, whatever its controller: from motor position to torque.
+    """A joint under prescribed motor motion: from motor position to torque.
 
     Attributes:
         joint: rigid, or flexible: then the load, which the record does not show, is simulated.
@@ -75,7 +71,7 @@ class DriveSide:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Names of the channels a record must have to be compared with this."""
+        """Required channels of a record."""
         return ("torque", "motor_position")
 
 
@@ -97,7 +93,7 @@ class PrescribedMotion:
 
     @property
     def pushes(self) -> tuple[FloatArray, FloatArray]:
-        """Force on the load by a unit of stiffness, and of damping, in each part (see the module)."""
+        """Force on the load per unit of stiffness and of damping, in each part."""
         bend = self.step / 12
         by_stiffness = self.mean_position - bend * np.diff(self.velocity)
         by_damping = np.diff(self.position) / self.step - bend * np.diff(self.acceleration)
@@ -126,7 +122,7 @@ def prescribed_motion(position: FloatArray, sample_time: float, parts: int = PAR
 
 
 def spline_of(position: FloatArray, sample_time: float) -> BSpline:
-    """Return an interpolating spline through sampled positions, (samples, ...), whose second derivative is right, too.
+    """Interpolating spline through positions, (samples, ...), with accurate second derivative.
 
     Args:
         position: from home, smooth at the scale of a sample.
@@ -138,9 +134,9 @@ def spline_of(position: FloatArray, sample_time: float) -> BSpline:
 
 
 def mean_friction(joint: Joint, velocity: FloatArray) -> FloatArray:
-    """Return the columns of the motor's friction as means over the parts, (parts, parameters).
+    """Columns of the motor's friction, averaged over parts, (parts, parameters).
 
-    The velocity runs straight from edge to edge, so a reversal takes its share of a part on each side of it.
+    Velocity is linear within a part, so a reversal splits it.
     """
     before, after = velocity[:-1], velocity[1:]
     size = np.abs(before) + np.abs(after)
@@ -153,7 +149,7 @@ def mean_friction(joint: Joint, velocity: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveSideRun:
-    """The torque of one run, mean over each part, and its derivatives by the names asked for.
+    """Mean torque of each part, and its derivatives.
 
     Attributes:
         torque: (parts,).
@@ -172,13 +168,13 @@ class DriveSideRun:
 def simulate_drive_side(
     joint: Joint, motion: PrescribedMotion, values: Mapping[str, float], names: tuple[str, ...] = ()
 ) -> DriveSideRun:
-    """Simulate the load under a prescribed motion of the motor; return the motor torque that the motion takes.
+    """Simulate the load under a prescribed motion; return the motor torque.
 
     Args:
         joint: rigid or flexible.
         motion: of the motor.
-        values: every parameter of the joint by name; and of `LOAD_STATE`, where they are not 0.
-        names: of the parameters, and of `LOAD_STATE`, to return derivatives by.
+        values: every parameter of the joint by name; optionally those of `LOAD_STATE`.
+        names: parameters, and entries of `LOAD_STATE`, to differentiate by.
     """
     acceleration = np.diff(motion.velocity) / motion.step
     friction = mean_friction(joint, motion.velocity)
@@ -210,7 +206,7 @@ def simulate_drive_side(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Load:
-    """A load that was simulated: its states at the edges, and what its derivatives are followed along.
+    """A simulated load: states at the edges, and data for derivatives.
 
     Attributes:
         joint, motion, values: what was simulated.
@@ -234,10 +230,11 @@ class _Load:
 
     @classmethod
     def simulated(cls, joint: FlexibleJoint, motion: PrescribedMotion, values: Mapping[str, float]) -> _Load | None:
-        """Return the simulated load; None where the values are no joint's, or too fast to be simulated."""
+        """Simulate the load; None for impossible values or too fast dynamics."""
         from jointid.simulation.kernels import drive as kernels
 
-        drive, gravity = _drive(joint, values), _gravity(joint, values)
+        whole = joint.gravity_coefficients(values)
+        drive, gravity = _drive(joint, values), None if whole is None else np.array([*whole[:4], 0.0])
         possible = np.all(np.isfinite(drive)) and min(drive[2:4]) >= 0 and drive[6] + drive[7] >= 0
         if not (possible and values["motor_inertia"] > 0 and drive[0] > 0):
             return None
@@ -264,7 +261,7 @@ class _Load:
         return cls(joint, motion, values, drive, gravity, push, states, modes, tape, steps)
 
     def spring(self, names: list[str]) -> tuple[FloatArray, FloatArray]:
-        """Return the spring's and damper's force on the motor, (parts,), and its derivatives, (parts, names)."""
+        """Force of spring and damper on the motor, (parts,), and derivatives, (parts, names)."""
         from jointid.simulation.kernels.drive_sensitivities import LANES
 
         stretch, slip = self._apart(self.states[:, 0], self.states[:, 1])
@@ -285,15 +282,15 @@ class _Load:
         return stiffness * stretch + damping * slip, slopes
 
     def _apart(self, position: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return means over the parts of a position, by its ends and slopes, and of its rate."""
+        """Means of position and rate over the parts, from ends and slopes."""
         ends = 0.5 * (position[:-1] + position[1:])
         means = ends - self.motion.step / 12 * np.diff(velocity, axis=0)
         return means, np.diff(position, axis=0) / self.motion.step
 
     def _followed(self, names: list[str]) -> FloatArray:
-        """Return the derivatives of position and velocity at the edges, (edges, 2, names), by a few names.
+        """Derivatives of position and velocity at the edges, (edges, 2, names).
 
-        Those that enter the push come last.
+        Parameters of the push come last.
         """
         from jointid.simulation.kernels import drive as kernels
         from jointid.simulation.kernels import drive_sensitivities as sensitivity_kernels
@@ -338,19 +335,13 @@ def _sampled_loop(step: float, push: FloatArray) -> SampledLoop:
 
 
 def _drive(joint: FlexibleJoint, values: Mapping[str, float]) -> FloatArray:
-    """Return the load on its spring, fixed to a wall, as the kernels see it."""
+    """The load on its spring, fixed to a wall, for the kernels."""
     whole = joint.coefficients(values)
     return np.array([whole[1], 1.0, *whole[2:4], *whole[8:12], 0.0, 0.0, _WALL, _WALL, whole[13], 0.0])
 
 
-def _gravity(joint: FlexibleJoint, values: Mapping[str, float]) -> FloatArray | None:
-    """Return the load's gravity, which is that of the kernels' first mass."""
-    whole = joint.gravity_coefficients(values)
-    return None if whole is None else np.array([*whole[:4], 0.0])
-
-
 def _start(joint: FlexibleJoint, motion: PrescribedMotion, values: Mapping[str, float]) -> FloatArray:
-    """Return the kernels' first state: the load moves with the motor, beside what `LOAD_STATE` adds."""
+    """Initial kernel state: the load moves with the motor, plus `LOAD_STATE`."""
     steady = joint.start(values, float(motion.position[0]), float(motion.velocity[0]))[2:]
     beside = np.array([values.get(name, 0.0) for name in LOAD_STATE])
     return np.append(steady + beside, [0.0, 0.0])
@@ -358,7 +349,7 @@ def _start(joint: FlexibleJoint, motion: PrescribedMotion, values: Mapping[str, 
 
 @dataclass(frozen=True, slots=True)
 class OpenLoop:
-    """A joint under a torque that does not answer to its motion: from torque to motor position.
+    """A joint under prescribed torque: from torque to motor position.
 
     Attributes:
         joint: rigid or flexible.
@@ -368,13 +359,13 @@ class OpenLoop:
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Names of the channels a record must have to be compared with this."""
+        """Required channels of a record."""
         return ("torque", "motor_position")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenLoopRun:
-    """The motor's position in one run, and its derivatives by the names asked for.
+    """Motor position of one run, and its derivatives.
 
     Attributes:
         position: (samples,), as an encoder would show it.
@@ -390,14 +381,14 @@ class OpenLoopRun:
 def simulate_open_loop(
     joint: Joint, torque: Channel, values: Mapping[str, float], names: Sequence[str] = ()
 ) -> OpenLoopRun:
-    """Simulate a joint under a torque; a load begins in steady motion with the motor.
+    """Simulate a joint under a torque; the load begins in steady motion.
 
     Args:
         joint: rigid or flexible.
         torque: on the motor.
         values: every parameter of the joint by name, ``initial_position`` and ``initial_velocity`` of the motor, and
-            ``log_delay``, by which the channel shows the torque later than it acts.
-        names: of these, to return derivatives by.
+            ``log_delay`` of the torque channel.
+        names: to differentiate by.
     """
     loop, experiment = _driven(joint, torque, values["log_delay"])
     initial = Initial(values["initial_position"], values["initial_velocity"])
@@ -414,7 +405,7 @@ def simulate_open_loop(
 
 
 def _driven(joint: Joint, torque: Channel, log_delay: float) -> tuple[ClosedLoop, LoopInput]:
-    """Return the joint under the law that only passes the torque on, and what drives it."""
+    """The joint under a law that passes the torque on, and its input."""
     period = torque.sample_time
     late = torque.timing.begins - log_delay / period
     whole = math.floor(late)

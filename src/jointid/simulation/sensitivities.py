@@ -1,9 +1,8 @@
-"""Exact derivatives of a closed loop's torque and states by everything that can be free in an identification.
+"""Exact derivatives of a closed loop's torque and states by all free parameters.
 
-`simulate_sensitivities` runs a loop once and follows the run with a column per parameter. A parameter may belong to the
-joint, to the motor's state at the first sample, or to the controller: any number its law is made of, and its computing
-delay. How the controller's output depends on its own numbers, with the position it saw held, is exact, too: the law is
-run on the simulated position at two neighbouring values, and is linear in its signals.
+`simulate_sensitivities` runs a loop once and propagates a column per parameter of joint, initial state or controller,
+including its delay. Derivatives by controller numbers are exact, too: the law, linear in its signals, is run on the
+simulated position at two neighbouring values.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ _INITIAL = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sensitivities:
-    """A run and its derivatives, in the order of the names asked for.
+    """A run and its derivatives, in the order of names.
 
     Attributes:
         response: of the loop.
@@ -64,7 +63,7 @@ class Sensitivities:
 
 
 def none(response: Response, count: int, positions: bool, flexible: bool) -> Sensitivities:
-    """Return derivatives of 0."""
+    """Zero derivatives."""
     torque = np.zeros((response.torque.size, count))
     position = torque if positions else torque[:, :0]
     return Sensitivities(response, torque, position, position if flexible else torque[:, :0])
@@ -79,11 +78,11 @@ def simulate_sensitivities(
     *,
     positions: bool = False,
 ) -> Sensitivities:
-    """Run one candidate with its derivatives by the parameters named.
+    """Simulate one candidate with derivatives by named parameters.
 
     Args:
         loop: joint and controller.
-        experiment: what they are driven with.
+        experiment: its inputs.
         values: every parameter of the joint by name.
         names: of parameters of the joint, "initial_position", "initial_velocity", "initial_torque", or numbers of the
             controller ("position_gain", "velocity_gain", "gain", "limit", "delay", "velocity_filter.time_constant",
@@ -91,13 +90,9 @@ def simulate_sensitivities(
         initial: where the motor is at the first sample.
         positions: also return the derivatives of the positions.
 
-    Of a run that did not finish all derivatives are 0; so are those of an unstable loop that its torque's limit holds,
-    where two neighbours part at once and a derivative says nothing (above 1e100). At a delay of a whole number of
-    periods the derivative is that towards longer delays; for a motor at rest, that by its velocity is of a load that
-    moves along.
-
-    Raises:
-        MethodError: a name is none of these, or of a part that is not there, as a `integral_gain` of 0.
+    Derivatives are 0 for a failed run, and for an unstable loop at its limit, whose trajectories diverge (above 1e100).
+    At a delay of whole periods the derivative is one-sided, towards longer delays; at rest, that by the motor's
+    velocity includes a load that moves along.
     """
     return _derived(_taped(loop, experiment, values, names, initial), names, positions)
 
@@ -109,7 +104,7 @@ def simulate_with_sensitivities(
     names: Sequence[str],
     initial: Initial | None = None,
 ) -> tuple[Simulation, FloatArray]:
-    """Return the result of `simulate` and the torque's derivatives of `simulate_sensitivities`, from one run."""
+    """Result of `simulate`, and the torque's derivatives from the same run."""
     out = _taped(loop, experiment, values, names, initial)
     return out.simulation(), _derived(out, names, positions=False).torque
 
@@ -121,7 +116,7 @@ def _taped(
     names: Sequence[str],
     initial: Initial | None,
 ) -> ClosedLoopRun:
-    """Return a run with its whole tape, in memory that the next one takes."""
+    """Run with a whole tape, in reused memory."""
     own = _seeds(loop.joint)
     for name in names:
         if _is_of_law(own, name):
@@ -136,7 +131,7 @@ def _taped(
 
 
 def _derived(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> Sensitivities:
-    """Return a run's derivatives, of the positions only where they are asked for."""
+    """Derivatives of a run, of the positions on demand."""
     experiment, response = out.experiment, out.response()
     flexible = out.loop.joint.model == "flexible"
     if out.outcome is not Outcome.FINISHED:
@@ -171,7 +166,7 @@ def _derived(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> Sensi
 
 
 def _joined(blocks: Sequence[FloatArray], order: Sequence[int]) -> FloatArray:
-    """Return the columns of blocks, the last axis, each where `order` says; one block in order is not copied."""
+    """Join blocks of columns (last axis) in `order`, without copying a single block."""
     whole = blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=-1)
     return whole if order == sorted(order) else np.asarray(whole[..., np.argsort(order)])
 
@@ -181,9 +176,9 @@ def _is_of_law(own: Container[str], name: str) -> bool:
 
 
 def _followed(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the derivatives of the output, of that behind the limit where that is another, and of the states.
+    """Derivatives of output, limited output if distinct, and states.
 
-    The first are (periods, lanes), the last (periods * parts, 4, lanes).
+    Shapes: (periods, lanes) and (periods * parts, 4, lanes).
     """
     from jointid.simulation.kernels import drive as kernels
     from jointid.simulation.kernels import drive_sensitivities as sensitivity_kernels
@@ -246,14 +241,14 @@ def _followed(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tupl
 
 
 def taped_rows(samples: int) -> int:
-    """Return how many rows of a tape usually hold the events of so many samples or periods."""
+    """Usual number of tape rows for the events of so many periods."""
     return _TAPED + samples // 16
 
 
 def coefficient_seeds(
     coefficients: Callable[[Mapping[str, float]], FloatArray], own: Sequence[str]
 ) -> dict[str, FloatArray]:
-    """Return how the kernels' coefficients depend on each of the joint's own parameters: they are linear in them."""
+    """Constant derivatives of kernel coefficients by the joint's parameters."""
     nothing = dict.fromkeys(own, 0.0)
     constant = coefficients(nothing)
     return {name: coefficients(nothing | {name: 1.0}) - constant for name in own}
@@ -261,7 +256,7 @@ def coefficient_seeds(
 
 @lru_cache(maxsize=64)
 def _seeds(joint: Joint) -> Mapping[str, FloatArray]:
-    """Return `coefficient_seeds` of a joint, which thousands of runs ask for."""
+    """Cached `coefficient_seeds` of a joint."""
     found = coefficient_seeds(joint.coefficients, [p.name for p in joint.parameters])
     for seed in found.values():
         seed.setflags(write=False)
@@ -270,9 +265,9 @@ def _seeds(joint: Joint) -> Mapping[str, FloatArray]:
 
 @lru_cache(maxsize=64)
 def _smooth_seeds(joint: Joint) -> Mapping[str, tuple[FloatArray, FloatArray]]:
-    """Return how what a joint has beyond lines depends on each of its parameters, by name: it is linear in them.
+    """Constant derivatives of smooth-law numbers by each parameter.
 
-    The numbers of `SmoothLaws`, (14,), and the factors of the forces that follow a position, (forces, 3).
+    These are the numbers of `SmoothLaws`, (14,), and the factors of position-dependent forces, (forces, 3).
     """
     nothing = dict.fromkeys([p.name for p in joint.parameters], 0.0)
 
@@ -287,7 +282,7 @@ def _smooth_seeds(joint: Joint) -> Mapping[str, tuple[FloatArray, FloatArray]]:
 
 
 def _in_pieces(joint: Joint) -> set[str]:
-    """Return the names of the parameters that segments depend on each in its own way."""
+    """Parameters on which the segments depend."""
     found = {p.name for p in joint.spring.parameters} if isinstance(joint, FlexibleJoint) else set[str]()
     if not joint.friction.linear:
         prefixes = ("motor_", "load_") if isinstance(joint, FlexibleJoint) else ("",)
@@ -296,10 +291,7 @@ def _in_pieces(joint: Joint) -> set[str]:
 
 
 def segment_seeds(joint: Joint, values: Mapping[str, float], name: str) -> FloatArray:
-    """Return how the segments of a joint depend on one of its parameters, (segments, 23), by a complex step.
-
-    They are rational functions of the parameters, so a step along the imaginary axis differentiates them to rounding.
-    """
+    """Derivatives of the segments by a parameter, (segments, 23), by a complex step."""
     moved: dict[str, Any] = {**values, name: complex(values[name], _IMAGINARY)}
     found = joint.segments(moved)
     assert found is not None
@@ -307,7 +299,7 @@ def segment_seeds(joint: Joint, values: Mapping[str, float], name: str) -> Float
 
 
 def gravity_seed(joint: Joint, name: str) -> FloatArray:
-    """Return how the factors of gravity depend on a parameter of the joint, (3,): they are linear in it."""
+    """Constant derivatives of the gravity factors by a parameter, (3,)."""
     one = joint.gravity_coefficients({p.name: float(p.name == name) for p in joint.parameters})
     return np.zeros(3) if one is None else one[:3]
 
@@ -315,16 +307,16 @@ def gravity_seed(joint: Joint, name: str) -> FloatArray:
 def start_slope(
     start: Callable[[Mapping[str, float]], FloatArray], values: Mapping[str, float], name: str
 ) -> FloatArray:
-    """Return how the state of steady motion at the first sample, as `start` has it, depends on a parameter."""
+    """Derivative of a steady-motion initial state, given by `start`, by a parameter."""
     step = _SMALL * (abs(values[name]) or 1.0)
     low, high = (start({**values, name: values[name] + by}) for by in (-step, step))
     return np.asarray((high - low) / (2 * step))
 
 
 def _moved_start(out: ClosedLoopRun, position: float, velocity: float) -> FloatArray:
-    """Return how the first state depends on the motor's position (1, 0) or velocity (0, 1).
+    """Derivative of the first state by motor position (1, 0) or velocity (0, 1).
 
-    It is affine in both, on one side of 0, but for what gravity, or a law in pieces, bends.
+    It is affine on one side of 0, up to gravity and piecewise laws.
     """
     if velocity and out.velocity == 0.0:  # the drag of steady motion jumps there
         return np.array([0.0, 1.0, 0.0, 1.0])
@@ -336,7 +328,7 @@ def _moved_start(out: ClosedLoopRun, position: float, velocity: float) -> FloatA
 
 
 def _moved_memory(out: ClosedLoopRun, by: tuple[float, float, float]) -> FloatArray:
-    """Return how the feedback's first states depend on the motor's position and velocity, and on the torque: affine."""
+    """Derivative of the feedback's first states by position, velocity and torque."""
     ends = []
     for size in (0.0, 1.0):
         torque = None if out.torque is None else out.torque + size * by[2]
@@ -345,12 +337,9 @@ def _moved_memory(out: ClosedLoopRun, by: tuple[float, float, float]) -> FloatAr
 
 
 def _explicit(out: ClosedLoopRun, name: str) -> tuple[FloatArray, FloatArray]:
-    """Return how the elements, (periods, elements), and their limits, (elements,), depend on a number of the law.
+    """Derivatives of elements, (periods, elements), and limits by a law's number.
 
-    The position, and what limits and gates take away, are held.
-
-    Raises:
-        MethodError: the law has another structure beside the number, as without an integral.
+    Position, and excesses of limits and gates, are held.
     """
     experiment, controller = out.experiment, out.loop.controller
     value = number(controller, name)
@@ -371,7 +360,7 @@ def _explicit(out: ClosedLoopRun, name: str) -> tuple[FloatArray, FloatArray]:
 
 
 def require_same_structure(low: SampledLaw, high: SampledLaw, name: str) -> None:
-    """Raise a `MethodError` if what a number of the controller belongs to is not there, such as an integral."""
+    """Refuse a controller number whose part is absent, such as an integral."""
     if high.limits.size != low.limits.size or (high.integral() is None) != (low.integral() is None):
         raise MethodError(
             f"The {name} of this controller is 0, and what it belongs to is not there, so it has no derivative; "
@@ -393,7 +382,7 @@ def _cut(out: ClosedLoopRun, inputs: FloatArray) -> FloatArray:
 
 
 def _begun(law: SampledLaw, inputs: FloatArray, out: ClosedLoopRun) -> FloatArray:
-    """Return all states of a law at the first period of a run, (states,)."""
+    """States of a law at the first period of a run, (states,)."""
     state = law.known_memory(inputs) + law.memory(POSITION, out.position, out.velocity)
     integral = law.integral() if out.torque is not None else None
     if integral is None or out.torque is None:

@@ -1,8 +1,4 @@
-"""The answer that every simulation gives: of one joint, exact to rounding, and of a robot, to the order that it states.
-
-`closed_loop.simulate` and `robots.simulate_robot` run a candidate, never raise for its sake, and say how the run ended.
-What compares torques, writes them or draws them needs no more than this, and does not see which of them it was.
-"""
+"""Common result of simulations of a joint (exact) and a robot (finite order)."""
 
 from __future__ import annotations
 
@@ -21,19 +17,19 @@ class Simulated(Protocol):
 
     @property
     def torque(self) -> FloatArray:
-        """The torque as the record would show it, (samples,), or of a robot (samples, n); held after a failure."""
+        """Torque as logged, (samples,), or (samples, n) for a robot; held after a failure."""
 
     @property
     def outcome(self) -> StrEnum:
-        """How the run ended, as the sentence to print; `FINISHED` for one joint and for a robot."""
+        """How the run ended, as a sentence; `FINISHED` on success."""
 
     @property
     def finished(self) -> float:
-        """The share of the record that was simulated."""
+        """Simulated share of the record."""
 
     @property
     def events(self) -> int:
-        """Reversals, stops and starts that were located."""
+        """Number of located reversals, stops and starts."""
 
 
 Run = TypeVar("Run", bound=Simulated)
@@ -44,10 +40,10 @@ def require_finished(run: Run, of_what: str = "The simulation") -> Run:
 
     Args:
         run: of a joint or a robot.
-        of_what: was simulated, as the sentence begins.
+        of_what: subject of the sentence.
 
     Raises:
-        MethodError: it did not; the sentence says how far it came, and why no farther.
+        MethodError: it failed; the sentence states progress and reason.
     """
     if run.outcome != FINISHED:
         raise MethodError(

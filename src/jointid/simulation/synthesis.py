@@ -1,4 +1,4 @@
-"""Records made by simulation: a loop that is driven, and logged as a drive would log it."""
+"""Simulated records of a loop, as a drive would log them."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def simulated_record(
     tap: Tap | str = Tap.COMMAND,
     name: str = "simulation",
 ) -> Record:
-    """Drive a loop along a reference and return its log: torque held between samples, positions sampled.
+    """Simulate a loop along a reference and return its log.
 
     Args:
         loop: joint and controller.
@@ -87,9 +87,9 @@ def simulated_record(
 def as_record(
     driven: Record, run: Simulation, *, torque_noise: ArrayLike | None = None, encoder_step: float = 0.0
 ) -> Record:
-    """Return the record a drive would have logged in a run: what drove it, with torque and positions of the run.
+    """Build the log of a run: inputs, torque and positions.
 
-    The run was prepared from `driven`; of noise and encoder step see `simulated_record`.
+    `driven` are the run's inputs; for noise and encoder step see `simulated_record`.
     """
     assert driven.reference is not None
     logged, position = driven.torque, driven.reference.unit

@@ -1,4 +1,4 @@
-"""Compile the kernels before they are needed, in two processes where there are two cores.
+"""Compile the kernels beforehand, in two processes if possible.
 
 ``python -m jointid.simulation.warm_up`` compiles all of them, as the last step of an installation or of an image.
 """
@@ -28,9 +28,8 @@ def warm_up(*, derivatives: bool = True, wait: bool = False) -> None:
     """Compile the simulation of a joint, or load it from the cache.
 
     Args:
-        derivatives: also compile what an identification needs, in another process where there is a second core.
-        wait: return once all is compiled. Otherwise the other process may still compile; a call that needs one of
-            its kernels waits for it.
+        derivatives: also compile the derivatives, in another process if there is a second core.
+        wait: return once all is compiled; otherwise a call waits for its kernels.
     """
     from jointid.simulation.kernels import drive_sensitivities, stepped_drive
 
@@ -47,13 +46,13 @@ def _compile_derivatives() -> None:
 
 
 def compile_drive() -> None:
-    """Compile the simulation of a drive whose laws are lines in pieces."""
+    """Compile the simulation of piecewise linear drives."""
     loop = ClosedLoop(RigidJoint(), Cascade(position_gain=1.0, velocity_gain=1.0))
     simulate_torque(loop, prepare(loop, _at_rest()), dict.fromkeys(("inertia", "viscous", "coulomb", "offset"), 1.0))
 
 
 def compile_derivatives() -> None:
-    """Compile the derivatives of such a simulation by a call without a period, which needs no simulation."""
+    """Compile their derivatives by a call without a period."""
     from jointid.simulation.kernels import drive, drive_sensitivities
 
     lanes = drive_sensitivities.LANES

@@ -1,5 +1,4 @@
-"""Minimise a problem, or solve its estimating equations, within bounds: `solve(problem, solver, start)`.
+"""Solvers of a problem or its estimating equations: `solve(problem, solver, start)`.
 
-A solver is a frozen dataclass of its settings, one file for each kind; all of them return a `Solution`. No solver knows
-what a joint is.
+A solver is a frozen dataclass of settings and returns a `Solution`; it knows nothing about joints.
 """

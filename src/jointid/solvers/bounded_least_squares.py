@@ -1,9 +1,7 @@
-"""Bounded least squares: by Levenberg and Marquardt's steps, or by SciPy's trust region (Branch, Coleman and Li 1999).
+"""Bounded least squares: Levenberg-Marquardt, or SciPy's trust region (Branch, Coleman, Li 1999).
 
-Every step of the former is the minimum of the damped linear problem inside the bounds (SciPy's bounded-variable least
-squares on the small triangular factor). A trust region reflects at a bound: where a Coulomb friction belongs on its
-bound of 0, as where a real friction law is not that of the model, it creeps towards it for a hundred evaluations; the
-steps take ten. Both have a stop that knows rounding.
+Each Levenberg-Marquardt step minimises the damped linear problem within the bounds. A trust region reflects at a bound
+and needs a hundred evaluations where a Coulomb friction ends at 0; these steps need ten. Both stop at rounding.
 """
 
 from __future__ import annotations
@@ -59,7 +57,7 @@ class LevenbergMarquardt:
     enough: float = 0.0
 
     def solve(self, problem: Problem, start: FloatArray, watch: Watch) -> Solution:
-        """Return where one descent ends; the trace begins with the start."""
+        """Run one descent; the trace begins with the start."""
         counted, bounds, x = Counted.of(problem), Bounds.of(problem.free), start
         before = counted.evaluations
         error, J = counted.linearised(x)
@@ -121,14 +119,14 @@ def _gain(norm: float, after: FloatArray) -> float:
 
 
 def damped_step(error: FloatArray, J: FloatArray, room: Bounds, damping: float, widths: FloatArray) -> FloatArray:
-    """Return what minimises ``||e + J s||^2 + damping ||D s||^2`` within bounds, D the norms of the columns.
+    """Minimise ``||e + J s||^2 + damping ||D s||^2`` within bounds, D the column norms.
 
     Args:
         error: (rows,).
         J: its derivatives, (rows, free).
-        room: that the step has.
-        damping: of it.
-        widths: (free,) from bound to bound of each parameter, however short the step is to be.
+        room: bounds of the step.
+        damping: factor of the penalty.
+        widths: (free,) distances between the bounds of each parameter.
     """
     from scipy.optimize import lsq_linear
 
@@ -164,7 +162,7 @@ class TrustRegion:
     size: float | None = None
 
     def solve(self, problem: Problem, start: FloatArray, watch: Watch) -> Solution:
-        """Return where one descent within the bounds ends; from where nothing can be evaluated there is none."""
+        """Run one descent within the bounds from an evaluable start."""
         from scipy.optimize import least_squares
 
         counted, bounds, trace = Counted.of(problem), Bounds.of(problem.free), list[Step]()
@@ -177,7 +175,9 @@ class TrustRegion:
             message = explain(status, 1, self.tolerance)
             return Solution(start, error, J, status, message, (), counted.evaluations - before)
         if self.size is not None:
-            unit = _units(start, error, J)
+            norms = np.linalg.norm(J, axis=0)
+            sizes = float(np.linalg.norm(error)) / np.where(norms > 0, norms, np.inf)
+            unit = np.where(start != 0.0, np.abs(start), np.where(sizes > 0, sizes, 1.0))
 
         def residual(y: FloatArray) -> FloatArray:
             return (counted.linearised(y * unit)[0] if self.eager else counted.residual(y * unit)) / size
@@ -207,18 +207,11 @@ class TrustRegion:
 
 
 def _arrived(bounds: Bounds, x: FloatArray, error: FloatArray, J: FloatArray, tolerance: float) -> bool:
-    """Whether so much less than the tolerance could be gained that a step would only follow rounding."""
+    """Test whether the possible gain is within rounding of the tolerance."""
     moving = ~bounds.blocked(x, -(J.T @ error))
     columns = J[:, moving] / column_norms(J[:, moving])
     step = np.linalg.lstsq(columns, error, rcond=1e-12)[0]
     return bool(np.sum((columns @ step) ** 2) < _THERE * tolerance * max(float(error @ error), 1e-300))
-
-
-def _units(x: FloatArray, error: FloatArray, J: FloatArray) -> FloatArray:
-    """Return the size of every parameter: its start, or where that is 0 what moves the residual by itself."""
-    norms = np.linalg.norm(J, axis=0)
-    sizes = float(np.linalg.norm(error)) / np.where(norms > 0, norms, np.inf)
-    return np.where(x != 0.0, np.abs(x), np.where(sizes > 0, sizes, 1.0))
 
 
 def explain(status: Status, evaluations: int, tolerance: float) -> str:

@@ -1,4 +1,4 @@
-"""Gauss and Newton's steps, or those of a regressor in the place of the derivatives, repeated until nothing changes."""
+"""Gauss-Newton iteration, with derivatives or a regressor in their place."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _PATIENCE = 8  # iterations without a better one: an approximate Jacobian may we
 
 
 class Iterate(Protocol):
-    """One iterate: the parameters, what they leave, and what their changes are measured against."""
+    """An iterate: parameters, residual and reference norm."""
 
     @property
     def x(self) -> FloatArray:
@@ -41,7 +41,7 @@ class Iterate(Protocol):
 
     @property
     def evaluable(self) -> bool:
-        """Whether there is anything to go on from."""
+        """Whether the iteration can continue from here."""
 
 
 _Iterate = TypeVar("_Iterate", bound=Iterate)
@@ -49,7 +49,7 @@ _Iterate = TypeVar("_Iterate", bound=Iterate)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ended(Generic[_Iterate]):
-    """The iterate at which it ended, and why.
+    """Final iterate and reason for stopping.
 
     Attributes:
         at: the iterate.
@@ -88,11 +88,7 @@ class GaussNewton:
     size: float = 0.0
 
     def solve(self, problem: Problem, start: FloatArray, watch: Watch) -> Solution:
-        """Return where the exact steps end; bounds are not asked for.
-
-        Raises:
-            MethodError: the derivatives do not determine the parameters; the sentence names those involved.
-        """
+        """Iterate exact steps; bounds are ignored."""
         counted, trace = Counted.of(problem), list[Step]()
         before, names = counted.evaluations, tuple(p.name for p in problem.free)
 
@@ -117,13 +113,13 @@ class GaussNewton:
         step: Callable[[_Iterate], FloatArray],
         note: Callable[[_Iterate, _Iterate], None],
     ) -> Ended[_Iterate]:
-        """Repeat a step until nothing changes; where it does not end well, return the best iterate.
+        """Repeat a step until convergence; otherwise return the best iterate.
 
         Args:
             evaluate: parameters in, an iterate out.
-            at: where to begin.
+            at: initial iterate.
             step: from an iterate to the next parameters.
-            note: is told every iterate, and the one before.
+            note: callback with every iterate and its predecessor.
         """
         best, since, change, largest = at, 0, np.inf, np.inf
         status = Status.EVALUATION_LIMIT
@@ -165,7 +161,7 @@ class GaussNewton:
         )
 
     def _advance(self, evaluate: Callable[[FloatArray], _Iterate], at: _Iterate, x: FloatArray) -> _Iterate:
-        """Take a step to `x`, halved while it cannot be evaluated or leaves more than is allowed."""
+        """Step to `x`, halved while evaluation fails or the residual grows too much."""
         after = evaluate(x)
         for _ in range(self.halvings):
             if after.evaluable and after.norm <= self.worst * at.norm:
@@ -174,7 +170,7 @@ class GaussNewton:
         return after
 
     def _exact(self, at: Iterate) -> bool:
-        """Whether the measurement is met to rounding: there is nothing left that a step could follow."""
+        """Test whether the residual is within rounding."""
         return at.norm <= _ROUNDING * self.size
 
     def _small(self, change: float, step: float) -> bool:

@@ -1,4 +1,4 @@
-"""Nelder and Mead's simplex by the rules of MATLAB's ``fminsearch``, restarted because it stops early."""
+"""Nelder-Mead simplex by the rules of MATLAB's ``fminsearch``, with restarts."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _IMPROVED = 1e-4  # of the criterion: a restart that gains less was not needed
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NelderMead:
-    """Settings of the simplex search: its coefficients and stopping rule are those of ``fminsearch``.
+    """Settings of the simplex search, with the coefficients and stopping rule of ``fminsearch``.
 
     Attributes:
         tolerance: relative, of every parameter; the criterion's is its square.
@@ -32,7 +32,7 @@ class NelderMead:
     size: float = 1.0
 
     def solve(self, problem: Problem, start: FloatArray, watch: Watch) -> Solution:
-        """Return where the last run ends. Bounds are not asked for; the derivatives are evaluated at the end only."""
+        """Search from a start; bounds are ignored, derivatives evaluated at the end."""
         from scipy.optimize import minimize
 
         counted, x, trace = Counted.of(problem), start, list[Step]()
@@ -79,6 +79,6 @@ class NelderMead:
 
 
 def sizes_of(x: FloatArray) -> FloatArray:
-    """Return the size each parameter is searched on; a friction that came out at zero still needs one."""
+    """Search scale of each parameter; 0 gets a scale, too."""
     sizes = np.abs(x)
     return np.asarray(np.where(sizes > 0, sizes, np.max(sizes) * 1e-6))

@@ -1,6 +1,6 @@
-"""Linear least squares by QR, with what it can say of itself; and instrumental variables.
+"""Linear least squares by QR, and instrumental variables.
 
-The latter solve ``Z' e = 0`` with instruments Z that what disturbs the residual e cannot reach.
+Instrumental variables solve ``Z' e = 0`` with instruments Z that are uncorrelated with the disturbance.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _LONGEST = 0.3  # of a parameter that keeps its sign: the longest step
 
 @dataclass(frozen=True, slots=True)
 class Conditioning:
-    """The condition number of a regressor, three ways; only like may be compared with like.
+    """The condition number of a regressor, by three definitions.
 
     Attributes:
         raw: of the columns as they are; depends on the units.
@@ -69,9 +69,6 @@ def least_squares(W: FloatArray, Y: FloatArray, names: tuple[str, ...]) -> Fit:
 
     The variance of the residual is ``||Y - W x||^2 / (r - b)`` for r rows and b parameters. (The EMPS report takes
     the sample variance, r - 1: a relative difference of (b - 1) / 2r in the deviations, 0.06 % there.)
-
-    Raises:
-        MethodError: fewer rows than parameters, or the columns are collinear; the sentence names those involved.
     """
     rows, count = W.shape
     values, norms, R = _solved(W, Y, names)
@@ -85,12 +82,12 @@ def least_squares(W: FloatArray, Y: FloatArray, names: tuple[str, ...]) -> Fit:
 
 
 def solution(W: FloatArray, Y: FloatArray, names: tuple[str, ...]) -> FloatArray:
-    """Return what `least_squares` does, (parameters,), without what it says of itself: all that a search asks."""
+    """Solution of `least_squares`, parameters only, (parameters,)."""
     return _solved(W, Y, names)[0]
 
 
 def _solved(W: FloatArray, Y: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the solution, the norms of the columns, and the triangle of the columns divided by them."""
+    """Return the solution, the column norms and the triangle of the scaled columns."""
     rows, count = W.shape
     if rows <= count:
         raise MethodError(
@@ -104,7 +101,7 @@ def _solved(W: FloatArray, Y: FloatArray, names: tuple[str, ...]) -> tuple[Float
 
 
 def refuse_idle(columns: FloatArray, names: tuple[str, ...]) -> None:
-    """Raise a `MethodError` that names the parameters whose columns, (rows, parameters), are zero."""
+    """Refuse columns (rows, parameters) of zeros; the sentence names the parameters."""
     norms = np.linalg.norm(columns, axis=0)
     idle = [name for name, norm in zip(names, norms, strict=True) if not norm > 0]
     if idle:
@@ -115,7 +112,7 @@ def refuse_idle(columns: FloatArray, names: tuple[str, ...]) -> None:
 
 
 def _refuse_collinear(R: FloatArray, names: tuple[str, ...]) -> None:
-    """Look at the triangle of columns of norm 1, which has their singular values."""
+    """Refuse collinear columns, by the triangle of the scaled columns."""
     _, sizes, directions = np.linalg.svd(R)
     if sizes[-1] > _RANK * sizes[0]:
         return
@@ -159,7 +156,7 @@ class InstrumentalVariables:
     iterations: int = 25
 
     def solve(self, problem: InstrumentProblem, start: FloatArray, watch: Watch) -> InstrumentalSolution:
-        """Return the solution within the bounds; a parameter that a step would lead beyond its bound stays there."""
+        """Solve within the bounds; parameters at a bound stay there."""
         counted, bounds, x, trace = Counted.of(problem), Bounds.of(problem.free), start, list[Step]()
         before, status = counted.evaluations, Status.EVALUATION_LIMIT
         error, J = counted.linearised(x)
@@ -186,7 +183,7 @@ class InstrumentalVariables:
     def _step(
         self, bounds: Bounds, x: FloatArray, error: FloatArray, J: FloatArray, Z: FloatArray
     ) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Return a step, (free,), no longer than is allowed, and the parameters that it moves."""
+        """Return a limited step, (free,), and the parameters that it moves."""
         moving = ~self.kept & (np.linalg.norm(Z, axis=0) > 0) & (np.linalg.norm(J, axis=0) > 0)
         while True:
             step = np.zeros(x.size)
@@ -201,9 +198,9 @@ class InstrumentalVariables:
 
 
 def projection(Z: FloatArray, J: FloatArray) -> FloatArray:
-    """Return ``(Z' J)^-1 Z'``, (parameters, rows), with columns of one size: their units differ by powers of ten.
+    """Return ``(Z' J)^-1 Z'``, (parameters, rows), computed with scaled columns.
 
-    A parameter whose column is zero, which nothing excites, has a row of zeros.
+    A parameter with a zero column has a row of zeros.
     """
     of_Z, of_J = column_norms(Z), column_norms(J)
     scaled = np.linalg.pinv((Z / of_Z).T @ (J / of_J)) @ (Z / of_Z).T

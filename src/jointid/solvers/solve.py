@@ -1,7 +1,6 @@
-"""The verb `solve` and what it works on: a problem, as a solver sees it, where a solver ended, and several starts.
+"""The verb `solve`: problems, solutions and multistart.
 
-A closed loop, a prescribed motion, a prescribed torque, or several records together are the same to a solver, and so
-will be one joint and a robot of many.
+Closed loop, prescribed motion, prescribed torque and several records look the same to a solver.
 """
 
 from __future__ import annotations
@@ -20,31 +19,28 @@ _SAME = 1e-4  # of the criterion: two ends so near are one
 
 
 class Problem(Protocol):
-    """A vector of free parameters in, the filtered, decimated residual (measured less predicted) out."""
+    """Maps free parameters to the filtered, decimated residual (measured less predicted)."""
 
     @property
     def free(self) -> tuple[Parameter, ...]:
-        """The parameters that are identified, in the order of every vector and column, with their bounds."""
+        """Identified parameters with bounds, in the order of vectors and columns."""
 
     def residual(self, x: FloatArray) -> FloatArray:
-        """Return the residual, (rows,); large and finite where the candidate cannot be simulated."""
+        """Residual, (rows,); large and finite where simulation fails."""
 
     def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free).
-
-        The derivatives are all 0 where the candidate cannot be simulated.
-        """
+        """Residual, (rows,), and derivatives, (rows, free); the latter 0 where simulation fails."""
 
 
 class InstrumentProblem(Problem, Protocol):
-    """A problem with instruments: columns that go with the derivatives, but not with what disturbs the residual."""
+    """A problem with instruments, correlated with the derivatives but not the disturbance."""
 
     def instruments(self, x: FloatArray) -> FloatArray:
         """Return the instruments, (rows, free)."""
 
 
 class Status(Enum):
-    """Why a solver ended: a sentence, what to do next, and whether it is a good end."""
+    """Why a solver ended, with advice, and whether it succeeded."""
 
     STEP = ("the parameters changed by less than the tolerance", "", True)
     COST = ("the criterion changed by less than the tolerance", "", True)
@@ -101,7 +97,7 @@ Watch: TypeAlias = Callable[[Step], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """Where a solver ended.
+    """Result of a solver.
 
     Attributes:
         x: the free parameters.
@@ -125,19 +121,19 @@ class Solution:
 
     @property
     def converged(self) -> bool:
-        """Whether it is a good end."""
+        """Whether the solver succeeded."""
         return self.status.converged
 
 
 @dataclass(slots=True)
 class Tally:
-    """A count of evaluations, which several problems may share."""
+    """An evaluation count that problems can share."""
 
     evaluations: int = 0
 
 
 class Counted:
-    """A problem that counts how often it is evaluated, and evaluates a point that is linearised again only once.
+    """Wrapper that counts evaluations and caches the last linearised point.
 
     Attributes:
         problem: that is evaluated.
@@ -150,17 +146,17 @@ class Counted:
 
     @classmethod
     def of(cls, problem: Problem) -> Counted:
-        """Return a problem that counts: itself, if it does already."""
+        """Wrap a problem, unless it counts already."""
         return problem if isinstance(problem, cls) else cls(problem)
 
     @property
     def evaluations(self) -> int:
-        """So far, of all problems that share the tally."""
+        """Evaluations so far, of all problems that share the tally."""
         return self.tally.evaluations
 
     @property
     def free(self) -> tuple[Parameter, ...]:
-        """The parameters that are identified."""
+        """Identified parameters."""
         return self.problem.free
 
     def residual(self, x: FloatArray) -> FloatArray:
@@ -169,14 +165,14 @@ class Counted:
         return self.problem.residual(x)
 
     def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the residual, (rows,), and its derivatives, (rows, free)."""
+        """Residual, (rows,), and derivatives, (rows, free)."""
         if self._last is None or not np.array_equal(self._last[0], x):
             self.tally.evaluations += 1
             self._last = (x.copy(), self.problem.linearised(x))
         return self._last[1]
 
     def remember(self, x: FloatArray, residual: FloatArray, derivatives: FloatArray) -> None:
-        """Take what is known of a point, as of another search that ended there: it is not evaluated again."""
+        """Cache the residual and derivatives at a point."""
         self._last = (x.copy(), (residual, derivatives))
 
 
@@ -185,15 +181,15 @@ _Problem = TypeVar("_Problem", bound=Problem)
 
 
 class Solver(Protocol[_Solved_contra]):
-    """A way to the solution of a kind of problem, with its settings."""
+    """A solution method with its settings."""
 
     def solve(self, problem: _Solved_contra, start: FloatArray, watch: Watch) -> Solution:
-        """Return where the solver ends from a start within the bounds."""
+        """Solve from a start within the bounds."""
 
 
 @dataclass(frozen=True, slots=True)
 class Multistart:
-    """One solver, begun at several starts.
+    """One solver with several starts.
 
     Attributes:
         solver: of one start.
@@ -202,7 +198,7 @@ class Multistart:
     solver: Solver[Problem]
 
     def solve(self, problem: Problem, start: FloatArray, watch: Watch) -> Solution:
-        """Return the lowest end of several starts, (starts, free), and how many of them led there."""
+        """Return the best solution over starts, (starts, free), and how many agree."""
         counted = Counted.of(problem)
         before = counted.evaluations
         ends = [self.solver.solve(counted, x, watch) for x in np.atleast_2d(start)]
@@ -218,10 +214,9 @@ def solve(problem: _Problem, solver: Solver[_Problem], start: FloatArray, watch:
     """Solve a problem from a start.
 
     Args:
-        problem: what is solved; it stays as it is. One that is `Counted` goes on counting, and is not evaluated again
-            where it was linearised last.
+        problem: left unchanged; a `Counted` one keeps its count and cache.
         solver: with its settings.
-        start: (free,), brought within the bounds of the free parameters; (starts, free) for `Multistart`.
-        watch: is told every step.
+        start: (free,), clipped to the bounds; (starts, free) for `Multistart`.
+        watch: callback for every step.
     """
     return solver.solve(problem, Bounds.of(problem.free).clip(np.asarray(start, dtype=np.float64)), watch)

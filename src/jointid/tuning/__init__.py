@@ -1,1 +1,1 @@
-"""Tuning: margins of an estimate's loop over its interval, gains, a notch and feed-forward."""
+"""Tuning: margins of an estimate's loop, gains, a notch and feed-forward."""

@@ -1,13 +1,12 @@
-"""The joints an estimate leaves possible, and the worst of them: an ellipsoid of errors, or all springs above a bound.
+"""Possible joints of an estimate, and the worst of them.
 
-Whatever is stated of a loop is the worst over all of these joints. Where every parameter is told, they are those of the
-confidence ellipsoid of the parameters that move the loop (inertias, viscous frictions, spring and damper)::
+If every parameter is significant, these are the joints of the confidence ellipsoid of the parameters that move the loop
+(inertias, viscous frictions, spring and damper)::
 
     (x - x0)' C^-1 (x - x0) <= q,    q the quantile of chi-square with as many degrees of freedom as parameters
 
-which holds all of them together with the stated confidence, so that any number of margins, of loops chosen from the
-same record too, hold together at least as often. A quantile of each margin by itself would be nearer to the estimate,
-but would hold only for a loop that was chosen without looking.
+It holds all parameters together, so that any number of margins hold together with at least this confidence, also for
+loops designed from the same record. A refused stiffness gives all springs above its bound.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ _TURNED = 0.3  # how far these are from it, in the unit ball
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Interval:
-    """The joints that are possible.
+    """The possible joints.
 
     Attributes:
         joint: their model.
@@ -63,11 +62,11 @@ class Interval:
         return [dict(self.nominal) | dict(zip(self.names, map(float, row), strict=True)) for row in values]
 
     def sample(self, points: FloatArray, law: SampledLaw) -> JointSet:
-        """Sample the joints at points of the unit ball, (points, names), and those beside it, for a law."""
+        """Sample the joints for a law, at points of the unit ball, (points, names), and besides."""
         return joint_set(self.joint, [*self.at(points), *self.others], law)
 
     def points(self, seed: int) -> FloatArray:
-        """Return the centre, both ends of every axis and random points of the surface, (points, names)."""
+        """Centre, both ends of every axis and random surface points, (points, names)."""
         count = len(self.names)
         if not count:
             return np.zeros((1, 0))
@@ -77,15 +76,12 @@ class Interval:
 
 
 def possible_joints(estimate: Estimate, confidence: float, sample_time: float) -> Interval:
-    """Return the joints that an estimate leaves possible.
+    """Determine the joints that an estimate allows.
 
     Args:
         estimate: with deviations and correlations.
         confidence: of all its parameters together.
-        sample_time: of the controller, seconds: springs are tried up to half its frequency.
-
-    Raises:
-        MethodError: the estimate has no deviations, or a stiffness that is refused and not bounded.
+        sample_time: of the controller, seconds; springs are considered up to its Nyquist frequency.
     """
     if estimate.checks.bounds:
         return _springs(estimate, confidence, 0.5 / sample_time)
@@ -116,14 +112,14 @@ def possible_joints(estimate: Estimate, confidence: float, sample_time: float) -
 
 
 def ellipsoid_radius(parameters: int, confidence: float) -> float:
-    """Return the radius of a confidence ellipsoid, in standard deviations: the root of chi-square's quantile."""
+    """Radius of a confidence ellipsoid in standard deviations."""
     from scipy.special import gammaincinv
 
     return math.sqrt(2.0 * float(gammaincinv(parameters / 2.0, confidence))) if parameters else 0.0
 
 
 def _springs(estimate: Estimate, confidence: float, last: float) -> Interval:
-    """Return the joints of a spring that is refused: none softer than its bounds, at the load shares of the bounds."""
+    """Joints with a refused stiffness, from its bounds upwards, at their load shares."""
     assert isinstance(estimate.settings.joint, FlexibleJoint) and estimate.checks.known is not None
     bounded = [bound for bound in estimate.checks.bounds if bound.frequency is not None]
     if not bounded:
@@ -162,17 +158,16 @@ def _springs(estimate: Estimate, confidence: float, last: float) -> Interval:
 def find_worst_case(
     interval: Interval, law: SampledLaw, points: FloatArray, seed: int = 0
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the worst margins over an interval: over given points, then down their slopes and around the worst.
+    """Find the worst margins: at given points, along their slopes and nearby.
 
     Args:
         interval: of the joints.
         law: of the controller.
         points: (points, names) of the unit ball, to begin with.
-        seed: of the joints that are tried around the worst.
+        seed: of the random joints near the worst.
 
     Returns:
-        Each margin, (5,), the smallest over all joints that were looked at; the points of the unit ball, (found,
-        names), of the joints that are worst in one of them.
+        The smallest of each margin, (5,), and the points of the unit ball with it, (found, names).
     """
     margins = interval.sample(points, law).margins(law)
     if not interval.names:
@@ -190,7 +185,7 @@ def find_worst_case(
 
 
 def _downhill(points: FloatArray, margins: FloatArray) -> FloatArray:
-    """Return, for every margin, where on the surface its straight part is smallest."""
+    """For every margin, the surface point at which its linear part is smallest."""
     found = []
     for one in margins.T:
         stable = np.isfinite(one) & (margins[:, -1] > 0)
@@ -213,13 +208,13 @@ def _around(points: FloatArray, margins: FloatArray, rng: np.random.Generator) -
 def joint_with_mode(
     known: Mapping[str, float], friction: Mapping[str, float], inertia: float, share: float, mode: float
 ) -> dict[str, float]:
-    """Return a flexible joint of a whole inertia with a mode, lightly damped, its friction on the motor's side.
+    """A flexible joint with a lightly damped mode and the friction on the motor's side.
 
     Args:
-        known: what a flexible and a rigid joint have alike, and what is fixed, by name.
-        friction: of the whole joint, in the names of a rigid one.
-        inertia: of the whole joint.
-        share: of the load in it.
+        known: shared and fixed parameters of flexible and rigid joint, by name.
+        friction: total, in the names of a rigid joint.
+        inertia: total.
+        share: of the load.
         mode: Hz, free-free.
     """
     found = dict(known) | {f"motor_{name}": value for name, value in friction.items()}
@@ -228,7 +223,7 @@ def joint_with_mode(
 
 
 def lowest_mode(modes: Sequence[float], kept: Sequence[bool]) -> float | None:
-    """Return the mode from which on all of rising modes keep what is asked; None where the last does not."""
+    """Lowest mode from which on all keep the margins; None if the last does not."""
     for mode, good in zip(reversed(modes), reversed(kept), strict=True):
         if not good:
             break

@@ -1,14 +1,12 @@
-"""The loop of a sampled law and of joints under it: its response where it is cut open, its stability and its margins.
+"""Open-loop response, stability and margins of a sampled law and joints.
 
-The loop is cut at the torque: ``L(z) = -F(z) P(z)``, F the law's answer to the motor position and P the joint's,
-sampled exactly under a torque that is held, and late (`models.linear.SampledDrive`). Limits do not act. Gravity that
-follows the position is left out: it is a weak spring, far below the frequencies at which margins are read. A law whose
-parts run at several rates has no single response: L then has its part at the frequency itself, and the images that the
-slower loop makes of it are left out; its stability is exact all the same, over a whole cycle.
+The loop is cut at the torque: ``L(z) = -F(z) P(z)``, F the law's response to the motor position and P the joint's,
+sampled exactly under a held and delayed torque (`models.linear.SampledDrive`). Limits and position-dependent gravity, a
+weak spring, are ignored. For a multirate law, L is the component at the frequency itself, without images; its stability
+is exact over a whole cycle.
 
-All crossings count, not the first one: a lightly damped mode crosses several times. The response is taken as straight
-between the frequencies of a grid, which is dense where a mode turns it round (`grid`): within 0.3 % of what
-python-control finds on polynomials.
+All crossings count, since a lightly damped mode crosses several times. The response is interpolated linearly on a grid
+that is dense near modes (`grid`): within 0.3 % of python-control's result on polynomials.
 """
 
 from __future__ import annotations
@@ -39,7 +37,7 @@ NAMES = ("gain", "reduction", "phase", "delay", "modulus")
 
 @dataclass(frozen=True, slots=True)
 class Margins:
-    """The margins of a loop; all 0 where it is not stable, infinite where the response never crosses.
+    """Margins of a loop; 0 if unstable, infinite without a crossing.
 
     Attributes:
         gain: by how much the loop's gain may grow, a ratio. reduction: by how much it may fall, a ratio above 1.
@@ -86,7 +84,7 @@ class JointSet:
         return np.asarray(-feedback.feedback(self.hertz) * self.position)
 
     def margins(self, law: SampledLaw) -> FloatArray:
-        """Return the margins of every candidate, (candidates, 5); 0 where its loop is not stable."""
+        """Margins of every candidate, (candidates, 5); 0 if unstable."""
         found = all_margins(self.response(law), self.hertz)
         found[spectral_radius(law, self.drive) >= _STABLE] = 0.0
         return np.asarray(np.min(found.reshape(-1, self.ways, len(NAMES)), axis=1))
@@ -103,7 +101,7 @@ def joint_set(joint: Joint, candidates: Sequence[Mapping[str, float]], law: Samp
 
 
 def grid(joints: LinearJoints, period: float) -> FloatArray:
-    """Return the frequencies in Hz at which the loops of some joints are looked at, up to half the sampling one."""
+    """Frequency grid for some joints, Hz, up to Nyquist."""
     last = 0.5 / period
     parts = [np.geomspace(_LOWEST * last, last, _BASE)]
     for kind in range(joints.modes.shape[1]):
@@ -118,11 +116,11 @@ def grid(joints: LinearJoints, period: float) -> FloatArray:
 
 
 def all_margins(response: ComplexArray, hertz: FloatArray) -> FloatArray:
-    """Return the margins of loops that are known to be stable, (loops, 5), in the order of `NAMES`.
+    """Margins of stable loops, (loops, 5), in the order of `NAMES`.
 
     Args:
-        response: (loops, frequencies) of the loops cut open.
-        hertz: (frequencies,) rising, the last at half the sampling frequency, where a response is real.
+        response: open-loop, (loops, frequencies).
+        hertz: (frequencies,) rising, the last at Nyquist, where a response is real.
     """
     before, after = response[:, :-1], response[:, 1:]
     gain, reduction = _of_gain(before, after, response[:, -1].real)
@@ -135,7 +133,7 @@ def all_margins(response: ComplexArray, hertz: FloatArray) -> FloatArray:
 
 
 def _of_gain(before: ComplexArray, after: ComplexArray, last: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the factors by which the gains may grow, and fall, until a response passes through -1."""
+    """Factors by which gains may grow and fall until the response reaches -1."""
     grow, fall = (np.full(len(before), np.inf) for _ in range(2))
     loop, at = np.nonzero(np.signbit(before.imag) != np.signbit(after.imag))
     first, then = before[loop, at], after[loop, at]
@@ -148,7 +146,7 @@ def _of_gain(before: ComplexArray, after: ComplexArray, last: FloatArray) -> tup
 
 
 def _of_phase(before: ComplexArray, after: ComplexArray, hertz: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the phase margins and the delays that may be added."""
+    """Phase margins and admissible additional delays."""
     turn, late = (np.full(len(before), np.inf) for _ in range(2))
     inside = _square(before) < 1.0, _square(after) < 1.0
     loop, at = np.nonzero(inside[0] != inside[1])
@@ -167,13 +165,13 @@ def _square(response: ComplexArray) -> FloatArray:
 
 
 def crossover(response: ComplexArray, hertz: FloatArray) -> float:
-    """Return the highest frequency in Hz at which any of some loops has a gain of 1 or more; 0 where none has."""
+    """Highest frequency, Hz, at which any loop has a gain of 1; 0 if none."""
     above = np.any(np.abs(response) >= 1.0, axis=0)
     return float(hertz[np.flatnonzero(above)[-1]]) if above.any() else 0.0
 
 
 def spectral_radius(law: SampledLaw, drive: SampledDrive) -> FloatArray:
-    """Return the size of the closed loops' largest eigenvalue over a cycle, (joints,); stable below 1."""
+    """Largest closed-loop eigenvalue over a cycle, (joints,); stable below 1."""
     feedback, _ = law.split()
     reaching = _states_reaching_torque(feedback)
     order, states, waiting = int(np.sum(reaching)), drive.transition.shape[1], drive.waiting
@@ -201,7 +199,7 @@ def spectral_radius(law: SampledLaw, drive: SampledDrive) -> FloatArray:
 
 
 def _states_reaching_torque(law: SampledLaw) -> NDArray[np.bool_]:
-    """Return which states reach the torque: an integral of no weight may grow without effect."""
+    """States that affect the torque; an unused integral may grow."""
     reaching = np.any(law.C[:, law.output] != 0.0, axis=0)
     edges = np.any(law.A != 0.0, axis=0)  # (to, from)
     while not np.array_equal(more := reaching | (reaching @ edges), reaching):

@@ -1,16 +1,13 @@
-"""The smallest change of a joint that the same motion would detect, at a stated false-alarm rate.
+"""Smallest change of a joint that the same motion detects, at a false-alarm rate.
 
-A new record of the same motion, with the same noise, is identified as the first was, and the two estimates compared. A
-quantity with the standard deviation s in each of them differs by chance with the deviation sqrt(s1^2 + s2^2), which is
-s sqrt(2). A change is detected where the difference exceeds ``z(1 - a/2) sqrt(s1^2 + s2^2)``, z the normal quantile:
-without a change that happens in a share a of the comparisons. With a probability p it happens where the change is ::
+Two records of the same motion and noise give estimates of a quantity with standard deviation s each, whose difference
+has sqrt(s1^2 + s2^2), that is s sqrt(2). A change is detected if the difference exceeds ``z(1 - a/2) sqrt(s1^2 +
+s2^2)``, z the normal quantile, a the false-alarm rate. With a probability p this happens for ::
 
     change = (z(1 - a/2) + z(p)) sqrt(s1^2 + s2^2)
 
-(the power of a two-sided test; the wrong tail is left out). The deviations are those of the estimate, widened for what
-of the residual repeats with the motion. Such an error is the same in both records and leaves their difference, so
-where it is large this errs on the side of too large a change. What the estimate does not know to vary from record to
-record, as friction with temperature, is seen as a change, which it is.
+(power of a two-sided test without the wrong tail). The deviations include repeatable errors, which cancel in the
+difference, so the result is conservative. Variation between records, as of friction with temperature, counts as change.
 """
 
 from __future__ import annotations
@@ -47,7 +44,7 @@ class DetectableChange:
 
 @dataclass(frozen=True, slots=True)
 class MinimumDetectableChange(Documented):
-    """Smallest changes of a joint that the same motion would detect.
+    """Smallest detectable changes of a joint.
 
     Attributes:
         record: its name.
@@ -69,7 +66,7 @@ class MinimumDetectableChange(Documented):
         raise KeyError(name)
 
     def document(self, *, details: bool = False) -> Document:
-        """Return the table; there are no further details."""
+        """Table of the changes."""
         del details
         rows = tuple(
             (c.formula, c.name, number(c.value), number(c.size, 2), _percent(c), number(c.limit, 2), c.unit)
@@ -86,15 +83,12 @@ class MinimumDetectableChange(Documented):
 def compute_minimum_detectable_change(
     estimate: Estimate, *, false_alarm: float = 0.01, power: float = 0.9
 ) -> MinimumDetectableChange:
-    """Return the smallest change of each quantity that the same motion would detect (the module's equation).
+    """Compute the smallest detectable change of each quantity.
 
     Args:
         estimate: of a record; a new one is taken to have the same motion and noise.
         false_alarm: share of comparisons in which a change is reported where there is none, two-sided.
         power: share in which one is reported where there is one.
-
-    Raises:
-        MethodError: a share is not between 0 and 1, or no quantity of the estimate has a deviation.
 
     Limits: a change so large that the estimate's slopes are others at its end is detected a little sooner or later; one
     that a friction law of another shape makes is not a change of these parameters.

@@ -1,22 +1,22 @@
-"""What a loop is asked to keep; gains and a notch that keep it over an interval, as large as they may be; feed-forward.
+"""Gains, notch and feed-forward that keep margins over an interval of joints.
 
-A loop of the same structure is laid out for a rate w and a damping ratio d of the rigid joint with the whole inertia J
+A loop of the same structure is designed for a rate w and a damping ratio d of the rigid joint with total inertia J
 (g the controller's torque per unit, r a transmission's ratio)::
 
     Cascade   kv = w J / (g r^2),   kp = w / (4 d^2)
     PD, PID   kd = w J / (g r^2),   kp = kd w / (4 d^2)
 
-whose poles, without friction, delay or spring, are those of ``s^2 + w s + w^2 / (4 d^2)``. An integral keeps its time
-in units of 1/w. Of all w and d whose loop keeps the margins in the worst case, the one that holds its position stiffest
-is proposed (the largest w^2 / d^2).
+Without friction, delay or spring, its poles are those of ``s^2 + w s + w^2 / (4 d^2)``. An integral keeps its time in
+units of 1/w. Of all w and d that keep the margins in the worst case, those of the stiffest loop are proposed (largest
+w^2 / d^2).
 
-Feed-forward is what the reference alone says the torque should be, in a controller's own units. With the whole joint's
-viscous friction Fv, Coulomb friction Fc and constant force c::
+Feed-forward in controller units, with viscous friction Fv, Coulomb friction Fc and constant force c of the whole
+joint::
 
     acceleration J / (g r^2),   viscous Fv / (g r^2),   coulomb Fc / (g |r|),   constant c / (g r)
 
-are what takes the reference's acceleration, velocity and direction, as the law sees them, to its output. It is the
-torque of a rigid joint that follows its reference: good below about a fifth of the first resonance.
+multiplies acceleration, velocity and direction of the reference, as the law sees them. It is the torque of a rigid
+joint, valid below about a fifth of the first resonance.
 """
 
 from __future__ import annotations
@@ -105,13 +105,13 @@ class Tuning:
 
     @property
     def asked(self) -> FloatArray:
-        """The least margins, in the order of `margins.NAMES`; of the delay none is asked."""
+        """Required margins, in the order of `margins.NAMES`; none of the delay."""
         return np.array([self.gain_margin, self.gain_margin, math.radians(self.phase_margin), 0.0, self.modulus])
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """A loop that was laid out.
+    """A designed loop.
 
     Attributes:
         controller: with its gains. rate: w, rad/s. damping: d.
@@ -125,7 +125,7 @@ class Layout:
 
     @property
     def stiffness(self) -> float:
-        """The maximised quantity: the stiffness with which a position is held, divided by J / 4."""
+        """The objective: position stiffness divided by J / 4."""
         return (self.rate / self.damping) ** 2
 
 
@@ -136,7 +136,7 @@ def rate_of(controller: TunableController, inertia: float) -> float:
 
 
 def with_gains(controller: TunableController, inertia: float, rate: float, damping: float) -> TunableController:
-    """Return a controller of the same structure with other gains (the module's equations)."""
+    """Replace the gains of a controller (the module's equations)."""
     velocity, slow = rate * inertia / (controller.gain * controller.ratio**2), rate / (4 * damping**2)
     faster = rate / (rate_of(controller, inertia) or rate)
     if isinstance(controller, Cascade):
@@ -156,7 +156,7 @@ def with_gains(controller: TunableController, inertia: float, rate: float, dampi
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StiffestLoop:
-    """The search for the stiffest loop that keeps the margins for all of some joints.
+    """Search for the stiffest loop that keeps the margins for all joints.
 
     Attributes:
         joints: sampled for the controller's period and delay.
@@ -173,7 +173,7 @@ class StiffestLoop:
     band: float | None
 
     def find(self, controller: TunableController, mode: float | None) -> Layout | None:
-        """Return the stiffest loop of a controller's structure, with a notch at a mode, in Hz, where that pays."""
+        """Find the stiffest loop, with a notch at a mode, in Hz, if it helps."""
         best = self._best([(controller, None)])
         if mode is None or mode * (controller.period or self.sample_time) >= _HIGHEST:
             return best
@@ -195,7 +195,7 @@ class StiffestLoop:
         return best
 
     def _fastest(self, controller: TunableController, damping: float, best: Layout | None) -> float | None:
-        """Return the highest rate that keeps the margins, if its loop is stiffer than the best one so far."""
+        """Highest rate that keeps the margins, if stiffer than the best loop."""
         period = controller.period or self.sample_time
         present = rate_of(controller, self.inertia) or 0.02 / period
         rates = [float(rate) for rate in present * _RATES if rate * period < math.pi]
@@ -230,13 +230,13 @@ class StiffestLoop:
 
 
 def meets_margins(margins: FloatArray, settings: Tuning, by: float = 1.0) -> bool:
-    """True if all margins, (joints, 5), are at least the required ones times a factor."""
+    """Test all margins, (joints, 5), against the required ones times a factor."""
     return bool(np.all(margins >= by * settings.asked) and np.all(margins[:, -1] > 0))
 
 
 @dataclass(frozen=True, slots=True)
 class LumpedParameter:
-    """A weighted sum of parameters, both sides of a joint together.
+    """A weighted sum of the parameters of both sides.
 
     Attributes:
         formula: in symbols. value: in SI on the joint's side. std: None where nothing of it was free.
@@ -248,10 +248,9 @@ class LumpedParameter:
 
 
 def lumped_parameters(estimate: Estimate) -> dict[str, LumpedParameter]:
-    """Return inertia, viscous and Coulomb friction and the constant force of the whole joint, by those names.
+    """Total inertia, viscous and Coulomb friction and constant force, by name.
 
-    Of friction that differs with the direction viscous and Coulomb friction are the means of both directions, and half
-    the difference of the Coulomb forces belongs to the constant.
+    Direction-dependent friction is averaged; half the difference of the Coulomb forces belongs to the constant.
     """
     sides = ("motor_", "load_") if estimate.settings.joint.model == "flexible" else ("",)
     law = estimate.settings.joint.friction
@@ -299,14 +298,14 @@ def feedforward(
     drive: units.DriveUnits | None = None,
     shown: Mapping[str, DriveNumber] = MappingProxyType({}),
 ) -> tuple[FeedForward, ...]:
-    """Return the feed-forwards of an estimate.
+    """Compute the feed-forwards of an estimate.
 
     Args:
         estimate: of the joint.
-        controller: a `ServoController`, whose units are meant, as the joint sees it.
+        controller: a `ServoController` with the intended units, on the joint's side.
         whole: see `lumped_parameters`.
-        drive: with the rated torque, and the encoder's counts, if they are known.
-        shown: how the drive shows the numbers of the controller, by their names.
+        drive: with rated torque and encoder counts, if known.
+        shown: conversion to the drive's numbers, by name.
     """
     found, kind, torque = [], estimate.settings.joint.kind, estimate.data.torque_unit
     for name, key, quantity, power in _ROWS:
@@ -326,7 +325,7 @@ def feedforward(
 
 
 def _per_mille(name: str, value: float, estimate: Estimate, drive: units.DriveUnits | None) -> tuple[float | None, str]:
-    """Return a feed-forward in the drive's own units on the motor's side, and their name."""
+    """Feed-forward in the drive's units on the motor's side, and their name."""
     joint = estimate.settings.joint
     if drive is None or estimate.data.torque_unit not in ("N", "N m"):
         return None, ""
@@ -358,7 +357,7 @@ def _total(estimate: Estimate, weights: Mapping[str, float]) -> LumpedParameter:
 
 
 def _of_sums(estimate: Estimate, weights: Mapping[str, float], formula: str) -> LumpedParameter:
-    """Return a sum where only those of both sides are told; what their errors have in common is not kept: no less."""
+    """Sum of both sides if only sums are determined, ignoring error correlation."""
     assert estimate.checks.known is not None
     value, std = 0.0, 0.0
     for known in estimate.checks.known.physical:

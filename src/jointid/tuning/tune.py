@@ -1,4 +1,4 @@
-"""Tune a drive from an estimate: margins, gains, a notch, feed-forward, and the smallest detectable change."""
+"""Tune a drive from an estimate: margins, gains, notch, feed-forward, detectable change."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ _SHARES, _MODES = (0.3, 0.5, 0.7), 60  # of a spring that a rigid joint may have
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Case:
-    """The joints over which a loop's margins are computed."""
+    """Joints for the computation of margins."""
 
     estimate: Estimate
     interval: Interval
@@ -81,28 +81,25 @@ def tune(
     shown: Iterable[DriveNumber] = (),
     progress: Progress = silent,
 ) -> Tuned:
-    """Return the margins of an estimate's loop over its interval, and what to set in the drive.
+    """Compute the margins of an estimate's loop, and propose settings.
 
     Args:
         estimate: with the loop, its deviations and correlations: by DIDIM with least squares, rigid or flexible.
-        settings: the margins that are asked; see `Tuning`.
-        drive: a `Drive` with rated torque and encoder counts, to have feed-forward in these, too.
-        shown: how the drive shows its gains, as `jointid.config.JointFile.declared_numbers` has it.
-        progress: is told each step.
+        settings: the required margins; see `Tuning`.
+        drive: a `Drive` with rated torque and encoder counts, for feed-forward in these.
+        shown: conversion to the drive's numbers, as `jointid.config.JointFile.declared_numbers` returns.
+        progress: receives messages.
 
     Returns:
-        Margins of the loop as it is and of a proposed one, at the estimate and the worst over the interval; gains of
-        the same structure, a notch where the mode limits them, feed-forward, and the smallest changes that the same
-        motion would detect (`compute_minimum_detectable_change`).
+        Margins of the present and the proposed loop, nominal and worst case; gains of the same structure, a notch where
+        the mode limits them, feed-forward, and `compute_minimum_detectable_change`.
 
     Raises:
-        MethodError: the estimate has no controller, no deviations, or a stiffness that is refused and not bounded; or
-            a spring that is not linear.
+        MethodError: the estimate has no controller, no deviations, a refused stiffness without bounds, or a nonlinear
+            spring.
 
-    Limits: the loop is linear, without its limits, while the joint moves one way; a joint at rest is held by its
-    Coulomb friction besides. Gravity that follows the position is left out of the loop. Whatever the model does not
-    have, a second mode, say, is in no margin. Of a law that runs at several rates the images of the slower loop are
-    left out of the margins, though not of the stability.
+    Limits: the loop is linear, unsaturated and sliding; Coulomb friction also holds a joint at rest. Position-dependent
+    gravity, further modes, and images in multirate loops are not in the margins; stability includes the latter.
     """
     settings = settings or Tuning()
     if isinstance(estimate.settings.joint, FlexibleJoint):
@@ -131,6 +128,11 @@ def tune(
     whole, in_drive = lumped_parameters(estimate), {one.number: one for one in shown}
     notes = [*refusal, *_notes(case, present, proposed)]
     work.reach(work.total)
+    joints = linear_joints(case.interval.joint, [*case.interval.at(case.points), *case.interval.others])
+    found = [
+        state_response(A, B, np.asarray(2j * np.pi * present.response.hertz))[:, 1]
+        for A, B in zip(joints.A, joints.B, strict=True)
+    ]
     return Tuned(
         record=estimate.data.record,
         model=estimate.settings.joint.model,
@@ -143,7 +145,7 @@ def tune(
         notch=None if notch is None else ProposedNotch(notch, *notch.coefficients(period), period),
         feedforward=feedforward(estimate, controller, whole, drive, in_drive),
         detectable=compute_minimum_detectable_change(estimate, false_alarm=settings.false_alarm, power=settings.power),
-        joint=_joint_band(case, present.response.hertz),
+        joint=_band(present.response.hertz, np.array(found)),
         position_unit=POSITION_UNIT[estimate.settings.joint.kind],
         torque_unit=estimate.data.torque_unit,
         notes=tuple(notes),
@@ -153,7 +155,7 @@ def tune(
 def _proposed(
     case: _Case, controller: Controller, present: LoopMargins, work: Work
 ) -> tuple[Layout | None, LoopMargins | None, list[str]]:
-    """Return the stiffest loop that keeps the margins in the worst case, or why there is none."""
+    """The stiffest loop that keeps the margins, or the reasons for none."""
     estimate, interval, settings = case.estimate, case.interval, case.settings
     if not isinstance(controller, Cascade | PD):
         kind = type(controller).__name__
@@ -252,7 +254,7 @@ def _notes(case: _Case, present: LoopMargins, proposed: LoopMargins | None) -> l
 
 
 def _with_a_mode(case: _Case, said: str, loop: LoopMargins, *, asked: bool) -> str:
-    """Return the lowest first mode with which a rigid joint's loop would keep its margins, in a sentence."""
+    """State the lowest mode with which a rigid joint's loop keeps its margins."""
     estimate = case.estimate
     assert isinstance(estimate.settings.joint, RigidJoint)
     law = loop.controller.law(estimate.data.sample_time)
@@ -273,7 +275,7 @@ def _with_a_mode(case: _Case, said: str, loop: LoopMargins, *, asked: bool) -> s
 
 
 def _band(hertz: FloatArray, response: ComplexArray) -> ResponseBand:
-    """Return the band of some responses, the first of them the nominal one, at fewer frequencies."""
+    """Envelope of responses, the first nominal, on fewer frequencies."""
     phase = np.unwrap(np.angle(response), axis=1)
     size = np.abs(response)
     kept_at = np.unique(np.linspace(0, hertz.size - 1, min(hertz.size, _DRAWN)).astype(np.intp))
@@ -283,12 +285,3 @@ def _band(hertz: FloatArray, response: ComplexArray) -> ResponseBand:
         np.array([size.min(axis=0), size.max(axis=0)])[:, kept_at],
         np.array([phase.min(axis=0), phase.max(axis=0)])[:, kept_at],
     )
-
-
-def _joint_band(case: _Case, hertz: FloatArray) -> ResponseBand:
-    """Return the response from torque to the motor's velocity, in continuous time."""
-    joints = linear_joints(case.interval.joint, [*case.interval.at(case.points), *case.interval.others])
-    found = [
-        state_response(A, B, np.asarray(2j * np.pi * hertz))[:, 1] for A, B in zip(joints.A, joints.B, strict=True)
-    ]
-    return _band(hertz, np.array(found))

@@ -1,4 +1,4 @@
-"""The result of tuning, and its tables."""
+"""Result of tuning, with tables."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ class Gain:
 
 @dataclass(frozen=True, slots=True)
 class ProposedNotch:
-    """A notch that lets the loop be stiffer.
+    """A notch that allows a stiffer loop.
 
     Attributes:
         notch: its frequency and bandwidth in Hz, and depth.
@@ -118,7 +118,7 @@ class ProposedNotch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tuned(Charted, Documented):
-    """Margins over the interval of an estimate, the proposed gains, and the smallest detectable change.
+    """Margins over an estimate's interval, proposed gains, and detectable changes.
 
     Attributes:
         record: its name. model: "rigid" or "flexible". transmission: on whose `side` the joint is.
@@ -148,7 +148,7 @@ class Tuned(Charted, Documented):
 
     @property
     def sentence(self) -> str:
-        """The margins as they are in the worst case, and what is proposed."""
+        """Present worst-case margins and the proposal, in one sentence."""
         present, asked = self.present.worst, self.settings
         if not present.stable:
             return "In the worst case of the estimate's interval the loop as it is would not be stable."
@@ -162,16 +162,12 @@ class Tuned(Charted, Documented):
         return f"The loop as it is comes, in the worst case, {where}; {proposal}{notch}."
 
     def to_dataframe(self) -> DataFrame:
-        """Return the gains as a pandas data frame: a row each, before and after, with unit and formula.
-
-        Raises:
-            ExtraError: pandas is not installed.
-        """
+        """Pandas data frame of the gains: before and after, unit and formula."""
         rows = {g.key: {"before": g.before, "after": g.after, "unit": g.unit, "formula": g.formula} for g in self.gains}
         return data_frame(rows, "gain")
 
     def document(self, *, details: bool = False) -> Document:
-        """Return the tables, before and after, and the notes; there are no further details."""
+        """Tables before and after, with notes."""
         del details
         worst = ("worst case over", self.interval)
         change = self.detectable.document()
@@ -181,14 +177,14 @@ class Tuned(Charted, Documented):
         return Document(f"Tuning for {self.record}, a {self.model} joint", (*blocks, notes))
 
     def proposal(self) -> tuple[Block, ...]:
-        """Return the margins as they are and as proposed, and the gains and the notch that give them."""
+        """Present and proposed margins, gains and notch."""
         gains = (self._gains(),) if self.gains else ()
         return self._margins(), *gains, *(() if self.notch is None else (_notch(self.notch),))
 
     def chart(self) -> Chart:
-        """Return the responses: joint, loop size and phase over frequency, and the Nyquist plot.
+        """Plot joint response, open loop and Nyquist diagram.
 
-        The bands are the interval of the estimate; the circle about -1 is the distance that was asked.
+        Bands show the interval of the estimate; the circle about -1 is the required distance.
         """
         sizes: list[Item] = []
         phases: list[Item] = []
@@ -275,7 +271,7 @@ class Tuned(Charted, Documented):
         return Table(header, tuple(rows), words=(0, 3, 7, 9))
 
     def _unit_of_its_own(self) -> Iterator[Paragraph]:
-        """Yield what one unit of the controller is, where numbers are told in it."""
+        """Yield the controller unit, if numbers use it."""
         units = [f.in_drive[-1] for f in self.feedforward] + [g.in_drive[-1] for g in self.gains]
         if any(CONTROLLER_UNITS in one for one in units):
             gain = getattr(self.present.controller, "gain", 1.0)

@@ -1,1 +1,1 @@
-"""Uncertainty of an estimate, from arrays and a problem alone: covariance, profiles, tests, identifiability."""
+"""Uncertainty of an estimate: covariance, profiles, tests, identifiability."""

@@ -1,36 +1,27 @@
-"""Covariances of an estimate that hold where the residual is not white.
+"""Covariances of an estimate with a coloured residual.
 
 For estimates that solve ``Z' e(x) = 0`` with sensitivities J = -de/dx::
 
     cov = (Z' J)^-1  S  (J' Z)^-1
 
 Z = J is least squares, Z = W the instruments of DIDIM. S, the covariance of Z' e, is estimated from the scores
-``Z_t e_t`` themselves with the Bartlett kernel (Newey and West 1987), so neither autocorrelation of the residual,
-which the low-pass makes even of white noise, nor rows of different accuracy have to be known. The bandwidth is
-``ceil(4 (n / 100)^(2/9))`` rows on each side, their rule of thumb.
+``Z_t e_t`` with the Bartlett kernel (Newey and West 1987), robust against autocorrelation and unequal variance. The
+bandwidth is ``ceil(4 (n / 100)^(2/9))`` rows on each side, their rule of thumb.
 
-A fit pulls itself towards the rows that matter most, a few reversals for the Coulomb frictions, and the residual there
-is smaller than the noise was. So every block of a bandwidth's length gets the residual it would have had if it had been
-left out of the fit, ``(I - J_b (Z' J)^-1 Z_b')^-1 e_b``. What repeats with the motion is not noise, and is not covered
-here: `position_dependent_error` measures it and widens.
+Influential rows, such as a few reversals for the Coulomb frictions, have residuals smaller than the noise. Therefore
+every block of a bandwidth's length gets its leave-out residual, ``(I - J_b (Z' J)^-1 Z_b')^-1 e_b``.
+`position_dependent_error` covers errors that repeat with the motion.
 
-A bandwidth so short smears the residual's spectrum over several hertz. Where a loop rings at 10 Hz and a parameter is
-determined by what happens at 10 Hz, half of that is missed: of 2-sigma intervals of the twin's viscous frictions 91 %
-hold the truth. A stationary residual's covariance is known much better from its spectrum, at all lags (`spectral`),
-but no residual is known to be stationary, so of the two the larger is taken, in every direction (`robust`): 94-98 %
-then do.
+The short bandwidth smears the spectrum over several hertz: with a loop that rings at 10 Hz, 91 % of the 2-sigma
+intervals of the twin's viscous frictions hold the truth. A covariance by spectrum (`spectral`) assumes stationarity.
+`robust` takes the larger of both in every direction; 94-98 % then do.
 
-Rows of several records, one after the other, are series of their own: what is summed over time is summed within each,
-and the sums are added.
+Sums over time are formed within each record. The textbook's covariance, ``s^2 (J' J)^-1``, is kept for comparison
+(`white`).
 
-The textbook's covariance, ``s^2 (J' J)^-1``, is kept beside it (`white`): where the two differ, the residual is not
-white, or not as large everywhere, and only the robust one is honest.
-
-Neighbouring rows show noise. What a model lacks - a friction that is no Coulomb's, a current loop, a second mode -
-repeats with the motion and is as large at the end of a long record as at its beginning; but it changes with
-frequency. So `band_deviations` sums the scores over bands of frequency that hold equal shares of the residual; the
-spread of these sums is what the estimate owes to the choice of the band. The larger of both deviations is reported
-(`with_bands`): with noise alone they agree.
+A model error repeats with the motion and does not average out over a long record, but changes with frequency.
+`band_deviations` sums the scores over bands with equal shares of the residual; their spread is the sensitivity of the
+estimate to the choice of band. `with_bands` reports the larger deviation.
 """
 
 from __future__ import annotations
@@ -55,7 +46,7 @@ _DIFFERENT = 1.25  # a ratio of deviations that chance does not make of a white 
 
 
 class Dependence(StrEnum):
-    """Properties of white noise that a residual lacks."""
+    """Departures of a residual from white noise."""
 
     NOT_INDEPENDENT = "not_independent"
 
@@ -80,18 +71,18 @@ class Covariance:
         return np.asarray(np.outer(self.std, self.std) * self.correlation)
 
     def std_of(self, weights: FloatArray) -> float:
-        """Return the standard deviation of a weighted sum of the parameters, weights (parameters,)."""
+        """Standard deviation of a weighted sum of the parameters, weights (parameters,)."""
         weighted = np.asarray(weights) * self.std
         return math.sqrt(max(float(weighted @ self.correlation @ weighted), 0.0))
 
 
 def covariance_of(matrix: FloatArray, lags: int, scale: FloatArray | float = 1.0) -> Covariance:
-    """Return a matrix of covariances, (parameters, parameters), as deviations and correlations.
+    """Build a `Covariance` from a matrix, (parameters, parameters).
 
     Args:
         matrix: of the parameters, or of the scaled ones.
-        lags: rows on each side whose correlation was taken in.
-        scale: (parameters,) what the parameters were multiplied with.
+        lags: rows on each side with accounted correlation.
+        scale: (parameters,) factors that the matrix includes.
     """
     std = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     positive = np.where(std > 0, std, 1.0)
@@ -99,7 +90,7 @@ def covariance_of(matrix: FloatArray, lags: int, scale: FloatArray | float = 1.0
 
 
 def white(J: FloatArray, error: FloatArray) -> Covariance:
-    """Return the covariance of least squares whose residual is white, ``s^2 (J' J)^-1``.
+    """Covariance for a white residual, ``s^2 (J' J)^-1``.
 
     Args:
         J: (rows, parameters), the sensitivities of the prediction.
@@ -120,14 +111,14 @@ def bandwidth(rows: int) -> int:
 def sandwich(
     Z: FloatArray, J: FloatArray, error: FloatArray, equations: int = 1, series: Sequence[int] | None = None
 ) -> Covariance:
-    """Return the autocorrelation-robust covariance (see the module).
+    """Autocorrelation-robust covariance (see the module).
 
     Args:
         Z: (rows, parameters), the instruments.
         J: (rows, parameters), the sensitivities of the prediction.
         error: (rows,) the residual.
-        equations: rows hold so many equations one after the other, which share their instants.
-        series: rows of each record, where several stand one after the other.
+        equations: number of simultaneous equations, stacked.
+        series: rows of each record, stacked.
     """
     parts = _parts(len(Z), series)
     widths = [min(bandwidth(n), n - 1) for n in ((part.stop - part.start) // equations for part in parts)]
@@ -148,13 +139,13 @@ def sandwich(
 def scaled_sandwich(
     Z: FloatArray, J: FloatArray, meat: Callable[[FloatArray, FloatArray, FloatArray], FloatArray], lags: int
 ) -> Covariance:
-    """Return ``(Z' J)^-1 S (J' Z)^-1``, computed with the columns of Z and J divided by the lengths of Z's.
+    """Return ``(Z' J)^-1 S (J' Z)^-1``, computed with Z and J scaled by Z's norms.
 
     Args:
         Z: (rows, parameters), the instruments.
         J: (rows, parameters), the sensitivities of the prediction.
-        meat: S, (parameters, parameters), from Z and J as they were divided and the inverse of their product.
-        lags: rows on each side whose correlation is taken in.
+        meat: function of the scaled Z, J and the inverse of their product; returns S, (parameters, parameters).
+        lags: rows on each side with accounted correlation.
     """
     norms = column_norms(Z)
     Z, J = Z / norms, J / norms
@@ -163,11 +154,11 @@ def scaled_sandwich(
 
 
 def bartlett_sum(scores: FloatArray, lags: int) -> FloatArray:
-    """Return the covariance, (parameters, parameters), of the sum of scores that are correlated with neighbours.
+    """Covariance, (parameters, parameters), of a sum of autocorrelated scores.
 
     Args:
-        scores: (neighbours, parameters), or (neighbours, families, parameters) of families that are independent.
-        lags: neighbours on each side that are correlated with one, with Bartlett's weights.
+        scores: (neighbours, parameters), or (neighbours, families, parameters) of independent families.
+        lags: correlated neighbours on each side, with Bartlett's weights.
     """
     families, count = math.prod(scores.shape[1:-1]), scores.shape[-1]
     rows, found = scores.reshape(len(scores) * families, count), np.zeros((count, count))
@@ -185,10 +176,9 @@ def _parts(rows: int, series: Sequence[int] | None) -> list[slice]:
 
 
 def by_spectrum(Z: FloatArray, J: FloatArray, error: FloatArray, series: Sequence[int] | None = None) -> Covariance:
-    """Return the covariance for a residual that is stationary, by its spectrum in bands (see `spectral`).
+    """Covariance for a stationary residual, by its spectrum (see `spectral`).
 
-    The arguments are those of `sandwich`, the residual in the order of time. The deviations are Student's: two of them
-    hold as much as two of a normal error would.
+    Arguments as for `sandwich`, in order of time. The deviations include Student's factor.
     """
     norms = column_norms(Z)
     spread = np.linalg.pinv((Z / norms).T @ (J / norms))
@@ -197,11 +187,10 @@ def by_spectrum(Z: FloatArray, J: FloatArray, error: FloatArray, series: Sequenc
 
 
 def stationary(Z: FloatArray, J: FloatArray, error: FloatArray, series: Sequence[int] | None = None) -> Covariance:
-    """Return what an error of this spectrum would make of other equations than those that left it.
+    """Covariance that noise of the error's spectrum causes in given equations.
 
-    ``S = sum_f S(f) Z(f)' Z(f)*``; what a fit took out of the spectrum is not allowed for. The arguments are those of
-    `sandwich`, the error in the order of time. Its periodogram is averaged over sqrt(rows) neighbours, the mean left
-    out, which a fit of an offset takes away; every series has its own spectrum.
+    ``S = sum_f S(f) Z(f)' Z(f)*`` without correction for the fit. Arguments as for `sandwich`, in order of time. Each
+    series has its own periodogram, averaged over sqrt(rows) neighbours, without the mean.
     """
 
     def meat(Z: FloatArray, _: FloatArray, spread: FloatArray) -> FloatArray:
@@ -217,10 +206,9 @@ def stationary(Z: FloatArray, J: FloatArray, error: FloatArray, series: Sequence
 
 
 def smoothed_spectrum(signal: FloatArray, degrees: int) -> tuple[FloatArray, FloatArray]:
-    """Return the spectrum of a signal of so many degrees of freedom, and how many frequencies each value stands for.
+    """Smoothed spectrum of a signal with `degrees` of freedom, and multiplicities.
 
-    Both are (samples // 2,), the mean left out. The periodogram is averaged over sqrt(samples) neighbours. In half a
-    spectrum every frequency stands for two, but the last of an even number of samples.
+    Both are (samples // 2,), without the mean. The periodogram is averaged over sqrt(samples) neighbours.
     """
     periodogram = np.abs(np.fft.rfft(signal)[1:]) ** 2 / degrees
     half = min(max(math.isqrt(signal.size) // 2, 1), periodogram.size - 1)
@@ -244,19 +232,18 @@ def sum_over_frequencies(columns: FloatArray, weights: FloatArray) -> FloatArray
 def robust(
     Z: FloatArray, J: FloatArray, error: FloatArray, series: Sequence[int] | None = None, equations: int = 1
 ) -> Covariance:
-    """Return the larger of `sandwich` and `by_spectrum` in every direction; the arguments are theirs.
+    """Return the larger of `sandwich` and `by_spectrum` in every direction.
 
-    The spectrum of each of several equations of one record is its own: what they share is seen by `sandwich` alone.
+    Each equation of one record has its own spectrum; `sandwich` covers their correlation.
     """
     own = [len(Z) // equations] * equations if equations > 1 else series
     return larger(sandwich(Z, J, error, equations, series), by_spectrum(Z, J, error, own))
 
 
 def larger(first: Covariance, second: Covariance) -> Covariance:
-    """Return the smallest covariance of its kind above both: the larger in every direction that distinguishes them.
+    """Return the smallest covariance above both.
 
-    In the parameters in which the first is the identity and the second diagonal, the larger of the two diagonals. No
-    weighted sum of the parameters is then known better than by either.
+    In the parameters in which the first is the identity and the second diagonal, take the larger diagonal.
     """
     std = np.where(first.std > 0, first.std, 1.0)
     values, vectors = np.linalg.eigh(0.5 * (first.correlation + first.correlation.T))
@@ -273,12 +260,16 @@ def larger(first: Covariance, second: Covariance) -> Covariance:
 def residual_left_out(
     Z: FloatArray, J: FloatArray, error: FloatArray, spread: FloatArray, block: NDArray[np.intp]
 ) -> FloatArray:
-    """Return the residual, (rows,), that each block of rows had if it had been left out of the fit.
+    """Leave-out residual, (rows,), of each block of rows.
 
-    Beside the arguments of `sandwich`, `spread` is the inverse of Z' J, (parameters, parameters), and `block`, (rows,),
-    the number of each row's block.
+    ``(I - J_b S Z_b')^-1 = I + J_b (I - S Z_b' J_b)^-1 S Z_b'`` needs small inverses only.
 
-    The small matrix of ``(I - J_b S Z_b')^-1 = I + J_b (I - S Z_b' J_b)^-1 S Z_b'`` is inverted: a block may be long.
+    Args:
+        Z: see `sandwich`.
+        J: see `sandwich`.
+        error: see `sandwich`.
+        spread: inverse of Z' J, (parameters, parameters).
+        block: block index of each row, (rows,).
     """
     order = np.argsort(block, kind="stable")
     first = np.flatnonzero(np.diff(block[order], prepend=block[order[0]] - 1))
@@ -300,9 +291,9 @@ def residual_left_out(
 
 
 def _products(Z: FloatArray, J: FloatArray, first: NDArray[np.intp]) -> FloatArray:
-    """Return ``Z_b' J_b`` of each block of rows, (blocks, parameters, parameters), by where the blocks begin.
+    """Return ``Z_b' J_b`` of each block, (blocks, parameters, parameters).
 
-    Blocks of the same length, which are all but a few, are multiplied at once.
+    Blocks of equal length are multiplied together.
     """
     lengths = np.diff(first, append=len(Z))
     found = np.empty((len(first), Z.shape[1], J.shape[1]))
@@ -314,7 +305,7 @@ def _products(Z: FloatArray, J: FloatArray, first: NDArray[np.intp]) -> FloatArr
 
 
 def _inverses(matrices: FloatArray) -> FloatArray:
-    """Return pseudo-inverses, (matrices, n, n); of a matrix far from singular the inverse, which costs a tenth."""
+    """Pseudo-inverses (matrices, n, n); ordinary ones where well-conditioned, ten times faster."""
     try:
         found = np.linalg.inv(matrices)
     except np.linalg.LinAlgError:
@@ -326,13 +317,10 @@ def _inverses(matrices: FloatArray) -> FloatArray:
 
 
 def different(names: Sequence[str], naive: Covariance, robust: Covariance) -> Message | None:
-    """Return a message on the parameters whose deviation a white residual would misjudge, or None.
+    """Message on parameters whose robust and white deviations differ; None if none.
 
-    This asks more than whether the residual is white within the filter's pass band (`residual_tests.Whiteness`), and
-    can differ from it: rows that are closer than the band needs are correlated, and rows at reversals are louder.
-
-    The rule: a robust deviation at least 1.25 times the white one, or at most that share of it. Chance alone keeps
-    the ratio of a white residual's within about 10 % at the rows of a usual record.
+    The ratio has to exceed 1.25 either way. Chance keeps it within about 10 % for a white residual. The result can
+    differ from `residual_tests.Whiteness`, which tests the pass band only.
     """
     ratios = map(float, robust.std / np.where(naive.std > 0, naive.std, np.inf))
     off = {
@@ -361,12 +349,12 @@ def words(covariance: Covariance) -> str:
 def with_bands(
     covariance: Covariance, Z: FloatArray, J: FloatArray, error: FloatArray, equations: int = 1
 ) -> Covariance:
-    """Return a covariance whose deviations are no smaller than `band_deviations` of the same arguments."""
+    """Raise the deviations of a covariance to `band_deviations`."""
     return replace(covariance, std=np.maximum(covariance.std, band_deviations(Z, J, error, equations)))
 
 
 def band_deviations(Z: FloatArray, J: FloatArray, error: FloatArray, equations: int = 1) -> FloatArray:
-    """Return standard deviations from the scores by bands of frequency, (parameters,), of what `sandwich` takes."""
+    """Standard deviations from scores by frequency band, (parameters,); see `sandwich`."""
     norms = column_norms(Z)
     columns = np.fft.rfft((Z / norms).reshape(equations, -1, Z.shape[1]), axis=1)
     spectrum = np.fft.rfft(error.reshape(equations, -1), axis=1)
@@ -382,5 +370,5 @@ def band_deviations(Z: FloatArray, J: FloatArray, error: FloatArray, equations: 
 
 
 def band_words() -> str:
-    """Return what these deviations cover, in a sentence."""
+    """Describe what these deviations cover."""
     return f"or, where it is larger, the spread over {_BANDS} bands of frequency, which shows what the model lacks"

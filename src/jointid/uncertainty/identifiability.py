@@ -1,10 +1,8 @@
-"""Identifiability: the parameters and the combinations of them that a record determines, the best first.
+"""Identifiability: which parameters and combinations a record determines.
 
-From torque alone two frictions are often known by their sum and hardly apart, and a table of single parameters hides
-both. The sensitivities J of the residual, each multiplied by its parameter and freed of what the initial state can
-take over, have singular vectors that are combinations whose errors are uncorrelated as far as a white residual goes,
-from the best determined to the worst. Each is written with the fewest terms that are nearly as well known, and gets
-its interval from the whole covariance, as do the sums that have a meaning of their own.
+From torque alone the sum of two frictions is often known, but not each of them. The singular vectors of the scaled
+sensitivities J, without the initial state, are combinations with uncorrelated errors for a white residual. Each is
+simplified to the fewest terms that are nearly as well known; its interval uses the whole covariance.
 """
 
 from __future__ import annotations
@@ -68,11 +66,7 @@ class Combination:
     quantity: str = ""
 
     def vector(self, parameters: Sequence[Parameter]) -> FloatArray:
-        """Return the weights in the order of the parameters, (parameters,).
-
-        Raises:
-            MethodError: one of those it weighs is not among them.
-        """
+        """Return the weights in the order of the parameters, (parameters,)."""
         names = [p.name for p in parameters]
         missing = [name for name in self.weights if name not in names]
         if missing:
@@ -86,10 +80,9 @@ def single(parameter: Parameter, unit: str) -> Combination:
 
 
 def physical(parameters: Sequence[Parameter], units: Mapping[str, str]) -> tuple[Combination, ...]:
-    """Return the combinations of both sides of a joint that have a meaning of their own.
+    """Physically meaningful combinations of both sides of a joint.
 
-    Sum and difference of the frictions, viscous and Coulomb, in each direction where these differ; and the whole
-    inertia. A rigid joint has none.
+    These are sum and difference of the frictions, by kind and direction, and the total inertia; none for a rigid joint.
 
     Args:
         parameters: the free ones.
@@ -114,7 +107,7 @@ def physical(parameters: Sequence[Parameter], units: Mapping[str, str]) -> tuple
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """A combination of parameters, its value, and how well it is known.
+    """A combination of parameters, its value and its accuracy.
 
     Attributes:
         combination: of parameters.
@@ -135,13 +128,13 @@ class Known:
 
     @property
     def verdict(self) -> str:
-        """Grade in a word: "well" for 2 sigma up to 10 % of what is combined, "poorly" up to 50 %, "not" for more."""
+        """Grade: "well" for 2 sigma up to 10 % of the terms, "poorly" up to 50 %, else "not"."""
         return "well" if 2 * self.relative <= _WELL else "poorly" if 2 * self.relative <= _POORLY else "not"
 
 
 @dataclass(frozen=True, slots=True)
 class Identifiability:
-    """Parameters of a joint, and combinations of them, with how well a record determines each.
+    """Accuracy of parameters and their combinations.
 
     Attributes:
         parameters: by themselves, those of the initial state left out.
@@ -166,14 +159,14 @@ def identifiability(
     J: FloatArray,
     covariance: Covariance,
 ) -> Identifiability:
-    """Return how well the parameters, and their combinations, are known.
+    """Assess parameters and their combinations.
 
     Args:
-        parameters: the free ones, in the order of what follows.
-        units: of them, by name; those of the initial state are not needed.
+        parameters: the free ones, in order.
+        units: by name; not needed for the initial state.
         x: (free,) their values.
         J: (rows, free), the sensitivities of the residual or of the prediction.
-        covariance: of the estimate, to be believed.
+        covariance: of the estimate.
     """
     own = [i for i, p in enumerate(parameters) if p.quantity not in _SURROUNDING]
     joint = [parameters[i] for i in own]
@@ -208,7 +201,7 @@ def identifiability(
 
 
 def _find_directions(J: FloatArray, own: Sequence[int], scale: FloatArray) -> tuple[FloatArray, float]:
-    """Return the right singular vectors of the scaled sensitivities, the rest projected off, and their condition."""
+    """Singular vectors of the scaled sensitivities without the rest, and condition."""
     rest = np.delete(J, own, axis=1)
     Q, _ = np.linalg.qr(rest / column_norms(rest))
     columns = (J * scale)[:, own]
@@ -220,9 +213,9 @@ def _find_directions(J: FloatArray, own: Sequence[int], scale: FloatArray) -> tu
 def _simplify(
     vector: FloatArray, parameters: Sequence[Parameter], units: Mapping[str, str], scale: FloatArray, spread: Covariance
 ) -> Combination:
-    """Return a direction in scaled parameters as a sum led by its largest term, which gives it its unit.
+    """Write a direction as a sum led by its largest term, which sets the unit.
 
-    Terms are added, the largest first, until the sum is nearly as well known as the whole.
+    Terms are added by size until the sum is nearly as well known as the whole.
     """
     order = np.argsort(-np.abs(vector))
     weights = vector / scale
@@ -242,7 +235,7 @@ def _simplify(
 
 
 def _write_sum(terms: Sequence[tuple[float, str]]) -> str:
-    """Return ``A + 0.5 B - 2 C``; the first term has the weight 1."""
+    """Format ``A + 0.5 B - 2 C``; the first weight is 1."""
     text = terms[0][1]
     for weight, symbol in terms[1:]:
         times = "" if number(abs(weight), 3) == number(1.0, 3) else f"{number(abs(weight), 3)} "
@@ -253,7 +246,7 @@ def _write_sum(terms: Sequence[tuple[float, str]]) -> str:
 def _describe_pair(
     parameters: Sequence[Parameter], each: Sequence[Known], spread: Covariance, i: int, j: int
 ) -> Message:
-    """Return a message on two parameters that are known only together."""
+    """Message on two parameters that are known only together."""
     first, second = parameters[i], parameters[j]
     correlation, unit = float(spread.correlation[i, j]), each[i].combination.unit
     weights = np.zeros(len(parameters))

@@ -1,36 +1,30 @@
-"""Tests of a model against a larger one: flexible against rigid, and the endogeneity of IDIM's regressors.
+"""Tests of a model: flexible against rigid, and endogeneity of IDIM's regressors.
 
-**Flexible against rigid.** What is tested lies on a boundary: a rigid joint is a flexible one whose compliance is 0,
-and no compliance is negative. The gain of the larger model is 0 in about half of all records that are really rigid,
-load share and damping mean nothing there, and the quantiles of the usual likelihood-ratio test are wrong. So the
-distribution is made, not looked up. About the rigid fit the residual is::
+**Flexible against rigid.** The compliance of a rigid joint, 0, lies on a boundary, and load share and damping are
+undefined there, so the usual quantiles of the likelihood-ratio test do not hold. Their distribution is simulated. About
+the rigid fit the residual is::
 
     r + J a + E b,   b >= 0
 
 with J its derivatives by the rigid parameters and E by the extra one at the boundary (the compliance at a load share,
-say). The statistic is what b takes off the sum of squares, over the variance of the remainder; where the share is not
-known, several E are tried and the best counts, in every draw as in the record.
+say). The statistic is the reduction of the sum of squares over the variance of the remainder, for the best of several E
+if the share is unknown.
 
-The draws are the larger model's residual with the signs of whole blocks turned at random (a wild bootstrap, Liu 1988).
-That keeps the autocorrelation, and keeps the loud rows where they are, at the reversals and pulses in which a flexible
-joint shows too. Moving the blocks about, as is more usual, would not. Where the cells of the motion are given, whole
-stretches of them are turned as well, all visits together, and the less certain of the two answers counts: an error that
-repeats with the motion must not be taken for a spring. Nothing is simulated.
+The draws turn the signs of blocks of the larger model's residual (wild bootstrap, Liu 1988), which keeps the
+autocorrelation and the location of large residuals. Given cells of the motion, all visits to stretches of cells are
+turned together as well, and the larger p-value counts, so that repeatable errors are not taken for a spring.
 
-E is best taken with the whole friction on the motor's side. With a share of it on the load's, a compliance also makes
-the friction lag behind at reversals, as real ones do without any spring: on EMPS, which shows no mode, that direction
-takes 7 % off the sum of squares (p < 0.001), the compliance alone 0.3-1.7 % (p > 0.01 over place).
+E should have the whole friction on the motor's side. Otherwise a compliance also delays the friction at reversals: on
+EMPS, without a mode, that direction takes 7 % off the sum of squares (p < 0.001), the compliance alone 0.3-1.7 %
+(p > 0.01 by place).
 
-**Endogeneity**, by Durbin, Wu and Hausman. Least squares is right where the columns W are not correlated with the
-error, instruments Z are right in any case. In the augmented regression ``Y = W x + V c``, V being what of W the
-instruments do not explain, x are the values by instruments (two-stage least squares) and ``d = (W'W)^-1 W'V c`` is how
-far least squares is away from them. The test asks whether the shift d is more than chance, with covariances that an
-autocorrelated residual does not deceive.
+**Endogeneity** (Durbin, Wu, Hausman). In the augmented regression ``Y = W x + V c``, V the part of W that the
+instruments do not explain, x are the two-stage least-squares values, and ``d = (W'W)^-1 W'V c`` is the shift of least
+squares. The test asks whether d exceeds chance, with autocorrelation-robust covariances.
 
-On a good encoder V is so small that the test would see, truly but to no purpose, a correlation that shifts nothing:
-quantisation alone made 15 to 40 % alarms on the paper's axis, with shifts below 0.05 deviations. So d must stand out
-from its own covariance and from a tenth of the deviations of least squares together,
-``T = d' (cov(d) + 0.01 cov(x))^-1 d``: it never says more than chi-square would.
+On a good encoder V is so small that quantisation alone made 15 to 40 % alarms on the paper's axis, with shifts below
+0.05 deviations. Therefore d is compared with its own covariance and a tenth of the deviations of least squares,
+``T = d' (cov(d) + 0.01 cov(x))^-1 d``, which is conservative.
 """
 
 from __future__ import annotations
@@ -58,7 +52,7 @@ _BELIEVED = 0.01  # a smaller p-value of a rigid joint says that it is flexible
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoundaryTest:
-    """Test of whether a record asks for the flexible model.
+    """Test of whether a record requires the flexible model.
 
     Attributes:
         statistic: what the extra direction takes off the sum of squares, over the variance of the remainder.
@@ -98,19 +92,15 @@ def flexible_against_rigid(
     *,
     draws: int = 1999,
 ) -> BoundaryTest:
-    """Test whether an extra direction, which only counts forwards, explains more than chance would (see the module).
+    """Test whether a non-negative extra direction explains more than chance.
 
     Args:
         residual: (rows,) of the rigid fit, in the order of time.
         J: (rows, rigid), its derivatives by the rigid parameters.
-        extra: alternatives, each (rows, 1): its derivative by what is 0 at the boundary and positive beyond.
-        where: the rows' cells, so that what repeats with the motion is provided for.
-        fitted: sum of squares of a flexible fit, where one was made: it takes the place of the linear one.
+        extra: alternatives, (rows, 1) each: derivative by the parameter that is 0 at the boundary.
+        where: the rows' cells, to account for repeatable errors.
+        fitted: sum of squares of a flexible fit, in place of the linear one.
         draws: of the signs.
-
-    Raises:
-        MethodError: there is no alternative, one is not a single column, or one does nothing that the rigid parameters
-            do not.
     """
     if not extra:
         raise MethodError("A test at a boundary needs an alternative; received none.")
@@ -156,7 +146,7 @@ def flexible_against_rigid(
 def _draw_statistics(
     noise: FloatArray, block: NDArray[np.intp], Q: FloatArray, beside: FloatArray, degrees: int, draws: int
 ) -> FloatArray:
-    """Return the statistic of a noise the signs of whose blocks are turned at random, (draws,)."""
+    """Statistics of noise with random block signs, (draws,)."""
     count = int(block.max()) + 1
     signs = np.random.default_rng(0).choice([-1.0, 1.0], size=(draws, count))
     of_rigid, of_extra = np.zeros((count, Q.shape[1])), np.zeros((count, beside.shape[1]))
@@ -188,13 +178,13 @@ class ChiSquareTest:
 
 
 def durbin_wu_hausman(W: FloatArray, Y: FloatArray, Z: FloatArray, equations: int = 1) -> ChiSquareTest:
-    """Test whether columns are correlated with the error of their least squares (see the module).
+    """Test whether columns are correlated with the error (see the module).
 
     Args:
         W: (rows, parameters) the columns.
         Y: (rows,) the torque.
         Z: (rows, parameters) the instruments.
-        equations: rows hold so many equations one after the other.
+        equations: number of simultaneous equations, stacked.
     """
     from scipy.special import chdtrc
 

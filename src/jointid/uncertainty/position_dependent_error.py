@@ -1,24 +1,20 @@
-"""The part of a residual that repeats with the motion, and intervals that are wide enough for it.
+"""Repeatable part of a residual, and intervals that cover it.
 
-Noise is not the same twice; what a model lacks is. A friction that depends on the position, a screw's pitch, a spring
-that is not linear leave a residual that comes back whenever the axis passes the same place in the same direction at
-about the same speed. No bandwidth in time sees that two visits err together, and no longer record averages it away.
+A position-dependent friction, a screw's pitch or a nonlinear spring leaves a residual that repeats at the same place,
+direction and speed. A longer record does not average it away.
 
-**Measured** from the products of different visits only, so that noise adds nothing to it: with the sums s_cb of the
+**Measured** from products of different visits only, so that noise does not contribute: with the sums s_cb of the
 residual and the counts n_cb of the rows of cell c in block b of time, n_c rows of the cell in all, n of the record::
 
     rms^2 = 1/n  sum_c n_c  (sum_bb' s_cb s_cb') / (sum_bb' n_cb n_cb')      b, b' two blocks apart, or more
 
-**Tested** by turning the signs of whole blocks of time at random (a wild bootstrap, Liu 1988): where nothing repeats
-that changes nothing but chance, whatever the autocorrelation within a block and however the rows differ in accuracy.
-A residual still correlated over more than a block, a fortieth of the record, is not provided for.
+**Tested** by turning the signs of blocks of time at random (wild bootstrap, Liu 1988), valid for any autocorrelation
+within a block, a fortieth of the record, and unequal accuracy.
 
-**Covered** by a second sandwich (`by_place`) whose scores are summed over cells, all visits together, and over
-neighbouring cells of the same direction and speed with Bartlett weights (Conley 1999), since what a place does its
-neighbours half do. Clusters of laps would not do: each lap makes the same error. Of the two sandwiches, over time and
-over place, the larger is taken in every direction of the parameters (`larger`): their sum less the overlap, as is usual
-for two-way clusters, need not be positive, and counts twice what both see. Where the test finds nothing that repeats,
-the one over time stands alone, for the second is a noisier estimate of the same.
+**Covered** by a second sandwich (`by_place`) with scores summed over all visits to a cell, and Bartlett weights over
+neighbouring cells of the same direction and speed (Conley 1999). The larger of both sandwiches is taken in every
+direction (`larger`); the usual sum less the overlap need not be positive. If the test finds nothing, the sandwich over
+time stands alone.
 """
 
 from __future__ import annotations
@@ -59,7 +55,7 @@ _LEVEL = 0.05
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cells:
-    """Cell of position, direction and speed in which the axis was when each row was taken.
+    """Cell of position, direction and speed of each row.
 
     Attributes:
         label: (rows,) the number of the row's cell.
@@ -75,13 +71,13 @@ class Cells:
 
     @property
     def stretch(self) -> IntArray:
-        """The number of each row's stretch: neighbouring cells of one family that err together, (rows,)."""
+        """Index of each row's stretch of neighbouring cells of one family, (rows,)."""
         return np.asarray(self.family * _POSITIONS + self.position // (_LAGS + 1))
 
 
 @dataclass(frozen=True, slots=True)
 class Repeatable:
-    """The part of a residual that comes back at the same place, direction and speed.
+    """The part of a residual that repeats at the same place, direction and speed.
 
     Attributes:
         rms: of that part, in the residual's unit; 0 where the products of different visits are negative on the whole.
@@ -139,18 +135,18 @@ class Uncertainty:
     shifts: tuple[FloatArray, ...] = ()
 
     def widened_by(self, shift: FloatArray, why: str) -> Uncertainty:
-        """Return this with deviations wide enough for a shift of the estimate, (parameters,), whose reason is said."""
+        """Widen the deviations for a shift of the estimate, (parameters,)."""
         covariance = replace(self.covariance, std=np.hypot(self.covariance.std, shift))
         basis = f"{self.basis}, and for {why}"
         return replace(self, covariance=covariance, basis=basis, shifts=(*self.shifts, shift))
 
 
 def cells(position: FloatArray, velocity: FloatArray) -> Cells:
-    """Return the cell of each row: stretches of equal width along the travel, by direction and class of speed.
+    """Assign rows to cells of equal width, by direction and class of speed.
 
     Args:
-        position: (rows,) of the motor, simulated or measured, at the instants of the residual's rows.
-        velocity: (rows,) likewise.
+        position: (rows,) of the motor, simulated or measured.
+        velocity: (rows,).
     """
     speed = np.abs(velocity)
     moving = speed > _RESTING * np.max(speed, initial=0.0)
@@ -164,7 +160,7 @@ def cells(position: FloatArray, velocity: FloatArray) -> Cells:
 
 
 def _classify_speeds(speed: FloatArray, moving: NDArray[np.bool_]) -> tuple[IntArray, FloatArray]:
-    """Return the class of each row's speed, and the classes' means, by one-dimensional k-means over the way."""
+    """Classify speeds by one-dimensional k-means, weighted by distance; return classes and means."""
     if not np.any(moving):
         return np.zeros(speed.size, dtype=np.intp), np.zeros(_SPEEDS)
     # Every metre counts the same, not every second, so that ramps and slow ways do not crowd the others out.
@@ -183,7 +179,7 @@ def _classify_speeds(speed: FloatArray, moving: NDArray[np.bool_]) -> tuple[IntA
 
 
 def repeatable(error: FloatArray, where: Cells, unit: str = "") -> Repeatable:
-    """Return the part of a residual that repeats with the motion.
+    """Measure the repeatable part of a residual.
 
     Args:
         error: (rows,) the residual, in the order of time.
@@ -220,7 +216,7 @@ def repeatable(error: FloatArray, where: Cells, unit: str = "") -> Repeatable:
 
 
 def _between_halves(error: FloatArray, where: Cells) -> float | None:
-    """Return the correlation of the cells' means between the halves, weighted by how well both are known."""
+    """Weighted correlation of cell means between the halves of a record."""
     count = int(where.label.max()) + 1
     halves = (slice(0, error.size // 2), slice(error.size // 2, None))
     sums = [np.bincount(where.label[half], error[half], count) for half in halves]
@@ -236,14 +232,12 @@ def _between_halves(error: FloatArray, where: Cells) -> float | None:
 
 
 def by_place(Z: FloatArray, J: FloatArray, error: FloatArray, where: Cells) -> Covariance:
-    """Return the covariance of an estimate whose errors are shared by all visits to a cell (see the module).
+    """Covariance for errors shared by all visits to a cell (see the module).
 
-    Z, J and the residual are those of `uncertainty`. The cells along the travel are correlated over
-    ``ceil(4 (cells / 100)^(2/9))`` on each side, the rule of `bandwidth` for rows, and left out of the fit by as many
-    and one together.
+    Cells are correlated over ``ceil(4 (cells / 100)^(2/9))`` on each side, the rule of `bandwidth` for rows.
 
-    An error that is smooth over more than that is covered too little: of 2-sigma intervals 95 % hold the truth at a
-    length of half a cell, 88-96 % at two and 80-98 % at four (on the EMPS motion, by simulation).
+    Smoother errors are covered too little: of 2-sigma intervals 95 % hold the truth at a length of half a cell, 88-96 %
+    at two and 80-98 % at four (on the EMPS motion, by simulation).
     """
 
     def meat(Z: FloatArray, J: FloatArray, spread: FloatArray) -> FloatArray:
@@ -258,10 +252,7 @@ def by_place(Z: FloatArray, J: FloatArray, error: FloatArray, where: Cells) -> C
 def widened(
     covariance: Covariance, Z: FloatArray, J: FloatArray, error: FloatArray, where: Cells, unit: str = ""
 ) -> tuple[Covariance, Repeatable]:
-    """Return a covariance over time, or the larger of it and `by_place` where the residual repeats with the motion.
-
-    The verdict on that comes with it; the other arguments are those of `uncertainty`.
-    """
+    """Widen a covariance by `by_place` if the residual repeats; return both."""
     verdict = repeatable(error, where, unit)
     return larger(covariance, by_place(Z, J, error, where)) if verdict.significant else covariance, verdict
 
@@ -275,7 +266,7 @@ def uncertainty(
     unit: str = "",
     series: Sequence[int] | None = None,
 ) -> Uncertainty:
-    """Return the covariance of an estimate's errors, widened where the residual repeats with the motion.
+    """Covariance of an estimate's errors, including repeatable ones.
 
     Args:
         Z: (rows, parameters), the instruments; J for least squares.
@@ -284,7 +275,7 @@ def uncertainty(
         where: the rows' cells.
         names: of the parameters.
         unit: of the residual.
-        series: rows of each record, where several stand one after the other. A place errs alike in all of them.
+        series: rows of each record, stacked.
     """
     over_time = robust(Z, J, error, series)
     judged, verdict = widened(over_time, Z, J, error, where, unit)

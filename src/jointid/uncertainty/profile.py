@@ -1,18 +1,15 @@
-"""Profile likelihood: the interval of one quantity with everything else fitted anew at each of its values.
+"""Profile likelihood: interval of a quantity with all other parameters refitted.
 
-An interval from a covariance is that of a problem that is linear. Where the criterion bends, or a bound is near, the
-quantity c is held at one value after the other, all parameters are fitted again, and the interval ends where the sum
+For nonlinear problems or near bounds, the quantity c is held at successive values, and the interval ends where the sum
 of squares has risen by::
 
     t^2 V / (w' (J' J)^-1 w)
 
-with t the quantile of Student's distribution at the level asked for, w the weights of c in the parameters, J the
-sensitivities at the estimate and V the variance of c in the covariance that is to be believed. For a white residual
-V = s^2 w' (J' J)^-1 w and this is the likelihood ratio, ``t^2 s^2``; for any other the ratio of the two variances
-scales it, so that a linear problem gives exactly the interval of that covariance.
+with t the quantile of Student's distribution, w the weights of c in the parameters, J the sensitivities at the estimate
+and V the variance of c in the reported covariance. For a white residual this is the likelihood ratio, ``t^2 s^2``. For
+a linear problem it gives the interval of that covariance.
 
-c is held by one more row, ``rho (w' x - c)``, not exactly: where that fit ends is exactly the best one at *its* c,
-which is what is noted, and bounds on the parameters stay what they are.
+A further row, ``rho (w' x - c)``, holds c approximately; each fit is the exact optimum at its own c.
 """
 
 from __future__ import annotations
@@ -124,10 +121,9 @@ class ProfileInterval:
 
 @dataclass(frozen=True, slots=True)
 class ByCompliance:
-    """A problem whose stiffness is searched as the compliance 1/K, in which a nearly rigid joint is nearly linear.
+    """A problem parametrised by the compliance 1/K, nearly linear for stiff joints.
 
-    A stiffness that a record does not show has no upper bound, which a search meets as a plain without an end; its
-    compliance merely has 0 in its interval.
+    An unidentifiable stiffness has no upper bound; its compliance has 0 in its interval.
 
     Attributes:
         problem: with one free parameter that is a stiffness.
@@ -150,7 +146,7 @@ class ByCompliance:
         return tuple(found)
 
     def exchanged(self, x: FloatArray) -> FloatArray:
-        """Return parameters with the compliance for the stiffness, or the other way round."""
+        """Exchange stiffness and compliance in a parameter vector."""
         found = np.array(x, dtype=np.float64)
         found[self._at] = 1.0 / found[self._at]
         return found
@@ -160,7 +156,7 @@ class ByCompliance:
         return self.problem.residual(self.exchanged(x))
 
     def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free)."""
+        """Residual, (rows,), and derivatives, (rows, free)."""
         residual, J = self.problem.linearised(self.exchanged(x))
         J = J.copy()
         J[:, self._at] *= -1.0 / x[self._at] ** 2
@@ -173,7 +169,7 @@ class ByCompliance:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Changed:
-    """A problem whose rows are changed, and not its parameters."""
+    """A problem with changed rows and the same parameters."""
 
     problem: Problem
 
@@ -184,7 +180,7 @@ class _Changed:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Held(_Changed):
-    """A problem with one more row, ``stiffness (weights' x - value)``, which holds a quantity at a value."""
+    """A problem with a further row, ``stiffness (weights' x - value)``."""
 
     weights: FloatArray
     stiffness: float
@@ -203,7 +199,7 @@ class _Held(_Changed):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Weighted(_Changed):
-    """A problem whose rows count as often as their weights, (rows,), say."""
+    """A problem with row weights, (rows,)."""
 
     root: FloatArray
 
@@ -216,7 +212,7 @@ class _Weighted(_Changed):
 
 
 def refit_weighted(problem: Problem, x: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return the parameters that minimise a problem's ``sum w r^2`` near a point, (free,), weights (rows,)."""
+    """Minimise ``sum w r^2`` near a point, (free,), weights (rows,)."""
     return solve(_Weighted(problem, np.sqrt(weights)), TrustRegion(evaluations=30, eager=False), x).x
 
 
@@ -234,17 +230,14 @@ def profile(
     covariance: Covariance | None = None,
     settings: Profiling | None = None,
 ) -> ProfileInterval:
-    """Return the profile of a parameter, or of a weighted sum of parameters, about an estimate.
+    """Profile a parameter or a weighted sum about an estimate.
 
     Args:
-        problem: that was solved.
-        x: (free,) where.
+        problem: the solved problem.
+        x: (free,) the estimate.
         combination: the quantity.
-        covariance: of the free parameters, to be believed; autocorrelation-robust when None.
+        covariance: of the free parameters; autocorrelation-robust when None.
         settings: see `Profiling`.
-
-    Raises:
-        MethodError: the combination is of parameters that are not free.
     """
     from scipy.stats import t as student
 
@@ -309,17 +302,10 @@ def is_parabola(
     covariance: Covariance,
     settings: Profiling | None = None,
 ) -> bool:
-    """Return whether the criterion rises as a parabola does, within a tenth, out to both ends of an interval.
+    """Test whether the criterion is parabolic, within a tenth, over an interval.
 
-    It is evaluated where a linear problem's profile would end; one that is parabolic there has the interval of the
-    covariance, and need not be followed. A bound on the way, or a quantity that leaves no trace, is no parabola.
-
-    Args:
-        problem: that was solved.
-        x: (free,) where.
-        combination: the quantity.
-        covariance: of the free parameters, to be believed.
-        settings: see `Profiling`.
+    The covariance's interval then holds. A bound in the interval or an invisible quantity gives False. Arguments as for
+    `profile`.
     """
     from scipy.stats import t as student
 
@@ -349,12 +335,12 @@ def profile_compliance(
     unit: Callable[[Parameter], str],
     settings: Profiling | None = None,
 ) -> ProfileInterval:
-    """Return the profile of 1/K12, in which a nearly rigid joint is nearly linear.
+    """Profile 1/K12, in which a stiff joint is nearly linear.
 
     Args:
-        problem: that was solved, its stiffness free.
-        x: (free,) where.
-        covariance: of the free parameters, the stiffness among them, to be believed.
+        problem: the solved problem, its stiffness free.
+        x: (free,) the estimate.
+        covariance: of the free parameters.
         unit: returns that of a parameter; a joint's `unit`.
         settings: see `Profiling`.
     """
@@ -368,7 +354,7 @@ def profile_compliance(
 
 
 def _least_rise(J: FloatArray, weights: FloatArray) -> tuple[FloatArray, float | None]:
-    """Return how all parameters follow per unit of the quantity, and ``w' (J' J)^-1 w``; None if nothing shows it."""
+    """Change of all parameters per unit of the quantity, and ``w' (J' J)^-1 w``, if visible."""
     norms = column_norms(J)
     _, sizes, directions = np.linalg.svd(J / norms, full_matrices=False)
     seen = sizes > _UNSEEN * sizes[0]
@@ -389,16 +375,16 @@ def _follow(
     threshold: float,
     most: int,
 ) -> list[_Point]:
-    """Return points on one side of the estimate, out to the threshold, the bound or the last one allowed.
+    """Profile one side, to the threshold, the bound or `most` points.
 
-    The root of the rise over the threshold is nearly linear in the quantity, which tells how far to go.
+    The root of the rise over the threshold is nearly linear in the quantity, which predicts the next point.
 
     Args:
         fit: the best fit near a value of the quantity, from a start that may be outside the bounds.
         centre: the estimate.
-        limit: value, perhaps infinite, beyond which the parameters' bounds do not let the quantity go.
+        limit: extreme value within the parameters' bounds, possibly infinite.
         step: to the first point, negative on the lower side.
-        direction: (free,) how the parameters follow the quantity.
+        direction: (free,) change of the parameters per unit of the quantity.
         threshold: of the rise.
         most: points.
     """
@@ -438,7 +424,7 @@ def _follow(
 
 
 def _crossing(values: FloatArray, rise: FloatArray, threshold: float) -> float | None:
-    """Return where the rise passes the threshold, going outwards; None if it does not."""
+    """Interpolate where the rise crosses the threshold; None if it does not."""
     above = np.flatnonzero(rise >= threshold)
     if not above.size:
         return None

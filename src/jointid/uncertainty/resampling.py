@@ -1,29 +1,22 @@
-"""Resampling of an estimate's rows: left out group by group (jackknife), or drawn with replacement (bootstrap).
+"""Resampling of an estimate's rows: group jackknife and block bootstrap.
 
-**Jackknife.** A residual e and its derivatives J enter a Gauss-Newton step, and the covariance of where it ends, by
-J'J, J'e and e'e alone, a few numbers for each group of rows. Rows that may err together are one group; groups err
-independently of each other. What leaving out one group after the other does to the estimate then says how far it may be
-off::
+**Jackknife.** A Gauss-Newton step needs only J'J, J'e and e'e of each group of rows. Rows with correlated errors form a
+group; groups are independent. Leaving out each group gives::
 
     d_g = -(A - A_g)^-1 (b - b_g)        V = (G - 1) / G  sum_g (d_g - mean)(d_g - mean)'
 
-with A = sum_g J_g'J_g and b = sum_g J_g'e_g, 0 where the estimate is. It holds whatever the correlation and the size of
-the errors within a group are, and errs towards intervals that are too wide where there are few groups. What one group
-alone determines cannot be compared with another, and no more directions than G - 1 scatter at all: there the intervals
-are no narrower than those of a white residual. The square of J's condition number must stay within the digits of a
-number: columns are scaled to one length first.
+with A = sum_g J_g'J_g and b = sum_g J_g'e_g, 0 at the estimate. It holds for any correlation and variance within a
+group and is conservative for few groups. Directions that a single group determines, and those beyond G - 1, get the
+intervals of a white residual. Columns are scaled first, since J's condition number is squared.
 
-**Bootstrap.** The rows of the residual are drawn in blocks: stretches of time that may overlap, which keep their
-autocorrelation (moving blocks, Kunsch 1989), or all the rows of one cell of position, direction and speed at once,
-which keeps what repeats there. For every resample, with w the number of times each row was drawn::
+**Bootstrap.** Rows are drawn in overlapping blocks of time (moving blocks, Kunsch 1989) or by cells of position,
+direction and speed, which keeps repeatable errors. With w the number of times each row was drawn::
 
     one step   dx = -(J' diag(w) J)^-1 J' diag(w) r,  less the same with w = 1, which is 0 at a minimum
     refitted   x minimises sum w r(x)^2
 
-One step is a problem as linear as the covariance takes it to be, and costs no simulation; it differs from a sandwich in
-that the information is drawn too, and that its intervals need not be symmetric. A refit sees the bend. What rests on
-few rows, as the initial state does on the first, is missing from many resamples, and is then kept by the one step: no
-bootstrap gives its deviation.
+One step is linear and needs no simulation; its intervals can be asymmetric. A refit includes the nonlinearity.
+Parameters that rest on few rows, as the initial state, are missing from many resamples, and keep their value there.
 """
 
 from __future__ import annotations
@@ -51,7 +44,7 @@ BANDWIDTHS = 3  # times the bandwidth of the autocorrelation is a block of time 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sums:
-    """Sums over some rows that a least-squares estimate needs.
+    """Sums over rows for a least-squares estimate.
 
     Attributes:
         A: (free, free) J'J. b: (free,) J'e. square: e'e. size: y'y of the filtered torque that e is left of.
@@ -66,12 +59,12 @@ class Sums:
 
     @classmethod
     def of(cls, error: FloatArray, J: FloatArray, measured: FloatArray) -> Sums:
-        """Return those of rows: a residual, (rows,), its derivatives, (rows, free), and what was measured, (rows,)."""
+        """Sum rows: residual, (rows,), derivatives, (rows, free), and measured, (rows,)."""
         return cls(J.T @ J, J.T @ error, float(error @ error), float(measured @ measured), error.size)
 
     @property
     def relative_error(self) -> float:
-        """Norm of the residual over that of what was measured; 0 of nothing."""
+        """Norm of the residual relative to the measured signal; 0 without one."""
         return float(np.sqrt(self.square / self.size)) if self.size > 0 else 0.0
 
     def __add__(self, other: Sums) -> Sums:
@@ -80,18 +73,18 @@ class Sums:
         return Sums(self.A + other.A, self.b + other.b, square, size, rows)
 
     def moved(self, step: FloatArray) -> Sums:
-        """Return them as they are after a step of the parameters, to first order."""
+        """Update the sums for a step of the parameters, to first order."""
         square = self.square + float(2 * self.b @ step + step @ self.A @ step)
         return Sums(self.A, self.b + self.A @ step, max(square, 0.0), self.size, self.rows)
 
 
 def total(groups: Sequence[Sums]) -> Sums:
-    """Return the sums over all groups, of which there is one or more."""
+    """Add the sums of all groups."""
     return sum(groups[1:], start=groups[0])
 
 
 def step_of(sums: Sums, room: Bounds) -> FloatArray:
-    """Return the step that minimises ``||e + J s||^2`` within bounds on it, (free,)."""
+    """Minimise ``||e + J s||^2`` within bounds on the step, (free,)."""
     from scipy.optimize import lsq_linear
 
     R = root_of(sums)
@@ -103,13 +96,13 @@ def step_of(sums: Sums, room: Bounds) -> FloatArray:
 
 
 def root_of(sums: Sums) -> FloatArray:
-    """Return what stands for the derivatives of all rows, (determined directions, free): R with R'R = J'J."""
+    """Return R with R'R = J'J, (determined directions, free)."""
     scale, sizes, vectors = _determine(sums.A)
     return np.asarray((vectors * np.sqrt(sizes)).T * scale)
 
 
 def left_out(groups: Sequence[Sums]) -> Covariance:
-    """Return the covariance of an estimate whose rows err together within each of two or more groups."""
+    """Jackknife covariance over two or more groups."""
     whole = total(groups)
     scale, sizes, vectors = _determine(whole.A)
     outer = np.outer(scale, scale)
@@ -127,7 +120,7 @@ def left_out(groups: Sequence[Sums]) -> Covariance:
 
 
 def _determine(A: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the lengths of J's columns, and eigenvalues and vectors of A = J'J scaled by them, rounding left out."""
+    """Column norms, and eigenvalues and vectors of the scaled A above rounding."""
     scale = scale_of(A)
     values, vectors = np.linalg.eigh(A / np.outer(scale, scale))
     kept = values > _SINGULAR * values[-1]
@@ -135,7 +128,7 @@ def _determine(A: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def scale_of(A: FloatArray) -> FloatArray:
-    """Return the lengths of the columns of J, of which A is J'J, and 1 for a column of zeros."""
+    """Column norms of J from A = J'J, with 1 for zero columns."""
     norms = np.sqrt(np.diag(A))
     return np.where(norms > 0, norms, 1.0)
 
@@ -198,7 +191,7 @@ class Bootstrap(Documented):
         return np.asarray(np.quantile(self.draws, [0.5 - 0.5 * self.level, 0.5 + 0.5 * self.level], axis=0).T)
 
     def document(self, *, details: bool = False) -> Document:
-        """Return the table; there are no further details."""
+        """Table of the intervals."""
         del details
         rows = tuple(
             (p.symbol, number(float(value)), number(float(std), 2), number(float(low)), number(float(high)))
@@ -218,22 +211,18 @@ def bootstrap_estimate(
     refit: Callable[[FloatArray], FloatArray] | None = None,
     progress: Progress = silent,
 ) -> Bootstrap:
-    """Return the bootstrap over moving blocks of time, or over groups of rows that err together.
+    """Bootstrap over moving blocks of time, or over groups of rows.
 
     Args:
         parameters: the free ones.
         x: (free,) the estimate.
         residual: (rows,) of it, in the order of time.
         J: (rows, free), its derivatives.
-        labels: (rows,) the number of each row's group, such as `Cells.stretch` or `Cells.label`; None for blocks of
-            time, three bandwidths of the autocorrelation long (`covariance.bandwidth`).
+        labels: (rows,) group of each row, such as `Cells.stretch` or `Cells.label`; None for blocks of time, three
+            bandwidths long (`covariance.bandwidth`).
         settings: see `Bootstrapping`.
-        refit: fits every resample again: the rows' weights in, (rows,), the estimate out, (free,); one linear step of
-            each when None.
-        progress: hears how many draws are done.
-
-    Raises:
-        MethodError: the record is too short, or there are too few groups.
+        refit: fits a resample, weights (rows,) in, estimate (free,) out; one linear step when None.
+        progress: receives the number of draws.
     """
     settings = settings or Bootstrapping()
     random = np.random.default_rng(settings.seed)
@@ -249,7 +238,7 @@ def bootstrap_estimate(
 
 
 def _draw_in_time(rows: int, random: np.random.Generator) -> tuple[int, str, Callable[[], FloatArray]]:
-    """Return how many blocks are drawn, which, and what draws: the number of times each row was drawn, (rows,)."""
+    """Return number and description of the blocks, and a function that draws weights, (rows,)."""
     length = BANDWIDTHS * bandwidth(rows)
     starts = rows - length + 1
     _require(starts, rows // length)
@@ -283,10 +272,10 @@ def _require(choices: int, blocks: int) -> None:
 
 
 def _one_step(x: FloatArray, residual: FloatArray, J: FloatArray) -> Callable[[FloatArray], FloatArray]:
-    """Return one Gauss-Newton step on a resample, about the one on the record.
+    """Return the Gauss-Newton step on a resample, relative to the record.
 
-    The columns are made orthogonal first: the normal equations of parameters that are nearly collinear lose half the
-    digits. In these the record's own information is the identity, and what a resample has lost of it is seen.
+    Columns are orthogonalised first, since normal equations lose half the digits of nearly collinear parameters. The
+    information is then the identity, so that a loss in a resample shows.
     """
     Q, R = np.linalg.qr(J)
     norms = column_norms(R)

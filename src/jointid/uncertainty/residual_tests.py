@@ -1,14 +1,12 @@
-"""Tests of the residual: its size, its frequencies, whether it is white, and whether it follows other axes.
+"""Tests of the residual: size, spectrum, whiteness, coupling to other axes.
 
-**Whiteness.** The low-pass before the decimation correlates even white noise from row to row, so that the usual test
-calls every residual coloured. Its pass band alone is looked at: the residual's spectrum between 0 and 95 % of the
-cut-off is read as that of a signal sampled at twice that frequency, which is white where the noise is. Of that signal
-the autocorrelations c_h at lags 1 to 20 are tested together::
+**Whiteness.** The low-pass correlates even white noise. Therefore the spectrum between 0 and 95 % of the cut-off is
+taken as that of a signal sampled at twice that frequency, white where the noise is. Its autocorrelations at lags 1 to
+20 are tested together::
 
     Q = sum_h (sum_t e_t e_t-h)^2 / (sum_t e_t^2 e_t-h^2)        chi-square with 20 degrees of freedom
 
-which is Ljung and Box's with variances that do not take the rows for equally accurate (Diebold 1986; Lobato, Nankervis
-and Savin 2001): the residual of a joint is louder at reversals.
+This is the Ljung-Box test for unequal variances (Diebold 1986; Lobato, Nankervis and Savin 2001).
 """
 
 from __future__ import annotations
@@ -113,19 +111,16 @@ def residual_report(
     rigid_error: FloatArray | None = None,
     repeatable: Repeatable | None = None,
 ) -> ResidualReport:
-    """Return the report on the residual of a record's torque, in octaves below the cut-off and one band above it.
+    """Report on a residual torque, in octaves up to the cut-off and one band above.
 
     Args:
         error: (rows,) measured less predicted torque, filtered and decimated.
-        measured: (rows,) the torque itself, likewise.
+        measured: (rows,) the torque, filtered and decimated.
         sample_time: seconds between rows.
-        cutoff: Hz, of the filter both went through.
+        cutoff: Hz, of the filter.
         unit: of the torque.
         rigid_error: (rows,) residual of a rigid model, filtered alike.
-        repeatable: the part that repeats, from `jointid.uncertainty.position_dependent_error`.
-
-    Raises:
-        MethodError: the arrays do not belong together.
+        repeatable: the repeatable part; see `jointid.uncertainty.position_dependent_error`.
     """
     sizes = {error.size, measured.size, error.size if rigid_error is None else rigid_error.size}
     if len(sizes) > 1:
@@ -148,7 +143,7 @@ def residual_report(
 
 
 def whiteness(error: FloatArray, sample_time: float, cutoff: float) -> Whiteness | None:
-    """Return the test of a residual's autocorrelation (see the module); None where there are too few rows.
+    """Test the autocorrelation of a residual (see the module); None with too few rows.
 
     Args:
         error: (rows,) filtered and decimated residual.
@@ -166,7 +161,7 @@ def whiteness(error: FloatArray, sample_time: float, cutoff: float) -> Whiteness
 
 
 def _within(error: FloatArray, sample_time: float, cutoff: float) -> FloatArray:
-    """Return the part of a residual within the pass band, sampled at twice its width."""
+    """Resample a residual to its pass band."""
     spectrum = np.fft.rfft(error - error.mean())
     highest = min(_INSIDE * cutoff, 0.5 / sample_time)
     # The last frequency is left out, which at half the sampling frequency has no phase.
@@ -202,7 +197,7 @@ def _ratio(error: FloatArray, signal: FloatArray) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Coupling:
-    """Share of a residual's variance that follows the motion of other axes.
+    """Share of a residual's variance that is correlated with other axes.
 
     Attributes:
         explained: share, 0 to 1.
@@ -219,10 +214,10 @@ class Coupling:
 
 
 def coupling(residual: FloatArray, motion: FloatArray) -> Coupling:
-    """Return the share of a residual that other axes' motion explains, by least squares.
+    """Share of a residual that other axes' motion explains, by least squares.
 
-    The residual is not white, so the usual F test does not hold. What is explained by chance is found by turning the
-    motion round against the residual, which keeps the spectrum of both: the 95 % quantile over such shifts.
+    Circular shifts of the motion keep both spectra and give the 95 % quantile by chance; the F test would need a white
+    residual.
 
     Args:
         residual: (rows,) of the filtered torque.

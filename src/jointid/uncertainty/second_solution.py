@@ -1,23 +1,21 @@
-"""Intervals wide enough for what a model lacks: where a second solution of the same equations lies elsewhere.
+"""Intervals that cover model error, by a second solution of the same equations.
 
-Least squares, ``J' e = 0``, and the solution by instruments, ``Z' e = 0``, have the same answer where the model is
-true, but for noise; what a model lacks moves them apart, because they weigh it otherwise. From where least squares
-ended the other is a step away,
+Least squares, ``J' e = 0``, and instruments, ``Z' e = 0``, agree for a true model except for noise; a model error
+separates them. From the least-squares estimate the other solution is a step away,
 
     d = (Z' J)^-1 Z' e
 
-Both solutions answer to the same noise n, so that what it makes of the step is the difference of their answers
-(Hausman 1978), with the Bartlett kernel over neighbouring rows or by the residual's spectrum, whichever says more::
+The effect of the common noise n on the step (Hausman 1978) is estimated with the Bartlett kernel or by spectrum,
+whichever is larger::
 
     d = ((Z' J)^-1 Z' - (J' J)^-1 J') n
 
-It may be a third of what noise makes of either solution. Where a parameter's d is more than two of its deviations,
-noise did not make it, and it is added to the parameter's deviation, as one of its own size: the interval of 2 sigma
-then holds both solutions. Elsewhere nothing is added.
+Where a parameter's d exceeds two of its deviations, d is added to the parameter's deviation, so that 2 sigma covers
+both solutions.
 
-On the EMPS axis, whose friction is no Coulomb's, the masses that two records give lie 1.3 kg apart by least squares and
-0.4 kg by instruments; d is 0.5 and 0.4 kg, of which the first is no noise. An error of the model that moves both
-solutions alike is not seen.
+On the EMPS axis, whose friction is not Coulomb's, the masses from two records differ by 1.3 kg by least squares and
+0.4 kg by instruments; d is 0.5 and 0.4 kg, the first significant. A model error that moves both solutions alike is not
+detected.
 """
 
 from __future__ import annotations
@@ -35,7 +33,7 @@ _NOISE = 2.0  # deviations: a solution that is further away is so by what the mo
 
 
 def second_solution(Z: FloatArray, J: FloatArray, error: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how far the solution by instruments is from least squares, and what noise makes of that, (parameters,).
+    """Shift from least squares to instruments, and its deviation, (parameters,).
 
     Args:
         Z: (rows, parameters), the instruments.
@@ -55,14 +53,14 @@ def second_solution(Z: FloatArray, J: FloatArray, error: FloatArray) -> tuple[Fl
 def widened_to_second(
     known: Uncertainty, Z: FloatArray, J: FloatArray, error: FloatArray, inside: NDArray[np.bool_]
 ) -> Uncertainty:
-    """Return what is known by least squares, wide enough for the solution by instruments (see the module).
+    """Widen an uncertainty to cover the solution by instruments (see the module).
 
     Args:
         known: of least squares.
         Z: (rows, parameters), the instruments.
         J: (rows, parameters), the sensitivities of the prediction.
         error: (rows,) the residual of least squares.
-        inside: (parameters,) which do not stand at a bound; the others are held there.
+        inside: (parameters,) which are not at a bound; the others stay.
     """
     shift, noise = np.zeros(inside.size), np.zeros(inside.size)
     shift[inside], noise[inside] = second_solution(Z[:, inside], J[:, inside], error)

@@ -1,23 +1,22 @@
-"""What a stationary noise makes of an estimate, by its spectrum in bands, and how well that is known.
+"""Covariance under stationary noise, by its spectrum in bands.
 
-Of linear equations an estimate errs by ``A n``, A its influences and n the noise, and leaves ``e = (I - J A) n``. With
+An estimate of linear equations errs by ``A n``, A its influences and n the noise, and leaves ``e = (I - J A) n``. With
 the power s_b of n in a band b, the projection E_b on it, and w_b the band's degrees of freedom::
 
     cov = sum_b s_b A E_b A'
     E (e' E_a e) = sum_b M_ab s_b,      M_ab = (w_a - 2 tr A E_a J) [a = b] + tr (J' E_a J) (A E_b A')
 
-The s_b >= 0 that meet the second line are free of what the fit took out of a band (Patterson and Thompson 1971 call it
-restricted likelihood), which is most of the slowest ones. These bands are narrow, because under a force in the loop the
-spectrum rises towards 0, where an offset and the sum of the inertias are told: four frequencies, then a quarter of the
-frequency, and no more than sqrt(rows).
+Solving the second line for s_b >= 0 corrects for the degrees of freedom of the fit in each band (restricted likelihood,
+Patterson and Thompson 1971). The bands are narrow, since the spectrum under a force in the loop rises towards 0, where
+an offset and the total inertia are determined: four frequencies, then a quarter of the frequency, at most sqrt(rows).
 
-**How well it is known.** The power of a band is chi-square of M_bb degrees of freedom, so a deviation has those of
+**Degrees of freedom.** The power of a band is chi-square with M_bb degrees of freedom, so a deviation has those of
 Satterthwaite (1946)::
 
     nu = 2 (h' s)^2 / var (h' s),      h_b = (A E_b A')_ii
 
-few where a parameter is told by a few frequencies: its interval is Student's. Two deviations hold the truth as often as
-2 sigma of a normal error would if they are multiplied with half of Student's quantile.
+These are few for a parameter that few frequencies determine. Half of Student's quantile then scales the deviation, so
+that two deviations have the coverage of 2 sigma.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ _TWO_SIGMA = 0.9772498680518208  # of a normal distribution below two deviations
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Bands:
-    """What there is in each band of frequency of one record.
+    """Quantities of one record by frequency band.
 
     Attributes:
         influences: (bands, parameters, parameters) A E_b A'.
@@ -63,14 +62,14 @@ def spectral_covariance(
     parts: Sequence[slice],
     asked: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the covariance, (parameters, parameters), and Student's factor of each deviation, (parameters,).
+    """Return the covariance, (parameters, parameters), and Student's factors, (parameters,).
 
     Args:
-        influences: (rows, parameters), A'; about as large for one parameter as for another.
+        influences: (rows, parameters), A', of similar scale.
         J: (rows, parameters), the sensitivities of the prediction, scaled likewise.
         error: (rows,) the residual, in the order of time.
-        parts: rows of each record, whose spectra are their own.
-        asked: (rows, parameters), the influences on what is asked for, if that is not the estimate.
+        parts: rows of each record, with their own spectra.
+        asked: (rows, parameters), influences on the requested quantities, if not the estimate.
     """
     others = [None if asked is None else asked[part] for part in parts]
     bands = [_bands(influences[part], J[part], error[part], other) for part, other in zip(parts, others, strict=True)]
@@ -87,7 +86,9 @@ def spectral_covariance(
     variance = 2.0 * (level**2 * freedom) @ answers**2
     known = variance > 0
     degrees = 2.0 * np.diag(covariance) ** 2 / np.where(known, variance, 1.0)
-    return covariance, np.where(known, _students_factor(degrees), 1.0)
+    from scipy.special import stdtrit
+
+    return covariance, np.where(known, np.asarray(stdtrit(np.maximum(degrees, 1.0), _TWO_SIGMA) / 2.0), 1.0)
 
 
 def _bands(influences: FloatArray, J: FloatArray, error: FloatArray, asked: FloatArray | None) -> _Bands:
@@ -115,7 +116,7 @@ def _bands(influences: FloatArray, J: FloatArray, error: FloatArray, asked: Floa
 
 
 def _borders(left: FloatArray, rows: int) -> NDArray[np.intp]:
-    """Return the first frequency of each band, of which the fit leaves so many degrees of freedom each."""
+    """First frequency of each band, for a number of residual degrees of freedom."""
     total, first = np.concatenate([[0.0], np.cumsum(left)]), [0]
     while True:
         k = first[-1]
@@ -127,7 +128,7 @@ def _borders(left: FloatArray, rows: int) -> NDArray[np.intp]:
 
 
 def _solved(M: FloatArray, power: FloatArray, freedom: FloatArray) -> FloatArray:
-    """Return the levels of the bands, none negative, each equation weighing by its degrees of freedom."""
+    """Solve for non-negative band levels, weighted by degrees of freedom."""
     from scipy.optimize import nnls
 
     scale = np.sqrt(freedom)
@@ -137,10 +138,3 @@ def _solved(M: FloatArray, power: FloatArray, freedom: FloatArray) -> FloatArray
     except RuntimeError:  # too many iterations
         return power / freedom
     return np.asarray(unit * found)
-
-
-def _students_factor(degrees: FloatArray) -> FloatArray:
-    """Return what two deviations are multiplied with to hold as much as two of a normal distribution do."""
-    from scipy.special import stdtrit
-
-    return np.asarray(stdtrit(np.maximum(degrees, 1.0), _TWO_SIGMA) / 2.0)

@@ -1,8 +1,4 @@
-"""Verdicts: one question each about an identification, a status, and coded reasons for it.
-
-There is no single success. A search may end well on a model that does not fit; a good fit may leave a stiffness
-unknown. Each question keeps its own answer.
-"""
+"""Verdicts: one question each about an identification, with status and coded reasons."""
 
 from __future__ import annotations
 
@@ -33,7 +29,7 @@ class Subject(StrEnum):
 
     @property
     def question(self) -> str:
-        """The question in words, to which yes is the good answer."""
+        """The question in words; yes is good."""
         return _QUESTIONS[self]
 
 
@@ -58,7 +54,7 @@ class Status(StrEnum):
 
     @classmethod
     def of(cls, good: bool | None) -> Status:
-        """Return the status of a test that passed, did not, or (None) was not possible."""
+        """Status of a test that passed, failed, or (None) was impossible."""
         return cls.UNKNOWN if good is None else cls.PASSED if good else cls.FAILED
 
 
@@ -115,7 +111,7 @@ class Verdict:
 
     @property
     def good(self) -> bool | None:
-        """True if it passed, False if not, None where it cannot be said."""
+        """True if passed, False if failed, None if undecided."""
         return None if self.status is Status.UNKNOWN else self.status is Status.PASSED
 
     @property
@@ -126,7 +122,7 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class StiffnessBound:
-    """The softest spring a record allows at one load share.
+    """The softest admissible spring at one load share.
 
     Attributes:
         share: of the load in the inertia.
@@ -145,7 +141,7 @@ def solver_verdict(stop: str, converged: bool) -> Verdict:
 
 
 def fit_verdict(report: ResidualReport) -> Verdict:
-    """Return the verdict on the fit: a right model explains more of the torque than a poor one."""
+    """Verdict on the share of torque that the model explains."""
     said, values = f"{100 * report.relative:.2f} % of the filtered torque remains", {"remaining": report.relative}
     if report.relative <= POOR_FIT:
         return _judge(Subject.FIT, True, Reason.TORQUE_EXPLAINED, said, values)
@@ -153,7 +149,7 @@ def fit_verdict(report: ResidualReport) -> Verdict:
 
 
 def residual_verdicts(report: ResidualReport) -> tuple[Verdict, Verdict]:
-    """Return the verdicts on the residual's whiteness, and on the part that repeats with the motion."""
+    """Verdicts on whiteness and on the repeatable part of the residual."""
     white, repeats = report.whiteness, report.repeatable
     if white is None:
         noise = _judge(Subject.WHITENESS, None, Reason.TOO_FEW_ROWS, "too few rows to say")
@@ -177,7 +173,7 @@ def residual_verdicts(report: ResidualReport) -> tuple[Verdict, Verdict]:
 
 
 def identifiability_verdict(known: Identifiability) -> Verdict:
-    """Return the verdict on the parameters: the record determines every one, or its limitations."""
+    """Verdict on whether the record determines every parameter."""
     if known.limitations:
         return Verdict(Subject.IDENTIFIABILITY, Status.FAILED, known.limitations)
     said = "every parameter is told from 0 and from the others"
@@ -185,13 +181,13 @@ def identifiability_verdict(known: Identifiability) -> Verdict:
 
 
 def only_sums_verdict() -> Verdict:
-    """Return that of a joint whose stiffness is refused, only the sums of both sides are determined."""
+    """Verdict for a refused stiffness: only sums of both sides are determined."""
     said = "only the sums of both sides are told, not how they divide"
     return _judge(Subject.IDENTIFIABILITY, False, Reason.ONLY_SUMS, said)
 
 
 def bounds_verdict(touched: Sequence[str]) -> Verdict:
-    """Return the verdict on the parameters that are held by a bound."""
+    """Verdict on parameters at a bound."""
     if not touched:
         return _judge(Subject.BOUNDS, True, Reason.NONE_AT_BOUND, "no parameter is held by a bound")
     said = f"{', '.join(touched)} at a bound, where it does not follow the record"
@@ -200,7 +196,7 @@ def bounds_verdict(touched: Sequence[str]) -> Verdict:
 
 
 def not_tested(subject: Subject, why: str) -> Verdict:
-    """Return that a question was not looked at, and why."""
+    """Verdict for a question that was not tested, with the reason."""
     return _judge(subject, None, Reason.NOT_TESTED, why)
 
 

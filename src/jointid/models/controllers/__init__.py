@@ -1,9 +1,7 @@
-"""Controllers: laws by name, drawn of signals, filters and limits, each lowered to one sampled law and run.
+"""Controllers: named laws of signals, filters and limits, lowered to one sampled law.
 
-The simulation runs a law in its loop; here it is run, and turned round, on signals that are given.
-
-A law is added by its own file and its line in `LAWS`: its keys in the joint file, their checks and their documentation
-are made from the settings that it declares.
+To add a law, add its file and its line in `LAWS`: the joint file's keys, checks and documentation derive from its
+settings.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A controller's number as its drive shows it: under the drive's name, in its unit, on its side of a transmission."""
+"""Controller numbers in the drive's name, unit and transmission side."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class DriveNumber:
-    """How a drive shows one number of a law.
+    """A drive's representation of one number of a law.
 
     Attributes:
         number: of the law, as `jointid.models.controllers.numbers_of` has it.
@@ -31,11 +31,11 @@ class DriveNumber:
 
     @property
     def tells_more(self) -> bool:
-        """True if it is not the number as it is, without anything to compare it with."""
+        """Whether it adds a conversion or a declared value."""
         return self.inverse or self.factor != 1.0 or self.declared is not None
 
     def of(self, value: float, law: Mapping[str, float]) -> float:
-        """Return a value of the number as the drive shows it, beside the other numbers of its law."""
+        """Convert a value to the drive's, given the law's other numbers."""
         per = law[self.per] if self.per else 1.0
         share = value / per if per else math.inf
         if self.inverse:

@@ -1,4 +1,4 @@
-"""Digital filters in a drive's loop: of the measured velocity, and of the torque."""
+"""Digital filters of measured velocity and torque."""
 
 from __future__ import annotations
 
@@ -151,7 +151,10 @@ class Notch:
 
 
 def _polynomial(frequency: float, damping: float, period: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """Return ``s^2/w^2 + 2 d s/w + 1`` by the bilinear rule, times ``(1 + z^-1)^2``, exact at its own frequency."""
+    """Return ``s^2/w^2 + 2 d s/w + 1`` by the bilinear rule, times ``(1 + z^-1)^2``.
+
+    It is exact at its own frequency.
+    """
     if frequency * period >= 0.5:
         raise MethodError(
             f"A filter at {frequency:g} Hz does not exist at a period of {period:g} s, whose half sampling frequency "

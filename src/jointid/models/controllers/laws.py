@@ -1,16 +1,16 @@
-"""Controllers by name: what engineers set, drawn as a `Diagram` and lowered to one `SampledLaw`.
+"""Named controllers, drawn as a `Diagram` and lowered to one `SampledLaw`.
 
 Evaluated every period T on the sampled position q and reference r; the output is held, and acts after a computing
-delay that may be a fraction of a period. With v the filtered backward difference of q, e = r - q, and kp, kv, ki,
-kd the position, velocity, integral and derivative gain::
+delay, possibly fractional. With v the filtered backward difference of q, e = r - q, and kp, kv, ki, kd the position,
+velocity, integral and derivative gain::
 
     Cascade   w = kp e + velocity_feedforward dr/dt, every position_period, within velocity_limit
               u = kv (w - v + ki I),  I the sum of T (w - v)
     PID       u = kp e + ki I + kd (dr/dt - v),  I the sum of T e
     PD        the same without I
 
-All sums are those of earlier periods, all differences backward ones. What is around all of them is in
-`servo_base`. A law that has no name is a `StateSpaceController`.
+Sums cover earlier periods; differences are backward. `servo_base` has the common parts. A `StateSpaceController`
+represents other laws.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _ANTI_WINDUP = (
 
 
 def _gain(help: str, unit: str) -> Mapping[str, Setting]:  # noqa: A002
-    """Return the declaration of a gain of the loop, which no sign turns round."""
+    """Declare a loop gain, which no sign reverses."""
     remedy = "turn the torque or the positions round, with sign = -1 on their channels"
     return declare(help, unit=unit, at_least=0, negative=remedy)
 
@@ -58,7 +58,7 @@ def _gain(help: str, unit: str) -> Mapping[str, Setting]:  # noqa: A002
 @documented
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cascade(DiagramController):
-    """A position loop around a velocity loop: P-P, or P-PI where `integral_gain` is not 0 (the module's equations)."""
+    """A position loop around a velocity loop: P-P, or P-PI with `integral_gain`."""
 
     position_gain: float = field(metadata=_gain("position gain", "1/s"))
     velocity_gain: float = field(metadata=_gain("velocity gain", "controller units per m/s or rad/s"))
@@ -92,7 +92,7 @@ class Cascade(DiagramController):
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """The reference, and its velocity when that is a channel."""
+        """The reference, and its velocity if that is a channel."""
         return ("reference", "reference_velocity") if self.reference_velocity == "channel" else ("reference",)
 
     def law(self, sample_time: float) -> SampledLaw:
@@ -155,7 +155,7 @@ class PD(DiagramController):
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """The reference, and its velocity when that is a channel."""
+        """The reference, and its velocity if that is a channel."""
         return ("reference", "reference_velocity") if self.reference_velocity == "channel" else ("reference",)
 
     def law(self, sample_time: float) -> SampledLaw:
@@ -166,7 +166,7 @@ class PD(DiagramController):
         return self._lower(diagram, output, limit)
 
     def _controlled(self, diagram: Diagram) -> tuple[BlockSignal, BlockSignal]:
-        """Return the position error and the output, without an integral."""
+        """Position error and output without an integral."""
         reference, position = self._reference(diagram), diagram.input(POSITION)
         error = reference - position
         if self.reference_velocity == "difference":
@@ -202,9 +202,9 @@ class PID(PD):
 
 
 def shift_start(controller: Controller, seconds: float) -> Controller:
-    """Return a controller as it is for a log that begins so many seconds later: a slower loop in it keeps its instants.
+    """Adapt a controller to a log that begins `seconds` later, or earlier if negative.
 
-    Only a `Cascade` with a position loop of its own has any. Negative: for a log that begins earlier.
+    Only the phase of a `Cascade`'s slower position loop changes.
     """
     if not (seconds and isinstance(controller, Cascade) and controller.position_period):
         return controller
@@ -215,9 +215,9 @@ def shift_start(controller: Controller, seconds: float) -> Controller:
 
 
 def with_present_sample(controller: Cascade | PID, period: float) -> Cascade | PID:
-    """Return the same controller with an integral that takes in the present sample, as a law whose integral does not.
+    """Return the controller with an integral that includes the present sample.
 
-    Backward Euler's sum ``I + T e`` is ``ki T`` more of what the integral acts beside.
+    Backward Euler's sum ``I + T e`` adds ``ki T`` to the proportional gain.
 
     Args:
         controller: with an integral.
@@ -234,7 +234,7 @@ def with_present_sample(controller: Cascade | PID, period: float) -> Cascade | P
 
 
 def _with_anti_windup(diagram: Diagram, into: BlockSignal, limit: int, anti_windup: str, weight: float) -> BlockSignal:
-    """Return an integral's increment in a period, with its anti-windup; `weight` takes the integral to torque."""
+    """Integral increment per period with anti-windup; `weight` scales it to torque."""
     if anti_windup == "hold":
         return diagram.gated(into, limit)
     # An integral of no weight has no share in what was cut off.

@@ -1,17 +1,17 @@
-"""The common form of every controller: a sampled linear law with limits inside, evaluated once per period.
+"""The common form of every controller: a sampled linear law with limits inside.
 
-Period k is in phase p = k mod `phases` of a cycle, one phase for a law whose parts all run at one rate. With the inputs
-named below, the states z, and elements i = 1, 2, ... in the order in which they are evaluated::
+Period k is in phase p = k mod `phases` of a cycle; a single-rate law has one phase. With the inputs named below, the
+states z, and elements i = 1, 2, ... in order of evaluation::
 
     raw_i[k] = C_i z[k] + D_i inputs[k] + sum over j < i of E_ij excess_j[k]
     z[k+1]   = A z[k] + B inputs[k] + F excess[k]
 
-A limit's excess is ``clip(raw, -limit, limit) - raw``. A gate, which stops an integrator while a limit acts, has the
-excess ``-raw`` where raw pushes its limit further, 0 elsewhere. The value of an element is raw plus excess; that of
-the element `output` is the torque, which acts `delay` after the period's instant and is held for a period.
+A limit's excess is ``clip(raw, -limit, limit) - raw``. A gate stops an integrator while a limit acts: its excess is
+``-raw`` if raw pushes its limit further, else 0. An element's value is raw plus excess; that of the element `output` is
+the torque, which acts `delay` after the period's instant and is held for a period.
 
-Written so, all that is not linear is in the excesses, and the answers to the inputs, one by one, add up. `run` takes
-inputs to torque, `invert` the torque back to the position.
+All nonlinearity is in the excesses, so responses to the inputs superpose. `run` maps inputs to torque, `invert` torque
+to position.
 """
 
 from __future__ import annotations
@@ -78,25 +78,25 @@ class SampledLaw:
 
     @property
     def limit(self) -> float:
-        """Of the torque; infinite when there is none."""
+        """Torque limit, possibly infinite."""
         return float(self.limits[self.tap])
 
     def limited(self, level: float) -> SampledLaw:
-        """Return the law with another limit of the torque."""
+        """Replace the torque limit."""
         limits = self.limits.copy()
         limits[self.tap] = level
         return replace(self, limits=limits)
 
     def memory(self, column: int, value: float, slope: float) -> FloatArray:
-        """Return the states an input leaves that has moved uniformly until now, at `value` with `slope` per second.
+        """States after uniform motion of an input up to `value` with `slope` per second.
 
-        Memories of several inputs add up. An integrator's own content is taken as 0: `integral` says what a content is.
+        Memories of inputs add up. An integrator's own content is 0; see `integral`.
         """
         at = np.arange(INPUTS) == column
         return self.memories(value * at, slope * at)
 
     def memories(self, values: FloatArray, slopes: FloatArray) -> FloatArray:
-        """Return the states that all inputs leave, (INPUTS,) values and slopes per second; see `memory`."""
+        """Sum of the memories of all inputs, (INPUTS,) values and slopes per second."""
         memory = np.zeros(self.order)
         moving = ~self._integrators()
         valued, sloped = self.B @ values, self.B @ slopes
@@ -117,7 +117,7 @@ class SampledLaw:
         return memory
 
     def known_memory(self, inputs: FloatArray) -> FloatArray:
-        """Return the states that all inputs, (periods, INPUTS), but the position leave when they moved uniformly."""
+        """States after uniform motion of all inputs but the position, (periods, INPUTS)."""
         first = inputs[0]
         slope = (inputs[1, REFERENCE] - first[REFERENCE]) / self.period if len(inputs) > 1 else 0.0
         values, slopes = np.zeros(INPUTS), np.zeros(INPUTS)
@@ -126,7 +126,7 @@ class SampledLaw:
         return self.memories(values, slopes)
 
     def integral(self) -> FloatArray | None:
-        """Return the states at rest, by an integrator's content, in which the output is 1; None without integrator."""
+        """States at rest with unit output by an integrator; None without one."""
         integrators = np.flatnonzero(self._integrators())
         if not integrators.size:
             return None
@@ -140,9 +140,9 @@ class SampledLaw:
         return states / out if out else None
 
     def _integrators(self) -> NDArray[np.bool_]:
-        """Return which states keep what they have, over a cycle, and add to it.
+        """States that accumulate over a cycle.
 
-        A filter's state may have a 1 there, too, but what it puts into other states comes back.
+        A filter's state may have a unit eigenvalue, too, but its effect on other states returns.
         """
         whole = _over_cycle(self.A)
         found = np.diag(whole) == 1.0
@@ -153,9 +153,9 @@ class SampledLaw:
         return np.asarray(found)
 
     def feedback(self, hertz: FloatArray) -> NDArray[np.complex128]:
-        """Return the law's response to the position at these frequencies, torque per position.
+        """Frequency response to the position, torque per position.
 
-        Of a law with several phases, that of the output's part at the frequency itself.
+        For several phases, the component at the frequency itself.
         """
         turn = np.exp(2j * np.pi * hertz * self.period)[:, np.newaxis]
         response = np.zeros(hertz.size, dtype=np.complex128)
@@ -179,10 +179,10 @@ class SampledLaw:
         return float(np.max(np.abs(self.D[:, self.output, POSITION])))
 
     def split(self) -> tuple[SampledLaw, SampledLaw]:
-        """Split the law into the part that depends on the motion and the part known before it, which has no limits.
+        """Split into the part that depends on the motion and the limit-free known part.
 
-        The first keeps the states that position, limits and gates move. The second has the rest, with the first's
-        elements as its own, and after them one for each of the first's states: what goes into it in a period.
+        The first keeps the states moved by position, limits and gates. The second has the rest, with the first's
+        elements and then one for the input of each of its states.
         """
         moved = self.fed_back()
         still = ~moved
@@ -208,17 +208,17 @@ class SampledLaw:
 
     @property
     def integrates(self) -> bool:
-        """True if a state that depends on the motion keeps its value."""
+        """Whether a motion-dependent state keeps its value."""
         return bool(np.any(self._integrators() & self.fed_back()))
 
     def fed_back(self) -> NDArray[np.bool_]:
-        """Return which states the position, or a limit, moves; the others only carry what is known beforehand."""
+        """States moved by the position or a limit."""
         moved = np.any(self.B[:, :, POSITION] != 0.0, axis=0) | np.any(self.F != 0.0, axis=(0, 2))
         return _reached(np.any(self.A != 0.0, axis=0), moved)
 
 
 def _over_cycle(A: FloatArray) -> FloatArray:
-    """Return the transition of the states, (states, states), over all phases of a cycle, (phases, states, states)."""
+    """State transition over a cycle, (states, states), from all phases."""
     whole = np.eye(A.shape[1])
     for step in A:
         whole = step @ whole
@@ -226,7 +226,7 @@ def _over_cycle(A: FloatArray) -> FloatArray:
 
 
 def _reached(edges: NDArray[np.bool_], begun: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which states are moved by some that are, themselves among them; `edges` (to, from)."""
+    """States reachable from given ones, including these; `edges` (to, from)."""
     reached = begun
     while not np.array_equal(begun := reached | (edges @ reached), reached):
         reached = begun
@@ -234,7 +234,7 @@ def _reached(edges: NDArray[np.bool_], begun: NDArray[np.bool_]) -> NDArray[np.b
 
 
 def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the solution, that of least squares where a double integrator leaves none."""
+    """Solve, by least squares if a double integrator makes it singular."""
     if not right.size:
         return right
     # States differ in size by powers of the period: without equal rows and columns rounding would hide small ones.
@@ -249,9 +249,9 @@ def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
 
 
 def scaled(law: SampledLaw, factor: float) -> SampledLaw:
-    """Return the law with its output, and its limit, `factor` times as large.
+    """Scale output and torque limit.
 
-    A simulated joint whose inertia is `factor` times the real one then keeps the real loop's bandwidth.
+    The loop of a joint with `factor` times the inertia then has the same bandwidth.
     """
     by = np.where(law.scales, factor, 1.0)
     return replace(
@@ -265,11 +265,10 @@ def scaled(law: SampledLaw, factor: float) -> SampledLaw:
 
 
 def referred(law: SampledLaw, ratio: float) -> SampledLaw:
-    """Return a law as a joint sees it through a transmission, from the law's own side.
+    """Refer a law through a transmission to the joint.
 
-    The law sees ``ratio`` times the joint's positions, and its torques are ``ratio`` times as large on the joint: power
-    is the same on both sides, and a feedback keeps its sign where the ratio is negative. What is not a torque, such as
-    the limit of a velocity, stays as it is on the law's side.
+    The law sees ``ratio`` times the joint's positions, and the joint ``ratio`` times its torques; a negative ratio
+    keeps the feedback's sign. Other limits, as of velocity, stay on the law's side.
     """
     if ratio == 1.0:
         return law
@@ -281,11 +280,11 @@ def referred(law: SampledLaw, ratio: float) -> SampledLaw:
 
 
 def law_inputs(reference: FloatArray, velocity: FloatArray | None) -> FloatArray:
-    """Return a law's inputs, (periods, INPUTS), without the position and the injected signal.
+    """Inputs of a law, (periods, INPUTS), without position and injection.
 
     Args:
         reference: (periods,).
-        velocity: (periods,) of the reference, where a channel of its own has it.
+        velocity: (periods,) of the reference, if a channel.
     """
     inputs = np.zeros((reference.size, INPUTS))
     inputs[:, REFERENCE], inputs[:, CONSTANT] = reference, 1.0
@@ -312,7 +311,7 @@ class LawRun:
 
 
 def run(law: SampledLaw, inputs: FloatArray, state: FloatArray) -> LawRun:
-    """Run the law on these inputs, within its limits.
+    """Run the law within its limits.
 
     Args:
         law: the law.
@@ -326,13 +325,13 @@ def run(law: SampledLaw, inputs: FloatArray, state: FloatArray) -> LawRun:
 
 
 def respond(law: SampledLaw, inputs: FloatArray, state: FloatArray, excess: FloatArray | None = None) -> FloatArray:
-    """Return the linear answer of all elements, before limits and gates, (periods, elements).
+    """Linear response of all elements before limits and gates, (periods, elements).
 
     Args:
         law: the law.
-        inputs: (periods, INPUTS); leave a column 0 to get the answer to the others alone.
+        inputs: (periods, INPUTS); zero columns give the response to the others alone.
         state: (states,) at the first period.
-        excess: (periods, elements) what limits and gates do; nothing when None.
+        excess: (periods, elements) of limits and gates; none when None.
     """
     given = np.zeros((len(inputs), law.limits.size)) if excess is None else np.ascontiguousarray(excess)
     return _respond(law, inputs, state, given, False)
@@ -360,21 +359,17 @@ def _respond(law: SampledLaw, inputs: FloatArray, state: FloatArray, excess: Flo
 def invert(
     law: SampledLaw, torque: FloatArray, inputs: FloatArray, state: FloatArray, element: int | None = None
 ) -> FloatArray:
-    """Return the motor position that makes the law put out `torque`, shape (periods,).
+    """Motor position at which the law outputs `torque`, (periods,).
 
-    ``position = reference - C^-1(torque)``: exact where the torque, and nothing before it, was at a limit. It turns
-    noise dT of the torque into dT / |D| of position within the period, and dT over the law's static gain slowly: for
-    most loops far below an encoder's step.
+    ``position = reference - C^-1(torque)``, exact while no limit acts. Torque noise dT becomes position noise dT / |D|
+    within the period, and dT over the static gain slowly, for most loops far below an encoder's step.
 
     Args:
-        law: the law; its direct gain from position must not be 0.
+        law: with a direct gain from position.
         torque: (periods,) an element's value, before the law's delay, at its period.
-        inputs: (periods, INPUTS) as for `run`; the position column is not read.
+        inputs: (periods, INPUTS) as for `run`; the position column is ignored.
         state: (states,) at the first period.
-        element: whose value the torque is; the one behind the torque's limit when None.
-
-    Raises:
-        MethodError: the law has no direct gain from position, or its inverse is unstable.
+        element: of the torque; the one behind the torque's limit when None.
     """
     element = law.tap if element is None else element
     gain = law.D[:, element, POSITION]

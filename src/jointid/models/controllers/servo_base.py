@@ -1,15 +1,14 @@
-"""Common base of the controllers: their diagram, clocks, limits, feed-forward, torque filters, and numbers by name.
+"""Common base of controllers: diagram, clocks, limits, feed-forward, filters, numbers.
 
-A law is drawn of signals, filters, delays, limits and slower loops, put together to one `SampledLaw`. A `BlockSignal`
-is a weighted sum of inputs, states and excesses, with a weight for each phase of the cycle. Sums and multiples of
-signals are signals; a `Diagram` makes the other blocks, and counts states and elements.
+A law is drawn of signals, filters, delays, limits and slower loops, and lowered to one `SampledLaw`. A `BlockSignal` is
+a weighted sum of inputs, states and excesses, with weights for each phase of the cycle; a `Diagram` makes other blocks.
 
-What follows a law's output is, in this order: what is added from the reference, ``acceleration_feedforward d2r/dt2 +
-viscous_feedforward dr/dt + coulomb_feedforward sign(dr/dt) + constant_feedforward``; what is injected before the limit;
-the torque's filters, before its limit or after it. All differences are backward ones.
+A law's output is followed by feed-forward, ``acceleration_feedforward d2r/dt2 + viscous_feedforward dr/dt +
+coulomb_feedforward sign(dr/dt) + constant_feedforward``, injection before the limit, and torque filters before or after
+the limit. Differences are backward.
 
-The numbers a controller is made of can be freed, differentiated by, and written to a file. That of a part has a name
-with a point: ``velocity_filter.time_constant``, ``torque_filters.0.frequency``.
+Numbers of a controller can be freed, differentiated by, and written to a file. Those of parts have dotted names:
+``velocity_filter.time_constant``, ``torque_filters.0.frequency``.
 """
 
 from __future__ import annotations
@@ -85,7 +84,7 @@ class _Element:
 
 @dataclass(slots=True, eq=False)
 class Diagram:
-    """A law being drawn.
+    """A law under construction.
 
     Attributes:
         period: seconds between evaluations.
@@ -110,9 +109,9 @@ class Diagram:
         *,
         slow: bool = False,
     ) -> BlockSignal:
-        """Return the signal through ``H(z) = (b0 + b1 z^-1 + ...) / (a0 + a1 z^-1 + ...)``, in observer form.
+        """Filter by ``H(z) = (b0 + b1 z^-1 + ...) / (a0 + a1 z^-1 + ...)``, in observer form.
 
-        A `slow` filter is evaluated, and its output valid, in the first phase of each cycle alone.
+        A `slow` filter is evaluated, and its output valid, in the first phase of each cycle only.
         """
         order = max(len(numerator), len(denominator)) - 1
         b = np.pad(np.asarray(numerator, dtype=np.float64), (0, order + 1 - len(numerator))) / denominator[0]
@@ -133,11 +132,7 @@ class Diagram:
         return self.filtered(signal, [1.0, -1.0], slow=slow) * (1.0 / span)  # so the difference itself is exact
 
     def delayed(self, signal: BlockSignal, seconds: float) -> BlockSignal:
-        """Return the signal later by any time: between two of its values it is taken as a straight line.
-
-        Raises:
-            MethodError: the time is of more than 400 periods.
-        """
+        """Delay a signal by any time, with linear interpolation."""
         if seconds == 0.0:
             return signal
         if seconds > LONGEST_DELAY * self.period:  # each period of it is a state
@@ -149,7 +144,7 @@ class Diagram:
         return self.filtered(signal, [0.0] * int(whole) + [1.0 - part, part])
 
     def state(self) -> tuple[int, BlockSignal]:
-        """Return the number of a new state, and what it is; `follow` says what it becomes."""
+        """Add a state; return its index and signal. `follow` sets its update."""
         self._next.append(BlockSignal({}))
         number = len(self._next) - 1
         return number, BlockSignal({("z", number): np.ones(self.phases)})
@@ -159,7 +154,7 @@ class Diagram:
         self._next[state] = signal
 
     def held(self, signal: BlockSignal) -> BlockSignal:
-        """Hold the signal's value from the first phase of the cycle: the output of a slower loop."""
+        """Hold the value of the first phase over the cycle."""
         if self.phases == 1:
             return signal
         at, state = self.state()
@@ -175,11 +170,11 @@ class Diagram:
     def limited(
         self, signal: BlockSignal, limit: float = math.inf, *, of_torque: bool = False
     ) -> tuple[BlockSignal, int]:
-        """Return the signal within its limit, and the number of the element that is."""
+        """Limit a signal; return it and its element's index."""
         return self._element(signal, limit, LIMIT, of_torque)
 
     def gated(self, signal: BlockSignal, watched: int) -> BlockSignal:
-        """Return the signal, and 0 where it would push what a limit cuts further beyond."""
+        """Zero a signal while it would push a limit further."""
         return self._element(signal, math.inf, watched, self._elements[watched].of_torque)[0]
 
     def excess(self, element: int) -> BlockSignal:
@@ -192,7 +187,7 @@ class Diagram:
         return signal + self.excess(number), number
 
     def law(self, *, output: int, tap: int, delay: float) -> SampledLaw:
-        """Return the law whose output and tap are the elements of these numbers, in the order they were made."""
+        """Build the law with given output and tap elements."""
         raws, gates = [e.raw for e in self._elements], [e.gate for e in self._elements]
         A, B, F = self._matrices(self._next)
         C, D, E = self._matrices(raws)
@@ -205,7 +200,7 @@ class Diagram:
         )  # fmt: skip
 
     def _matrices(self, signals: Sequence[BlockSignal]) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the weights of states, inputs and excesses in signals, (phases, signals, sources) each."""
+        """Weights of states, inputs and excesses, (phases, signals, sources) each."""
         sizes = {"z": len(self._next), "in": INPUTS, "e": len(self._elements)}
         made = {kind: np.zeros((self.phases, len(signals), size)) for kind, size in sizes.items()}
         for row, signal in enumerate(signals):
@@ -222,13 +217,13 @@ class Controller(Protocol):
         """Names of the record's channels the law reads, beside the motor position."""
 
     def law(self, sample_time: float) -> SampledLaw:
-        """Return the state-space form; `sample_time` is the log's, used when the law has no period of its own."""
+        """State-space form; `sample_time` of the log is the default period."""
 
 
 @documented
 @dataclass(frozen=True, slots=True)
 class ServoController:
-    """What every law has beside its gains; all its numbers but the ratio are on its own side of a transmission."""
+    """Common settings of laws; all but the ratio refer to the law's side."""
 
     gain: float = setting(
         1.0,
@@ -270,7 +265,7 @@ class ServoController:
 @documented
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiagramController(ServoController):
-    """Common base of laws made of a `Diagram`: velocity from position, feed-forward, and torque filters."""
+    """Common base of diagram laws: velocity, feed-forward and torque filters."""
 
     velocity_filter: Filter | Sequence[float] = setting(
         (1.0,),
@@ -302,7 +297,7 @@ class DiagramController(ServoController):
         check_settings(self)
 
     def _velocity(self, diagram: Diagram, position: BlockSignal) -> BlockSignal:
-        """Return the filtered backward difference, ``H(z) (1 - z^-1) / T``, in as few states as it has."""
+        """Filtered backward difference, ``H(z) (1 - z^-1) / T``, in minimal states."""
         b, a = as_filter(self.velocity_filter).coefficients(diagram.period)
         return diagram.filtered(position, tuple(np.convolve(b, [1.0, -1.0]) / diagram.period), a)
 
@@ -310,7 +305,7 @@ class DiagramController(ServoController):
         return diagram.delayed(diagram.input(REFERENCE), self.reference_delay)
 
     def _torque(self, diagram: Diagram, controlled: BlockSignal) -> tuple[int, int]:
-        """Draw what follows a controller's output, in controller units; return which element acts, and the limit's."""
+        """Draw the output stages; return the acting and the limit's element."""
         torque = (controlled + self._feedforward(diagram)) * self.gain + diagram.input(INJECTED)
         late = self.filters_at == "after_limit"
         if not late:
@@ -321,7 +316,7 @@ class DiagramController(ServoController):
         return diagram.limited(self._filtered(diagram, torque), of_torque=True)[1], limit
 
     def _lower(self, diagram: Diagram, output: int, limit: int) -> SampledLaw:
-        """Return the law that was drawn, with the elements that `_torque` named, as its joint sees it."""
+        """Build the law with the elements of `_torque`, referred to the joint."""
         return referred(diagram.law(output=output, tap=limit, delay=self.delay), self.ratio)
 
     def _filtered(self, diagram: Diagram, torque: BlockSignal) -> BlockSignal:
@@ -343,7 +338,7 @@ class DiagramController(ServoController):
 
 
 def numbers_of(controller: Controller) -> dict[str, float]:
-    """Return a controller's numbers that can be parameters: gains, limits, delays, and those of its filters."""
+    """Numbers of a controller and its filters that can be parameters."""
     return dict(_numbers(controller, ""))
 
 
@@ -364,11 +359,11 @@ def _numbers(owner: object, before: str) -> Iterator[tuple[str, float]]:
 
 
 def unit_of_number(controller: Controller, name: str, position_unit: str, torque_unit: str) -> str:
-    """Return the unit of one of a controller's numbers, "" for one without.
+    """Unit of a controller's number, empty without one.
 
     Args:
         controller: whose number.
-        name: as `numbers_of` has it.
+        name: see `numbers_of`.
         position_unit: "m" or "rad".
         torque_unit: of the controller's output behind its gain; without a gain, of the output itself.
     """
@@ -377,13 +372,13 @@ def unit_of_number(controller: Controller, name: str, position_unit: str, torque
 
 
 def in_torque(unit: str, torque_unit: str) -> str:
-    """Return the unit of a number of `unit_of_number` with the controller's gain multiplied in: "N s/m"."""
+    """Multiply a unit of `unit_of_number` by the controller's gain: "N s/m"."""
     above, stroke, below = unit.replace(CONTROLLER_UNITS, torque_unit).partition(" per ")
     return per(above, below) if stroke else above
 
 
 def declared_unit(controller: Controller, name: str) -> str:
-    """Return the unit of one of a controller's numbers as its setting declares it, for straight and turning axes."""
+    """Declared units of a controller's number, for prismatic and revolute axes."""
     owner: Any = controller
     *path, last = name.split(".")
     for part in path:
@@ -393,11 +388,7 @@ def declared_unit(controller: Controller, name: str) -> str:
 
 
 def number(controller: Controller, name: str) -> float:
-    """Return one of a controller's numbers.
-
-    Raises:
-        MethodError: it has no number of that name; the sentence lists those it has.
-    """
+    """Return one of a controller's numbers."""
     known = numbers_of(controller)
     if name not in known:
         raise MethodError(

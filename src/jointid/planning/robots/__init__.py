@@ -1,1 +1,1 @@
-"""Motions that tell a robot's parameters, within what its joints may do."""
+"""Informative motions of a robot within its joint limits."""

@@ -1,4 +1,4 @@
-"""What a first record of a robot says for the next test: how it is disturbed, and which motion it was."""
+"""Information of a robot's first record for the next test: noise and motion."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class FirstRecord:
 
 
 def first_record(estimate: RobotEstimate | RobotTorqueEstimate, records: Sequence[Record]) -> FirstRecord:
-    """Return what a record and the estimate of it say for the next test.
+    """Summarise a record and its estimate for the next test.
 
     Args:
         estimate: of the robot.

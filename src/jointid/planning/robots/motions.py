@@ -1,14 +1,13 @@
-"""Fourier series of all joints that begin and end at rest, and always keep the limits of position and speed.
+"""Fourier-series motions from rest to rest within position and speed limits.
 
 J. Swevers, C. Ganseman, D. B. Tükel, J. De Schutter and H. Van Brussel (Optimal robot excitation and identification,
 IEEE Transactions on Robotics and Automation 13, 1997) move every joint along::
 
     q(t) = c + s sum_h a_h sin(h w t) + b_h cos(h w t),      w = 2 pi / T
 
-which repeats, has a narrow band, and is differentiated exactly. Here velocity and acceleration are 0 at the first
-instant besides, ``sum h a_h = sum h^2 b_h = 0``, since a robot begins at rest. What is searched are the a and b in what
-these leave free, how much of the limits is used, and where between them the joint moves: s is the largest that keeps
-them, times that share. So every motion that is tried is one that the joints may make, but for torques.
+The motion is periodic and differentiable exactly. Here velocity and acceleration are also 0 at the first instant,
+``sum h a_h = sum h^2 b_h = 0``. The search varies the remaining freedom of a and b, the share of the limits and the
+position between them: s is the largest that keeps the limits, times that share.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ Bases: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
 @documented
 @dataclass(frozen=True, slots=True)
 class JointLimits:
-    """What one joint of a robot may do in a test, behind its gear; what is not given is that of the record there is.
+    """Limits of one robot joint behind its gear; missing ones come from the record.
 
     Raises:
         MethodError: a limit is not positive, or there is no room between the positions.
@@ -64,7 +63,7 @@ class JointLimits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motions:
-    """The Fourier series that are searched, of n joints.
+    """The parametrised Fourier series of n joints.
 
     Attributes:
         limits: of each joint; positions and speed must be given.
@@ -80,7 +79,7 @@ class Motions:
 
     @property
     def size(self) -> int:
-        """Numbers that a motion has: of each joint the free coefficients, the share and the place."""
+        """Number of search variables: coefficients, share and position of each joint."""
         return len(self.limits) * (2 * self.harmonics)
 
     def draw(self, rng: np.random.Generator) -> FloatArray:
@@ -89,7 +88,7 @@ class Motions:
         return np.asarray(numbers.ravel())
 
     def bases(self, time: FloatArray) -> Bases:
-        """Return what the free coefficients add to position, velocity and acceleration, (instants, 2 harmonics - 2)."""
+        """Basis of position, velocity and acceleration, (instants, 2 harmonics - 2)."""
         h = np.arange(1, self.harmonics + 1, dtype=np.float64)
         w = 2.0 * math.pi / self.period * h
         sines, cosines = np.sin(np.outer(time, w)), np.cos(np.outer(time, w))
@@ -103,11 +102,11 @@ class Motions:
 
     @property
     def whole(self) -> Bases:
-        """The same at the instants of a period at which limits are held."""
+        """The basis at the instants of a period at which limits are checked."""
         return self.bases(np.linspace(0.0, self.period, _POINTS * self.harmonics, endpoint=False))
 
     def play(self, numbers: FloatArray, seen: Bases, whole: Bases) -> Bases:
-        """Return positions, velocities and accelerations of all joints, (instants, n) each.
+        """Positions, velocities and accelerations of all joints, (instants, n) each.
 
         Args:
             numbers: (size,) of the motion.
@@ -138,19 +137,19 @@ class Motions:
 
 
 def _null(row: FloatArray) -> FloatArray:
-    """Return an orthonormal basis of what a row takes to 0, (columns, columns - 1)."""
+    """Orthonormal basis of a row's null space, (columns, columns - 1)."""
     return np.asarray(np.linalg.svd(row[np.newaxis])[2][1:].T)
 
 
 def _between(number: float) -> float:
-    """Return a number between 0 and 1, of any."""
+    """Map any number to one between 0 and 1."""
     return 1.0 / (1.0 + math.exp(-min(max(number, -50.0), 50.0)))
 
 
 def complete(
     limits: Sequence[JointLimits], positions: FloatArray | None, velocities: FloatArray | None, names: Sequence[str]
 ) -> tuple[JointLimits, ...]:
-    """Return limits with those that are not given as a record has them.
+    """Complete limits from a record.
 
     Args:
         limits: of each joint.
@@ -159,7 +158,7 @@ def complete(
         names: of the joints.
 
     Raises:
-        MethodError: a limit is neither given nor seen.
+        MethodError: a limit is neither given nor in the record.
     """
     found, missing = [], list[str]()
     for k, one in enumerate(limits):

@@ -1,11 +1,11 @@
-"""A drive: by which names its traces' columns are found, and the numbers that take its own units to SI.
+"""Drive profiles and units: column names in traces, factors to SI.
 
-Each kind of drive has a profile, a TOML file beside this one. Names are compared by their words, whatever their case
-and punctuation: "Torque actual value", "TorqueActualValue" and "Axis 1.torque_actual_value" are one. A unit in brackets
-at the end is no part of a name, and wins over the profile's.
+Each kind of drive has a profile, a TOML file in this folder. Names match regardless of case and punctuation:
+"Torque actual value", "TorqueActualValue" and "Axis 1.torque_actual_value". A unit in brackets at the end overrides
+the profile's.
 
-A drive logs positions in counts and the torque as a share of a rated one (CiA 402: object 6077h, per mille of object
-6076h) or as a current. Which numbers those are is known from the drive's parameters, not from its log.
+A drive logs positions in counts, and torque as a share of a rated one (CiA 402: object 6077h, per mille of object
+6076h) or as a current. The drive's parameters, not its log, give these numbers.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _BRACKETS = re.compile(r"\s*[\[(][^\[\]()]*[\])]\s*$")
 
 @dataclass(frozen=True, slots=True)
 class TraceSignal:
-    """One signal of a drive that a channel can be.
+    """A drive signal that can serve as a channel.
 
     Attributes:
         names: of its column; {axis} stands for the number of the axis, {index} for one less.
@@ -56,7 +56,7 @@ class TraceSignal:
     axes: tuple[int, ...] | None = None
 
     def names_on(self, axis: int | None) -> Iterator[str]:
-        """Yield the names it can have on that axis."""
+        """Yield possible names on an axis."""
         if self.axes is not None and axis not in self.axes:
             return
         for name in self.names:
@@ -66,7 +66,7 @@ class TraceSignal:
                 yield name
 
     def fill(self, column: Column, known: tuple[str, ...]) -> Column:
-        """Return a column with what it does not say itself."""
+        """Complete a column's missing settings."""
         unit = column.unit
         if unit is None and column.gain == 1.0 and column.stated_unit(known) is None:  # a gain leads to another unit
             unit = self.unit
@@ -75,7 +75,7 @@ class TraceSignal:
 
 @dataclass(frozen=True, slots=True)
 class DriveGain:
-    """A parameter of the drive that is a gain or a time of its controller.
+    """A drive parameter: a gain or time of its controller.
 
     Attributes:
         name: of the parameter, as the drive calls it.
@@ -90,7 +90,7 @@ class DriveGain:
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """Signal names, units and sides in the traces of one kind of drive.
+    """Signal names, units and sides in the traces of a drive.
 
     Attributes:
         name: that a joint file gives.
@@ -115,28 +115,28 @@ class Profile:
     gains: tuple[DriveGain, ...] = ()
 
     def signals(self, channel: str, column: str, axis: int | None) -> list[TraceSignal]:
-        """Return the signals of a channel that a column of that name can be."""
+        """Signals of a channel that a column name matches."""
         spoken = _name_words(column)
         return [
             s for s in self.channels.get(channel, ()) if any(_split_words(name) in spoken for name in s.names_on(axis))
         ]
 
     def side(self, channel: str, column: str, axis: int | None) -> Side | None:
-        """Return the side of a transmission on which a channel is measured, by its column or before that is known."""
+        """Transmission side of a channel, by column or by default."""
         signals = self.signals(channel, column, axis) if column else list(self.channels.get(channel, ()))
         return signals[0].side if signals else None
 
     def column(
         self, channel: str, declared: Column | None, axis: int | None, kind: str, tap: Tap | None = None
     ) -> Column | None:
-        """Return a column that would be found as a channel: the one declared, or the first of the names there are.
+        """Find a channel's column: the declared one, or the first known name.
 
         Args:
             channel: of the record.
-            declared: what is said of it, which need not be its name.
+            declared: settings, possibly without a name.
             axis: of the trace.
-            kind: of the side of the joint it is measured on.
-            tap: where a torque was logged, if that is to tell one signal from another.
+            kind: of motion on the measured side.
+            tap: of a torque, if it distinguishes signals.
         """
         signals = self.channels.get(channel, ())
         if declared is not None and declared.column:
@@ -151,7 +151,7 @@ class Profile:
         return signal.fill(replace(column, column=column.column or name), known_units(channel, kind))
 
     def time_column(self, columns: Iterable[str]) -> str | None:
-        """Return the time column, where the profile has a name for it and a trace this one column."""
+        """The time column, if the trace has exactly one known name."""
         wanted = [_split_words(name) for name in self.time]
         found = [column for column in columns if any(words in wanted for words in _name_words(column))]
         return found[0] if len(found) == 1 else None
@@ -164,14 +164,14 @@ class Profile:
         kinds: Mapping[str, str],
         source: str,
     ) -> tuple[dict[str, Column], list[str]]:
-        """Return the column of each channel, and a fault for each that is missing or in doubt.
+        """Assign columns to channels, with a fault for each missing or ambiguous one.
 
         Args:
-            declared: what is said of the channels; what is not is the profile's.
-            columns: names of the columns there are.
+            declared: settings that override the profile.
+            columns: available names.
             axis: of the trace.
-            kinds: by channel, of the side of the joint it is measured on.
-            source: what the faults call the trace.
+            kinds: kind of motion by channel.
+            source: name of the trace, in faults.
         """
         columns, made, faults = tuple(columns), {}, list[str]()
         for channel in CHANNELS:
@@ -223,7 +223,7 @@ def profile_names() -> tuple[str, ...]:
 
 @cache
 def load_profile(name: str) -> Profile:
-    """Return the profile of that name.
+    """Load a profile by name.
 
     Raises:
         RecordError: there is none.
@@ -247,7 +247,7 @@ def _split_words(name: str) -> tuple[str, ...]:
 
 
 def _name_words(column: str) -> set[tuple[str, ...]]:
-    """Return the words of a column's name, with and without what stands before a dot and in brackets at its end."""
+    """Words of a column name, with and without prefix and bracketed unit."""
     whole = {column, _BRACKETS.sub("", column)}
     return {_split_words(name[at:]) for name in whole for at in (0, *(m.end() for m in re.finditer(r"\.", name)))}
 
@@ -255,7 +255,7 @@ def _name_words(column: str) -> set[tuple[str, ...]]:
 @documented
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """Profile of a drive's traces, and the drive parameters behind its units.
+    """A drive's profile and the parameters behind its units.
 
     Raises:
         RecordError: there is no such profile, a number is not positive and finite, the axis is not a whole number from
@@ -305,11 +305,11 @@ class Drive:
 
     @property
     def traces(self) -> Profile | None:
-        """The profile, None without one."""
+        """The profile, if any."""
         return None if self.profile is None else load_profile(self.profile)
 
     def side(self, channel: str, column: Column | None) -> Side:
-        """Return the side of a transmission on which a channel is: as declared, by the profile, or the usual one."""
+        """Transmission side of a channel: declared, by profile, or usual."""
         if column is not None and column.side is not None:
             return column.side
         traces = self.traces
@@ -323,16 +323,16 @@ class Drive:
         return self.rated_current * self.torque_constant
 
     def resolve_unit(self, unit: units.Unit, kind: str, *, of_load: bool = False, geared: bool = False) -> units.Unit:
-        """Return a unit with its factor to SI; one that is no drive's own as it is.
+        """Return a unit with its factor to SI; other units stay.
 
         Args:
             unit: of a channel.
-            kind: of the side on which the channel is measured.
-            of_load: True if it is measured by the load's own encoder.
-            geared: True if the load moves by another amount than the motor, whose counts then do not apply.
+            kind: of motion on the measured side.
+            of_load: whether the load's own encoder measures it.
+            geared: whether the load moves by another amount, so that the motor's counts do not apply.
 
         Raises:
-            UnitError: a number is missing; the message is the end of a sentence that begins with what has the unit.
+            UnitError: a number is missing; the message is the end of a sentence.
         """
         traces = self.traces
         position, torque = (units.unit(name[kind]) for name in (POSITION_UNIT, TORQUE_UNIT))

@@ -1,4 +1,4 @@
-"""File formats, one file each: to add one, write its `Format` and name it in `FORMATS`."""
+"""File formats: to add one, write its `Format` and name it in `FORMATS`."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ _SHORT = 2**21  # bytes of a text that takes less time than a process would to s
 
 
 def format_of(path: str | os.PathLike[str], **options: object) -> Format:
-    """Return the format that the file's suffix names, with its reader set to `options`; a folder is a bag of ROS 2.
+    """Return the format for a suffix, with reader options; a folder is a ROS 2 bag.
 
     Raises:
-        RecordError: no format has this suffix, or the format has no such option; the sentence says which.
+        RecordError: unknown suffix or option.
     """
     is_folder = os.fspath(path).endswith(("/", os.sep)) or os.path.isdir(path)  # noqa: PTH112 - which of a path that cannot be says no
     path = Path(path)
@@ -57,10 +57,10 @@ def format_of(path: str | os.PathLike[str], **options: object) -> Format:
 
 
 def read_table(path: str | os.PathLike[str], **options: object) -> Table:
-    """Read all the numbers of a file, choosing the format by its suffix; `options` are its reader's, see `Csv`.
+    """Read all numbers of a file; `options` are the format's, see `Csv`.
 
     Raises:
-        RecordError: there is no such file, or it cannot be read; the sentence says why.
+        RecordError: the file is missing or cannot be read.
     """
     path = Path(path)
     reader = format_of(path, **options)
@@ -70,12 +70,10 @@ def read_table(path: str | os.PathLike[str], **options: object) -> Table:
 
 
 def read_blocks(path: str | os.PathLike[str], rows: int, **options: object) -> Iterator[Block]:
-    """Yield so many rows of a file after so many, in bounded memory; a block is read when it is asked for.
-
-    Of `rows`, 1 or more, the last block may have fewer; `options` are the format's.
+    """Yield blocks of `rows` rows in bounded memory, read on demand.
 
     Raises:
-        RecordError: see `read_table`; or the format has no rows one after the other.
+        RecordError: see `read_table`; or the format has no consecutive rows.
     """
     path = Path(path)
     reader = format_of(path, **options)
@@ -84,7 +82,7 @@ def read_blocks(path: str | os.PathLike[str], rows: int, **options: object) -> I
         raise NotStreamedError(f"{reader.name} cannot be read in chunks; convert {path.name} to one of {streamed}.")
 
     def read(block: Block, count: int) -> Table:
-        """Read a block when it is asked for, which is outside of this function."""
+        """Read a block outside of this generator."""
         with _explain_failure(path):
             return block.table(count)
 
@@ -99,7 +97,7 @@ def read_blocks(path: str | os.PathLike[str], rows: int, **options: object) -> I
 
 
 def read_tables(path: str | os.PathLike[str], rows: int, **options: object) -> Iterator[Table]:
-    """Yield a file in tables of so many rows, as `read_blocks`, or in one where its format has no such blocks."""
+    """Yield tables of `rows` rows, or one table without `read_blocks` support."""
     try:
         # How the rows of a text are written is told by all of them, where they fit into memory.
         is_short_text = isinstance(format_of(path), Csv) and Path(path).is_file() and Path(path).stat().st_size < _LONG
@@ -115,15 +113,15 @@ def read_tables(path: str | os.PathLike[str], rows: int, **options: object) -> I
 
 
 def _is_harmless(reader: Format, path: Path) -> bool:
-    """True of a file that takes little time and memory whatever is in it; all others are read in another process.
+    """Test for a file that is cheap to read whatever it contains.
 
-    Rows of NumPy's are at known places, and nothing is unpacked; a short text takes a few hundred times its bytes.
+    Rows of NumPy files are at known offsets; short text takes a few hundred times its bytes.
     """
     return isinstance(reader, Npy) or (isinstance(reader, Csv) and path.stat().st_size <= _SHORT)
 
 
 def _require_file(path: Path) -> None:
-    """Raise a `RecordError` on what is neither a folder nor a file with something in it."""
+    """Refuse a path without content."""
     if "\0" in str(path):
         raise RecordError(f"{path} is no path: it holds a zero byte; correct it.")
     size = path.stat().st_size
@@ -141,7 +139,9 @@ def _explain_failure(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise RecordError(f"{path} cannot be opened ({_reason(error)}); check the path.") from error
+        raise RecordError(
+            f"{path} cannot be opened ({(error.strerror or type(error).__name__).lower()}); check the path."
+        ) from error
     except MemoryError as error:
         size = format_size(path.stat().st_size)
         raise RecordError(
@@ -151,13 +151,10 @@ def _explain_failure(path: Path) -> Iterator[None]:
 
 
 def write_table(path: str | os.PathLike[str], table: Table, **options: object) -> None:
-    """Write `table`, choosing the format by the path's suffix; an existing file is replaced.
-
-    It is written as the format will read it with these `options`.
+    """Write a table, as its format reads it with these `options`; replaces the file.
 
     Raises:
-        RecordError: no format has this suffix, it cannot hold the table, the folder of a bag is already there, or the
-            file cannot be written.
+        RecordError: unknown suffix, a table that the format cannot hold, or an error of the system.
     """
     path = Path(path)
     writer = format_of(path, **options)
@@ -165,7 +162,3 @@ def write_table(path: str | os.PathLike[str], table: Table, **options: object) -
         raise RecordError(f"{path} is already there, and a bag is not written over; name another folder.")
     with beside(path) as fresh:
         writer.write(fresh, table)
-
-
-def _reason(error: OSError) -> str:
-    return (error.strerror or type(error).__name__).lower()

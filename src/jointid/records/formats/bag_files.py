@@ -1,4 +1,4 @@
-"""The files of ROS 2 bags, MCAP and SQLite: their topics, with the definitions of their messages, and the messages."""
+"""Files of ROS 2 bags, MCAP and SQLite: topics, message definitions and messages."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _HIDDEN = (2, 3)  # how a table says that a column is generated
 
 
 class Topic(NamedTuple):
-    """A topic as a bag declares it; `types` are the definitions of its message type and of those it needs."""
+    """A topic of a bag; `types` are the definitions of its message types."""
 
     name: str
     type: str
@@ -27,12 +27,9 @@ class Topic(NamedTuple):
 
 
 def read_messages(file: Path) -> Iterator[tuple[Topic, int, bytes]]:
-    """Yield each message of one file of a bag: its topic, the time of the log in nanoseconds, and its bytes.
+    """Yield topic, log time in nanoseconds and bytes of each message.
 
-    Definitions are parsed and looked up; the library would make them into code, which is not done here.
-
-    Raises:
-        RecordError: it has more topics than are read, or a database computes what it should hold.
+    The library would compile definitions to code; here they are only parsed.
     """
     from rosbags.rosbag2 import Reader
 
@@ -49,7 +46,7 @@ def read_messages(file: Path) -> Iterator[tuple[Topic, int, bytes]]:
     known: dict[tuple[str, str], Mapping[str, Definition]] = {}
     topics = {}
     for link in links:
-        asked = (link.msgtype, _text(link.msgdef))
+        asked = (link.msgtype, str(link.msgdef.data) if link.msgdef.format.name == "MSG" else "")
         if asked not in known:
             found = message_types(*asked)
             known[asked] = {key: tuple(Field(*each) for each in own) for key, own in found.items()}
@@ -67,7 +64,7 @@ def _require_few_topics(file: Path, count: int) -> None:
 
 
 def _require_plain_tables(file: Path) -> None:
-    """Raise a `RecordError` on a database whose tables are computed, or that has more topics than are read."""
+    """Refuse a database with computed tables or too many topics."""
     place = f"file:{quote(str(file.absolute()), safe='/:')}?mode=ro&immutable=1"
     with closing(sqlite3.connect(place, uri=True)) as base:
         base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, 2**26)
@@ -81,20 +78,15 @@ def _require_plain_tables(file: Path) -> None:
 
 
 def _has_computed(base: sqlite3.Connection, name: str) -> bool:
-    """True if a table has a generated column."""
+    """Test for a generated column."""
     described = base.execute("SELECT hidden FROM pragma_table_xinfo(?)", (name,))
     return any(hidden in _HIDDEN for (hidden,) in described)
 
 
-def _text(definition: Any) -> str:
-    """Return the text of a message definition; "" of one that is none, or is written in IDL."""
-    return str(definition.data) if definition.format.name == "MSG" else ""
-
-
 def message_types(name: str, text: str) -> dict[str, list[tuple[str, str, int | None]]]:
-    """Return the fields (type, name, length) of a message type and of those it needs, as far as they are known.
+    """Fields (type, name, length) of a message type and its dependencies, if known.
 
-    They are in the text of its definition; "" takes ROS's own.
+    An empty text selects ROS's own definition.
     """
     from rosbags.typesys import TypesysError, get_types_from_msg
     from rosbags.typesys.stores.ros2_humble import FIELDDEFS
@@ -116,7 +108,7 @@ def message_types(name: str, text: str) -> dict[str, list[tuple[str, str, int | 
 
 
 def _field(name: str, shape: Any, described: Any) -> tuple[str, str, int | None]:
-    """Return the type, the name and the length of a field: None for one value, -1 for any number of them."""
+    """Parse a field: type, name, and length (None: one value, -1: any number)."""
     if shape.name in ("BASE", "NAME"):
         return (described[0] if shape.name == "BASE" else described), name, None
     (_, inner), length = described

@@ -1,8 +1,7 @@
-"""Delimited text: any delimiter, decimal point or comma, with or without names, comments or a preamble.
+"""Delimited text: any delimiter and decimal mark, names, comments or preamble.
 
-Every way of writing rows is tried on the last lines of the file; the one that reads most of them as rows of
-numbers of one width is the file's. Where two ways are equally good and differ, the file is refused, and the
-option that settles it is named.
+Every dialect is tried on the last lines of the file. The one that parses most of them as rows of one width is chosen.
+Ambiguous files are refused with the option that resolves it.
 """
 
 from __future__ import annotations
@@ -51,9 +50,9 @@ _DELIMITER = re.compile(r"[^\w\r\n\".+-]")  # anything but a part of a number, o
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Layout of the rows of a file, from line `start` on of those that are neither empty nor comments.
+    """Layout of a file's rows from content line `start` on.
 
-    `closed` says that every row ends with the delimiter, behind which there is no column.
+    `closed` marks rows that end with a delimiter.
     """
 
     file: str
@@ -63,7 +62,7 @@ class Layout:
     closed: bool
 
     def read(self, lines: Sequence[Line], ends: bool, count: int) -> Table:
-        """Return the numbers of the first so many of some lines, with which the file may end."""
+        """Parse the first `count` lines, which may include the end of the file."""
         rows = lines[:count]
         if self.closed:
             rows = [Line(i, row.rstrip(BLANKS).removesuffix(self.dialect.delimiter)) for i, row in rows]
@@ -85,9 +84,6 @@ class Csv:
         decimal: "." or ","; None finds it.
         header: True if the line above the first row holds names; None takes it as names if it has one cell
             per column and none of them is a number.
-
-    Raises:
-        RecordError: an option is none of these.
     """
 
     delimiter: str | None = None
@@ -122,12 +118,10 @@ class Csv:
         return layout.read(rows, True, len(rows))
 
     def write(self, path: Path, table: Table) -> None:
-        """Write delimited UTF-8, each number with the digits that give it back exactly.
+        """Write delimited UTF-8 with round-trip precision.
 
-        Delimiter and decimal mark are those that it would be read with; where they are not said, a comma and a point,
-        and a semicolon beside a decimal comma. Columns called by their own number are written without a name, as they
-        are read. Scalars have no place in delimited text, nor have names that would be read as numbers, or that
-        spreadsheet programs would run as formulas.
+        Default delimiter and decimal mark are comma and point, or semicolon beside a decimal comma. Numbered columns
+        have no header. Scalars are refused, and names that would read as numbers or spreadsheet formulas.
         """
         require_place(table, "Delimited text", self.holds)
         mark, point = self.delimiter or (";" if self.decimal == "," else ","), self.decimal or "."
@@ -140,7 +134,7 @@ class Csv:
         path.write_text("\n".join([*_write_header(table, mark), *rows, ""]), encoding="utf-8", newline="\n")
 
     def blocks(self, path: Path, rows: int) -> Iterator[Block]:
-        """Yield so many rows after so many; how they are written is told by the file's first lines."""
+        """Yield blocks of `rows` rows; the first lines determine the dialect."""
         lines = stream_lines(path)
         text = build_text(path.name, list(islice(lines, _BEGINNING)))
         if find_scope(text) is not None:
@@ -157,7 +151,7 @@ class Csv:
             block = following
 
     def legal_name(self, name: str, others: Collection[str] = ()) -> str:
-        """Return a name in one line that is no number; see `Format.legal_name`."""
+        """Return a single-line name that is not a number; see `Format.legal_name`."""
         plain = "".join(c if c.isprintable() else "_" for c in name).strip() or "column"
         return f"column {plain}" if is_number(plain) and not name.isdecimal() else plain
 
@@ -199,7 +193,7 @@ class Csv:
         return Layout(text.name, dialect, names, start, unnamed)
 
     def _fit(self, text: TextFile) -> Fit:
-        """Return the reading of the rows; where there are two, the one that the line of names speaks for."""
+        """Choose the dialect, by the line of names if ambiguous."""
         lines = [line.text for line in text.lines]
         fits = sniff(lines, self.delimiter, self.decimal)
         if not fits:
@@ -220,7 +214,7 @@ class Csv:
         return several if len(several.dialect.split(above.text)) == several.width else single
 
     def _names(self, text: TextFile, start: int, fit: Fit, closed: bool) -> list[str] | None:
-        """Return the cells of the line that names the columns; None for a file without one."""
+        """Cells of the header; None without one."""
         above = text.above(start)
         if above is None or self.header is False:
             if self.header:
@@ -252,7 +246,7 @@ class Csv:
 
 
 def _add_units(over: list[str], names: list[str]) -> list[str]:
-    """Return `names`; if they are units and the line over them holds the names, those with their units."""
+    """Join a line of units to the names above it."""
     units = [match[1] or match[2] if (match := _BRACKETED.fullmatch(cell)) else cell for cell in names]
     bare = [cell for cell in names if cell not in _NO_UNIT and not _BRACKETED.fullmatch(cell)]
     if len(over) != len(names) or not any(units) or not all(map(_is_unit, bare)):
@@ -271,7 +265,7 @@ def _is_unit(text: str) -> bool:
 
 
 def _parse_values(file: str, rows: Sequence[Line], dialect: Dialect, names: Sequence[str], ends: bool) -> FloatArray:
-    """Return the numbers of the rows, shape (rows, columns); the file may end with them."""
+    """Parse rows to (rows, columns); the file may end with them."""
     try:
         mark = None if dialect.delimiter == BLANKS else dialect.delimiter
         return np.loadtxt(point_rows(rows, dialect.decimal), dtype=np.float64, delimiter=mark, comments=None, ndmin=2)
@@ -280,7 +274,7 @@ def _parse_values(file: str, rows: Sequence[Line], dialect: Dialect, names: Sequ
 
 
 def _parse_row(file: str, line: Line, last: bool, dialect: Dialect, names: Sequence[str]) -> list[float]:
-    """Return the numbers of one row, or raise the sentence that names its fault."""
+    """Parse one row; raise the sentence on its fault."""
     try:
         cells = dialect.split(line.text)
     except csv.Error as error:
@@ -306,7 +300,7 @@ def _parse_row(file: str, line: Line, last: bool, dialect: Dialect, names: Seque
 
 
 def _write_header(table: Table, delimiter: str) -> list[str]:
-    """Return the line of names: one line, or none where every column is called by its number."""
+    """Header lines; empty for numbered columns."""
     names = ["" if name == str(i) else name for i, name in enumerate(table.columns, start=1)]
     if not any(names):
         return []

@@ -1,6 +1,6 @@
-"""HDF5: every dataset of numbers is a column, called by its path; MAT files of version 7.3 are read by the same slices.
+"""HDF5: each numeric dataset is a column; also MAT files of version 7.3.
 
-What a dataset declares is known before any of its numbers is in memory.
+Declared sizes are checked before any numbers are in memory.
 """
 
 from __future__ import annotations
@@ -57,12 +57,11 @@ Member: TypeAlias = Any
 
 @dataclass(frozen=True, slots=True)
 class Hdf5:
-    """HDF5: a dataset of one dimension is a column, called "group/dataset"; single numbers are scalars.
+    """HDF5: one-dimensional datasets are columns "group/dataset", single numbers scalars.
 
-    A matrix gives the columns "name[0]", "name[1]", ...; its samples run along the longer side. A dataset of records
-    gives "name.field". The attribute "units" or "unit" of a dataset is the unit of its columns. Only what is in the
-    file itself is read: external and soft links are not followed, and datasets put together from other files (virtual,
-    or with external storage) are passed over, as are text, complex numbers and arrays of more dimensions.
+    A matrix gives columns "name[0]", "name[1]", ... with samples along the longer side; a dataset of records gives
+    "name.field". The attribute "units" or "unit" is the unit. External and soft links, virtual or external storage,
+    text, complex numbers and arrays of more dimensions are skipped.
     """
 
     name: ClassVar[str] = "HDF5"
@@ -80,7 +79,7 @@ class Hdf5:
             yield from split_rows(contents.rows, rows, contents.read)
 
     def write(self, path: Path, table: Table) -> None:
-        """Write a compressed dataset with a checksum for each column, its unit as its attribute "units"."""
+        """Write a compressed dataset with checksum and attribute "units" per column."""
         names = [*table.columns, *table.scalars]
         for name in names:
             if name != self.legal_name(name, names):
@@ -105,7 +104,7 @@ class Hdf5:
         path.write_bytes(image.getbuffer())
 
     def legal_name(self, name: str, others: Collection[str] = ()) -> str:
-        """Return a name as a path, which no other goes on from; see `Format.legal_name`."""
+        """Return a name as a path that no other extends; see `Format.legal_name`."""
         paths = [
             "/".join(part.replace("\0", "_") for part in each.split("/") if part not in ("", ".", "..")) or "_"
             for each in (name, *others)
@@ -119,7 +118,7 @@ def _scan(contents: Contents) -> None:
     entered = set()
 
     def walk(group: Member, path: str) -> None:
-        """List a group; one that holds itself is entered once."""
+        """List a group; a recursive one is entered once."""
         address = h5py.h5o.get_info(group.id).addr
         if address in entered:
             return
@@ -153,7 +152,7 @@ class DatasetColumns(NamedTuple):
     unit: str | None = None
 
     def values(self, dataset: Member, first: int, last: int) -> list[FloatArray]:
-        """Return the rows from the first up to the last of every column, of its dataset."""
+        """Read rows `first` to `last` of each column."""
         if self.fields:
             records = dataset.fields(list(self.fields))[first:last]
             return [records[name].astype(np.float64) for name in self.fields]
@@ -165,7 +164,7 @@ class DatasetColumns(NamedTuple):
 
 @dataclass(slots=True)
 class Contents:
-    """An open file: its datasets and their shapes, without their numbers; filled while the file is walked through.
+    """An open file: its datasets and their shapes, filled during the scan.
 
     Attributes:
         path: of the file.
@@ -194,9 +193,9 @@ class Contents:
         return max((signal.rows for signal in self.signals), default=0)
 
     def members(self, group: Member, path: str) -> Iterator[tuple[str, Member]]:
-        """Yield the name and the object of every member that is in the file itself; others are noted as passed over.
+        """Yield name and object of local members; note skipped ones.
 
-        The notes call the group by `path`, with the mark that ends it.
+        `path` is the group's prefix in the notes.
         """
         h5py = extra("h5py", "logs", "HDF5")
         for name in group:
@@ -209,16 +208,15 @@ class Contents:
                 self.passed[f"{path}{name}"] = f"a link to {other}, which is not followed"
 
     def count_member(self) -> None:
-        """Count a dataset or group, or a reference to one; raise a `RecordError` at more than any log has."""
+        """Count a member; refuse implausibly many."""
         self.seen += 1
         if self.seen > _MEMBERS:
             raise RecordError(f"{self.path.name} has more than {_MEMBERS} datasets and groups; log fewer channels.")
 
     def take(self, dataset: Member, name: str, *, matlab: bool = False) -> None:
-        """Note a dataset; what holds no numbers is left out, and numbers that cannot be columns are noted as such.
+        """Register a dataset; note numbers that cannot be columns.
 
-        `matlab` says that MATLAB wrote it: rows and columns the other way round, complex numbers as records, and every
-        single number as a vector. Of the columns' names see `Hdf5`.
+        `matlab` marks MATLAB's layout: transposed, complex numbers as records, single numbers as vectors.
         """
         shape, dtype = dataset.shape, dataset.dtype
         fields = tuple(field for field in dtype.names or () if dtype[field].kind in NUMBERS)
@@ -236,7 +234,7 @@ class Contents:
             self.signals.append(_dataset_columns(dataset, name, matlab))
 
     def read(self, first: int, count: int) -> Table:
-        """Read so many rows from the first on, of the columns that are so long."""
+        """Read `count` rows from `first` on, of sufficiently long columns."""
         columns: dict[str, FloatArray] = {}
         units: dict[str, str] = {}
         with explain_damage(self.path, self.format, _REMEDY):
@@ -249,10 +247,9 @@ class Contents:
             return Table(columns, self.scalars, self.path.name, units, self.passed)
 
     def _open(self, signal: DatasetColumns) -> Member:
-        """Return a dataset; one of large chunks with room to keep those of one block, while there is room left.
+        """Open a dataset, with a cache for large chunks while memory permits.
 
-        The library keeps a mebibyte of each dataset, and forgets it when the dataset is closed: of a larger chunk every
-        block would inflate all of it again.
+        The default cache of a mebibyte would inflate a larger chunk again for every block.
         """
         if signal.place in self.kept:
             return self.kept[signal.place]
@@ -271,16 +268,13 @@ class Contents:
 
 @contextmanager
 def open_contents(path: Path, name: str, scan: Callable[[Contents], None], limit: int = WHOLE) -> Iterator[Contents]:
-    """Open a file, with all that is known of its columns but their numbers.
+    """Open a file with the layout of its columns.
 
     Args:
         path: the file.
         name: of its format.
-        scan: the function that lists what is in it, under the names of its format.
+        scan: lists the content by the format's names.
         limit: bytes of numbers that it may declare.
-
-    Raises:
-        RecordError: the file is damaged, holds no numbers, two of one name, or too many.
     """
     h5py = extra("h5py", "logs", f"Reading {path.name}")
     path.open("rb").close()  # what cannot be opened is said by the system, not by the library
@@ -299,22 +293,18 @@ def open_contents(path: Path, name: str, scan: Callable[[Contents], None], limit
             require_unique_names(path, [name for signal in signals for name in signal.names])
         numbers = sum(signal.rows * len(signal.names) for signal in signals)
         require_size(path, numbers, limit)
-        _require_stored(path, 8 * numbers)
+        declared = 8 * numbers
+        size = path.stat().st_size
+        if declared > _ANY_FILE + _PACKED_MOST * size:
+            raise RecordError(
+                f"{path.name} declares {format_size(declared)} of numbers and has only {format_size(size)}: nearly all "
+                "of them were never written; log or copy it again, or cut its datasets to what was logged."
+            )
         yield contents
 
 
-def _require_stored(path: Path, declared: int) -> None:
-    """Raise a `RecordError` on a file that declares far more bytes of numbers than can be in it."""
-    size = path.stat().st_size
-    if declared > _ANY_FILE + _PACKED_MOST * size:
-        raise RecordError(
-            f"{path.name} declares {format_size(declared)} of numbers and has only {format_size(size)}: nearly all of "
-            "them were never written; log or copy it again, or cut its datasets to what was logged."
-        )
-
-
 def refusal_reason(dataset: Member) -> str | None:
-    """Return the reason to refuse a dataset: its numbers are in other files, or its chunks are too large; or None."""
+    """Reason to refuse a dataset: external numbers or too large chunks; else None."""
     h5py = extra("h5py", "logs", "HDF5")
     properties = dataset.id.get_create_plist()
     if properties.get_layout() == h5py.h5d.VIRTUAL:
@@ -328,7 +318,7 @@ def refusal_reason(dataset: Member) -> str | None:
 
 
 def _chunks_of_a_block(dataset: Member, *, turned: bool) -> int:
-    """Return the bytes of the chunks that lie beside each other at one sample; 0 without chunks."""
+    """Bytes of the chunks at one sample; 0 without chunks."""
     if not dataset.chunks:
         return 0
     across = 1
@@ -339,7 +329,7 @@ def _chunks_of_a_block(dataset: Member, *, turned: bool) -> int:
 
 
 def _shape_refusal(shape: tuple[int, ...]) -> str | None:
-    """Return the reason why an array of this shape gives no columns, or None."""
+    """Reason why a shape gives no columns; else None."""
     if 0 in shape:
         return "it is empty"
     if len(shape) > 2:
@@ -362,7 +352,7 @@ def _dataset_columns(dataset: Member, name: str, matlab: bool) -> DatasetColumns
 
 
 def _unit(dataset: Member) -> str | None:
-    """Return the unit that a dataset states."""
+    """Return the stated unit of a dataset."""
     for key in _UNITS:
         if key not in dataset.attrs or math.prod(dataset.attrs.get_id(key).shape or ()) != 1:
             continue

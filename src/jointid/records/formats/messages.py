@@ -1,8 +1,7 @@
 """Decode ROS 2 messages (CDR) by their definitions.
 
-The library that reads bags makes Python code of the definitions in a file and runs it; here they are only looked up.
-Every length is checked against the bytes there are, and a message against a budget, whatever its definition says.
-(CDR: version 1, of the Object Management Group, aligned from the end of the four bytes that head a message.)
+Definitions are looked up, not compiled to code. Every length is checked against the available bytes and a budget.
+(CDR version 1 of the Object Management Group, aligned from the end of the four-byte header.)
 """
 
 from __future__ import annotations
@@ -28,11 +27,11 @@ Value: TypeAlias = Any
 
 
 class SkippedTopicError(ValueError):
-    """A message that is sound and whose numbers are no columns; the text says why."""
+    """A valid message without columns of numbers; the text says why."""
 
 
 class Field(NamedTuple):
-    """One field of a message: its type, its name, and its length: None for one value, -1 for any number."""
+    """A message field: type, name and length (None: one value, -1: any number)."""
 
     type: str
     name: str
@@ -43,12 +42,12 @@ Definition: TypeAlias = tuple[Field, ...]
 
 
 def decode_message(name: str, data: bytes, known: Mapping[str, Definition]) -> dict[str, Value]:
-    """Return the fields of a message of type `name`, "package/msg/Type", by the definitions that are known.
+    """Decode a message of type `name`, "package/msg/Type".
 
     Raises:
-        ValueError: the bytes are not such a message.
-        SkippedTopicError: it has more parts than are read.
-        KeyError: it needs a type that is not known.
+        ValueError: invalid bytes.
+        SkippedTopicError: too many parts.
+        KeyError: an unknown type.
     """
     if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
         raise ValueError("the message is not plain CDR")
@@ -101,7 +100,7 @@ class _Decoder:
         return np.frombuffer(self.data, self.order + kind, 1, self.take(size, size))[0]
 
     def take(self, count: int, size: int) -> int:
-        """Return where so many bytes begin, the first of them at a multiple of a size, and go on behind them."""
+        """Skip alignment and `count` items of `size` bytes; return their offset."""
         start = self.at + -self.at % size
         if start + count > len(self.data):
             raise ValueError("the message is shorter than it says")
@@ -119,7 +118,7 @@ class Instant(int):
 
 
 def header_stamp(message: Mapping[str, Value]) -> int | None:
-    """Return the stamp in the header of a message [ns]; None where there is none, or it is 0."""
+    """Header stamp [ns]; None if missing or 0."""
     header = message.get("header")
     stamp = header.get("stamp") if isinstance(header, dict) else None
     return stamp if isinstance(stamp, Instant) and stamp else None
@@ -128,11 +127,10 @@ def header_stamp(message: Mapping[str, Value]) -> int | None:
 def flatten_numbers(
     message: Mapping[str, Value], path: str, names: list[str] | None = None
 ) -> Iterator[tuple[str, float]]:
-    """Yield the numbers of a message by their paths.
+    """Yield the numbers of a message by path.
 
-    Of an array that is as long as the list of names beside or above it every number goes by its name,
-    "path/joint/field"; of others by its place, "path/field[0]". Bytes, long arrays and text are passed over. `names`
-    are those of the joints, from a message that holds this one.
+    Arrays as long as the list of joint names beside or above them use these, "path/joint/field"; others use indices,
+    "path/field[0]". Bytes, long arrays and text are skipped. `names` are joint names of the parent message.
     """
     own = [value for key in _NAMING if _is_names(value := message.get(key))]
     names = own[0] if own else names

@@ -1,6 +1,6 @@
-"""NumPy's own files (.npy): named columns of one record array, or a plain matrix; numbers only, never objects.
+"""NumPy files (.npy): a record array or a plain matrix, never objects.
 
-Nothing else is read as fast, or as easily in chunks: a row is at a known place in the file.
+Rows are at known offsets, which makes chunks fast.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ _HEADER, _REST = 2**16, 2**8  # characters of the header, for more than a thousa
 
 @dataclass(frozen=True, slots=True)
 class Npy:
-    """NumPy's .npy: a record array, whose fields are the columns, or a matrix with a row for each sample.
+    """NumPy's .npy: a record array or a matrix with one row per sample.
 
-    The columns of a matrix are called by their numbers, from "1".
+    Matrix columns are numbered from "1".
     """
 
     name: ClassVar[str] = "NPY"
@@ -40,7 +40,7 @@ class Npy:
         return layout.read(0, layout.rows)
 
     def write(self, path: Path, table: Table) -> None:
-        """Write a record array, a field of eight bytes for each column. Scalars have no place in it."""
+        """Write a record array of float64 fields; scalars are refused."""
         require_place(table, self.name, self.holds)
         array = np.empty(table.rows, dtype=[(name, "<f8") for name in table.columns])
         if (size := len(repr(array.dtype.descr))) > _HEADER - _REST:
@@ -55,7 +55,7 @@ class Npy:
             np.save(SimpleNamespace(write=file.write), array, allow_pickle=False)
 
     def legal_name(self, name: str, others: Collection[str] = ()) -> str:
-        """Return the name, which can be any but none; see `Format.legal_name`."""
+        """Return any non-empty name; see `Format.legal_name`."""
         return name or "_"
 
     def blocks(self, path: Path, rows: int) -> Iterator[Block]:
@@ -87,7 +87,7 @@ class _Layout:
 
 
 def _read_layout(path: Path) -> _Layout:
-    """Return how a file is laid out; one that could not be read row by row, or is no .npy, is refused."""
+    """Read the layout; refuse files that cannot be read by rows."""
     size = path.stat().st_size
     with path.open("rb") as file:
         try:
@@ -120,10 +120,10 @@ def _read_layout(path: Path) -> _Layout:
 
 
 def _read_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Return the shape, True if columns come one after the other, and the type of a number or a row.
+    """Read shape, column-major flag and element type.
 
     Raises:
-        ValueError, TypeError, SyntaxError, TokenError, MemoryError, RecursionError: it is no header; NumPy's parser.
+        ValueError, TypeError, SyntaxError, TokenError, MemoryError, RecursionError: invalid header.
     """
     version = np.lib.format.read_magic(file)
     if version not in _VERSIONS:

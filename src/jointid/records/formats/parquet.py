@@ -1,4 +1,4 @@
-"""Apache Parquet: every column of numbers, in row groups, which are read one after the other."""
+"""Apache Parquet: numeric columns, read by row groups."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ Arrow: TypeAlias = Any
 
 @dataclass(frozen=True, slots=True)
 class Parquet:
-    """Parquet: a column of numbers, of true and false, or of instants is a column; a null is NaN.
+    """Parquet: columns of numbers, booleans or instants; null is NaN.
 
-    Members of a structure are called "structure.member", those of lists of one length "name[0]", "name[1]", ...
-    Instants are seconds since the first one of the first column of them, so that columns keep their distances. A
-    column's own metadata "unit" or "units" is its unit. Text, and lists of different lengths, are passed over.
+    Structure members are "structure.member", lists of one length "name[0]", "name[1]", ... Instants are seconds since
+    the first one of the first such column. Column metadata "unit" or "units" is the unit. Text and ragged lists are
+    skipped.
     """
 
     name: ClassVar[str] = "Parquet"
@@ -81,7 +81,7 @@ class Parquet:
                 yield _held(join_tables(parts))
 
     def write(self, path: Path, table: Table) -> None:
-        """Write columns of eight bytes, with checksums; units are metadata of the columns, scalars of the file."""
+        """Write float64 columns with checksums; units and scalars are metadata."""
         require_place(table, self.name, self.holds)
         refused = [name for name in table.columns if name != self.legal_name(name)]
         if refused:
@@ -107,7 +107,7 @@ class Parquet:
 
 
 def _held(table: Table) -> Block:
-    """Return rows that are already in memory."""
+    """Wrap rows in memory as a block."""
     return Block(table.rows, partial(table.cut, 0))
 
 
@@ -130,7 +130,7 @@ def _open(path: Path) -> Iterator[Arrow]:
 
 
 def _count_declared(file: Arrow) -> int:
-    """Return how many numbers a file declares; a row of lists has several in a column."""
+    """Number of declared values; a list column has several per row."""
     about = file.metadata
     groups = (about.row_group(index) for index in range(about.num_row_groups))
     held = sum(group.column(index).num_values for group in groups for index in range(about.num_columns))
@@ -139,7 +139,7 @@ def _count_declared(file: Arrow) -> int:
 
 @dataclass(slots=True)
 class _Decoder:
-    """State of decoding a file: where instants begin, and how long lists are.
+    """Decoder state: first instant and list lengths.
 
     Attributes:
         begins: the first instant of each column of instants, as its whole number.
@@ -152,7 +152,7 @@ class _Decoder:
     passed: dict[str, str] = field(default_factory=dict)
 
     def columns(self, name: str, array: Arrow) -> Iterator[tuple[str, FloatArray]]:
-        """Yield the columns that an array of Arrow is."""
+        """Yield the columns of an Arrow array."""
         types = extra("pyarrow.types", "logs", "Reading Parquet")
         kind = array.type
         if types.is_dictionary(kind):
@@ -175,7 +175,7 @@ class _Decoder:
             self.passed[name] = _ANY_LENGTH
 
     def _instants(self, name: str, array: Arrow) -> FloatArray:
-        """Return seconds since the first instant of the file; a duration's own seconds."""
+        """Convert instants to seconds since the first, or durations to seconds."""
         arrow = extra("pyarrow", "logs", "Reading Parquet")
         types = extra("pyarrow.types", "logs", "Reading Parquet")
         unit = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[array.type.unit]
@@ -219,7 +219,7 @@ def _read_parts(path: Path, file: Arrow) -> Iterator[Table]:
 
 
 def _may_be_numbers(kind: Arrow) -> bool:
-    """True if a column is worth reading; text, bytes and lists of any length are not, which may be long."""
+    """Test whether a column may hold numbers of bounded size."""
     types = extra("pyarrow.types", "logs", "Reading Parquet")
     if types.is_struct(kind):
         return any(_may_be_numbers(kind.field(index).type) for index in range(kind.num_fields))
@@ -234,7 +234,7 @@ def _read_unit(metadata: Mapping[bytes, bytes] | None) -> str:
 
 
 def _read_scalars(metadata: Mapping[bytes, bytes]) -> dict[str, float]:
-    """Return the single numbers beside the columns, as they are written here."""
+    """Read the scalars from the metadata."""
     if _SCALARS not in metadata:
         return {}
     return {str(name): float(text) for name, text in json.loads(metadata[_SCALARS]).items()}

@@ -1,8 +1,7 @@
-"""Read files of others in a process of their own: one guard for every format, however its library takes a damaged file.
+"""Read untrusted files in a separate process, with limits on time and memory.
 
-A file has `SECONDS`, and `PACE` more for each megabyte it has, and `MEMORY` bytes. Whatever it does there, what comes
-back is a table or a sentence. Starting the process takes some tenths of a second, so that it serves the next file too;
-after one that ended it, the next begins with a fresh one. The program it runs is `reader_program`.
+A file has `SECONDS`, and `PACE` more per megabyte, and `MEMORY` bytes. The process serves further files, since starting
+it takes some tenths of a second; after a crash a new one starts. It runs `reader_program`.
 """
 
 from __future__ import annotations
@@ -72,7 +71,7 @@ class ReaderProcess:
 
     @classmethod
     def start(cls) -> ReaderProcess:
-        """Start the program; it finds modules where this process does."""
+        """Start the program with this process's module path."""
         places = os.pathsep.join(os.path.abspath(each) for each in (*sys.path, str(_PACKAGE)) if each)  # noqa: PTH100 - as text
         theirs, ours = (None, None) if sys.platform == "win32" else os.pipe()
         process = subprocess.Popen(  # noqa: S603 this Python, and a program that is part of this package
@@ -96,11 +95,11 @@ class ReaderProcess:
         return cls(process, ours)
 
     def ask(self, order: dict[str, Any], patience: float) -> Any:
-        """Return the answer to an order; a table comes with its numbers.
+        """Answer an order; a table includes its numbers.
 
         Raises:
-            _EndedError: the process ended, or was ended after so many seconds.
-            JointidError, OSError, MemoryError: what reading the file raised.
+            _EndedError: the process ended, or exceeded `patience` seconds.
+            JointidError, OSError, MemoryError: from reading the file.
         """
         watch = Timer(patience, self._end_late)
         watch.start()
@@ -136,7 +135,7 @@ class ReaderProcess:
         self.process.kill()
 
     def end(self) -> int:
-        """End the process, and return the code with which it ended."""
+        """End the process, and return its exit code."""
         self.process.kill()
         if self.lifeline is not None:
             os.close(self.lifeline)
@@ -174,7 +173,7 @@ def _read_table(answers: IO[bytes], described: dict[str, Any]) -> Table:
 
 
 def _require_good(answer: dict[str, Any]) -> dict[str, Any]:
-    """Return an answer; raise the error that it tells of."""
+    """Return an answer, or raise the error that it describes."""
     if (told := answer.get("error")) is None:
         return answer
     kind, faults = told["kind"], told["faults"]
@@ -189,7 +188,7 @@ def _require_good(answer: dict[str, Any]) -> dict[str, Any]:
 
 @dataclass(slots=True)
 class _Idle:
-    """The processes that wait for a file; those of the process from which this one was copied are not its own."""
+    """Idle reader processes, ignoring those inherited by a fork."""
 
     lock: Lock = field(default_factory=Lock)
     waiting: list[ReaderProcess] = field(default_factory=list)
@@ -202,7 +201,7 @@ class _Idle:
             return self.waiting.pop() if self.waiting else None
 
     def put(self, reader: ReaderProcess) -> bool:
-        """Keep a process for the next file; False if there is one already."""
+        """Keep a process for the next file; False if one is kept already."""
         if self.owner != os.getpid():
             return False
         with self.lock:
@@ -241,14 +240,14 @@ class _Session:
         return math.ceil(SECONDS + PACE * self.size / 1e6)
 
     def ask(self, **order: Any) -> Any:
-        """Return an answer; a process that ended says why in a sentence."""
+        """Answer an order; describe why a process ended."""
         try:
             return self.reader.ask(order, _BUSY * self.seconds)
         except _EndedError:
             raise RecordError(self._explain_end(self.reader.end())) from None
 
     def open(self, do: str, **further: Any) -> Any:
-        """Give the first order, which names the file; a process that read others before and ends is replaced once."""
+        """Send the first order, and retry with a new process if a reused one ends."""
         order = {"do": do, "path": str(self.path.absolute()), "options": self.options, **further}
         order["seconds"] = self.seconds
         if self.reader.used:
@@ -295,17 +294,12 @@ def _session(path: Path, name: str, options: dict[str, Any]) -> Iterator[_Sessio
 
 
 def read_apart(path: Path, name: str, options: dict[str, Any]) -> Table:
-    """Return all the numbers of a file, read in a process of its own.
+    """Read all numbers of a file in a separate process.
 
     Args:
-        path: the file, or the folder of a bag; its suffix names the format.
+        path: the file, or the folder of a bag.
         name: of the format, for sentences.
         options: of its reader.
-
-    Raises:
-        RecordError: it cannot be read, or takes too long.
-        OSError: it cannot be opened.
-        MemoryError: it takes more than `MEMORY`.
     """
     with _session(path, name, options) as session:
         found: Table = session.open("read")
@@ -313,16 +307,10 @@ def read_apart(path: Path, name: str, options: dict[str, Any]) -> Table:
 
 
 def read_blocks_apart(path: Path, rows: int, name: str, options: dict[str, Any]) -> Iterator[Block]:
-    """Yield so many rows of a file after so many, read in a process of its own when they are asked for.
-
-    Args:
-        path: see `read_apart`.
-        rows: of a block, but for the last.
-        name: see `read_apart`.
-        options: see `read_apart`.
+    """Yield blocks of `rows` rows, read on demand in a separate process.
 
     Raises:
-        NotStreamedError: the file has no rows one after the other.
+        NotStreamedError: the file has no consecutive rows.
         RecordError, OSError, MemoryError: see `read_apart`.
     """
     with _session(path, name, options) as session:

@@ -1,12 +1,10 @@
-"""The program of the process that reads files: orders on standard input, answers on standard output.
+"""Program of the reader process: orders on standard input, answers on standard output.
 
-An order is a line of JSON. An answer is JSON behind its length, eight bytes, and behind it the numbers of the columns
-that it lists. Nothing is pickled, and nothing but numbers and text is sent. `reader_process` starts this file by its
-path, and says what the orders are.
+An order is a line of JSON. An answer is its length in eight bytes, JSON, and the numbers of the columns listed in it.
+Nothing is pickled. `reader_process` starts this file by path and documents the orders.
 
-The time of the processor that one file may take is bounded and, where the system can do that, so is the memory; no
-file can be written. The process ends with its standard input, which the one that reads holds, and with a pipe that this
-one keeps open.
+Processor time and, where possible, memory are bounded; no file can be written. The process ends with its standard
+input, and with a pipe that the parent keeps open.
 """
 
 from __future__ import annotations
@@ -65,10 +63,10 @@ def main(memory: int, lifeline: int | None) -> None:
 
 
 def _end_with(lifeline: int) -> None:
-    """Have the system end this process when the other end of a pipe is closed, whatever a library is doing then.
+    """End this process when the other end of a pipe closes, even during library calls.
 
-    Linux's order to end with the parent (`PR_SET_PDEATHSIG`) is of the thread that started this process, which may end
-    long before its process does; a thread that watches would wait for the library.
+    `PR_SET_PDEATHSIG` is tied to the starting thread, which may end earlier; a watching thread would wait for the
+    library.
     """
     if sys.platform == "win32":
         return
@@ -84,7 +82,7 @@ def _end_with(lifeline: int) -> None:
 
 
 def _prepare(order: dict[str, Any]) -> tuple[Any, Any]:
-    """Return the format and the path that an order names; from now on the file's own time runs."""
+    """Return the format and path of an order, and start the file's time limit."""
     from pathlib import Path
 
     from jointid.records.formats import format_of
@@ -94,7 +92,7 @@ def _prepare(order: dict[str, Any]) -> tuple[Any, Any]:
 
 
 def _describe(error: Exception) -> dict[str, Any]:
-    """Return an error as JSON has it: its kind, its sentences, and what the system says."""
+    """Describe an error as JSON: kind, sentences and system error."""
     faults = getattr(error, "faults", (str(error),))
     told = {"kind": type(error).__name__, "faults": [str(fault) for fault in faults]}
     return told | {"errno": error.errno, "strerror": error.strerror} if isinstance(error, OSError) else told
@@ -122,7 +120,7 @@ def _send_table(answers: IO[bytes], table: Any) -> None:
 
 
 def _address_space() -> int:
-    """Return how many bytes of addresses this process has; 0 where the system does not say it so."""
+    """Size of the address space; 0 if unknown."""
     if sys.platform != "linux":
         return 0
     with open("/proc/self/statm", "rb") as file:  # noqa: PTH123 - one file of the system, and no import for it
@@ -130,7 +128,7 @@ def _address_space() -> int:
 
 
 def _bound(what: str, most: int) -> None:
-    """Bound a resource of this process, where the system can hold it to that."""
+    """Limit a resource of this process, where possible."""
     if sys.platform == "win32" or (what == "RLIMIT_AS" and sys.platform != "linux"):
         return
     import resource

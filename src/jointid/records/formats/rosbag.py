@@ -1,4 +1,4 @@
-"""ROS 2 bags: a folder, or one of its files, MCAP or SQLite; every topic of numbers with a clock of its own."""
+"""ROS 2 bags, a folder or a file (MCAP or SQLite), with one clock per topic."""
 
 from __future__ import annotations
 
@@ -51,12 +51,11 @@ Stamps = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class RosBag:
-    """A bag of ROS 2: every topic of numbers gives its columns and "/topic/time", its clock.
+    """A ROS 2 bag: each topic of numbers gives columns and the clock "/topic/time".
 
-    Joint states are called "/topic/joint/position", and so velocity and effort; single numbers "/topic", arrays
-    "/topic[0]"; fields of other messages by their path, where the bag holds their definition. A clock is the stamp in
-    the messages' header or, without one, the time of the log: seconds, of dates since the first one of the bag.
-    Where a message lacks a number it is NaN. A file without a suffix is a folder with a bag in it.
+    Joint states are "/topic/joint/position", likewise velocity and effort; single numbers "/topic", arrays "/topic[0]",
+    other fields their path, if the bag has the definition. The clock is the header stamp or else the log time, in
+    seconds; dates count from the first of the bag. Missing numbers are NaN. A path without suffix is a folder.
     """
 
     name: ClassVar[str] = "ROS 2 bag"
@@ -76,13 +75,9 @@ class RosBag:
     def write(self, path: Path, table: Table) -> None:
         """Write a bag: a folder, or one file by its suffix.
 
-        Columns "/topic/joint/position", "velocity" and "effort" beside a "/topic/time" of whole nanoseconds, which may
-        be off by rounding, become joint states. Every other column becomes a topic of std_msgs/Float64, stamped by
-        "column/time" or else by the table's time; a bag has no other way to keep numbers by name.
-
-        Raises:
-            RecordError: two topics would have one name.
-        OSError: the bag cannot be written.
+        Columns "/topic/joint/position", "velocity" and "effort" beside a "/topic/time" in whole nanoseconds, up to
+        rounding, become joint states. Other columns become topics of std_msgs/Float64, stamped by "column/time" or the
+        table's time.
         """
         require_place(table, "A ROS 2 bag", self.holds)
         rosbag2 = extra("rosbags.rosbag2", "logs", "Writing ROS 2 bags")
@@ -111,16 +106,12 @@ class RosBag:
         _place_file(path, fill)
 
     def legal_name(self, name: str, others: Collection[str] = ()) -> str:
-        """Return the name, which can be any text but none; see `Format.legal_name`."""
+        """Return any non-empty name; see `Format.legal_name`."""
         return name.encode("utf-8", "replace").decode("utf-8") or "_"
 
 
 def list_files(path: Path) -> list[Path]:
-    """Return the files of a bag in their order.
-
-    Raises:
-        RecordError: the folder has no such file.
-    """
+    """Files of a bag in order."""
     if not path.is_dir():
         return [path]
     found = [file for file in path.iterdir() if file.suffix.lower() in RosBag.suffixes and file.is_file()]
@@ -133,7 +124,7 @@ def list_files(path: Path) -> list[Path]:
 
 @dataclass(slots=True)
 class _Series:
-    """The messages of one topic, as columns that grow."""
+    """The messages of one topic, as growing columns."""
 
     topic: Topic
     logged: array[int] = field(default_factory=lambda: array("q"))
@@ -141,12 +132,12 @@ class _Series:
     columns: dict[str, array[float]] = field(default_factory=dict)
 
     def take(self, time: int, data: bytes) -> int:
-        """Add a message; return how many numbers it added.
+        """Add a message, and return the number of values.
 
         Raises:
-            ValueError: its bytes are no such message.
-            KeyError: the definition of a type is not there.
-            SkippedTopicError: it has too many parts, or two numbers of one name.
+            ValueError: invalid bytes.
+            KeyError: an unknown type.
+            SkippedTopicError: too many parts, or duplicate names.
         """
         fields = decode_message(self.topic.type, data, self.topic.types)
         stamp, row = header_stamp(fields), len(self.logged)
@@ -188,7 +179,7 @@ class _BagTable:
         self.numbers = 0
 
     def take(self, topic: Topic, time: int, data: bytes) -> None:
-        """Add a message; a topic that cannot be read is passed over from its first one on."""
+        """Add a message; an unreadable topic is skipped from its first message on."""
         if topic.name in self.passed:
             return
         if topic.encoding != "cdr":
@@ -225,7 +216,7 @@ class _BagTable:
 
 
 class _Joints(NamedTuple):
-    """A topic of joint states: its clock in nanoseconds, and the columns by joint and field."""
+    """A topic of joint states: its clock [ns], and columns by joint and field."""
 
     topic: str
     stamps: Stamps
@@ -233,7 +224,7 @@ class _Joints(NamedTuple):
 
 
 def _place_file(path: Path, fill: Callable[[Path], None]) -> None:
-    """Make a bag's folder, or only the file in it where the path has a suffix."""
+    """Create a bag's folder, or one file for a path with suffix."""
     try:
         if not path.suffix:
             fill(path)
@@ -247,7 +238,7 @@ def _place_file(path: Path, fill: Callable[[Path], None]) -> None:
 
 
 def _find_joint_states(table: Table) -> Iterator[_Joints]:
-    """Yield the topics of joint states, whose columns are as long as their clock."""
+    """Yield topics of joint states with columns as long as their clock."""
     topics: dict[str, dict[tuple[str, str], str]] = {}
     for name in table.columns:
         if match := _JOINT.fullmatch(name):
@@ -261,7 +252,7 @@ def _find_joint_states(table: Table) -> Iterator[_Joints]:
 
 
 def _find_clocks(table: Table, taken: set[str]) -> dict[str, str]:
-    """Return the name of its clock for every column that has one."""
+    """Map columns to their clocks."""
     clocks = {}
     for name, values in table.columns.items():
         clock = f"{name}/time"
@@ -277,7 +268,7 @@ def _find_clocks(table: Table, taken: set[str]) -> dict[str, str]:
 
 
 def _to_nanoseconds(clock: np.ndarray[Any, Any]) -> Stamps | None:
-    """Return instants in whole nanoseconds, None if they differ from that by more than rounding."""
+    """Convert instants to whole nanoseconds; None beyond rounding."""
     if not (np.isfinite(clock).all() and clock.min() >= 0 and clock.max() < _NINE_YEARS):
         return None
     stamps = np.round(clock * 1e9).astype(np.int64)
@@ -285,7 +276,7 @@ def _to_nanoseconds(clock: np.ndarray[Any, Any]) -> Stamps | None:
 
 
 def _common_stamps(table: Table, size: int) -> Stamps:
-    """Return the table's time in whole nanoseconds, rounded; without one so many nanoseconds after the other."""
+    """The table's time [ns], or consecutive nanoseconds without one."""
     for name, values in table.columns.items():
         is_clock = name.partition(" ")[0].lower() in _CLOCKS and values.size == size
         if is_clock and np.isfinite(values).all() and values.min() >= 0 and values.max() < _NINE_YEARS:
@@ -296,7 +287,7 @@ def _common_stamps(table: Table, size: int) -> Stamps:
 
 
 def _write_joints(writer: Any, store: Any, table: Table, group: _Joints) -> None:
-    """Write a topic of joint states; a joint without one of the fields others have is NaN in it."""
+    """Write a topic of joint states, with NaN for missing fields."""
     kinds = store.types
     names = list(dict.fromkeys(joint for joint, _ in group.columns))
     fields = {}

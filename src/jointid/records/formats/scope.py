@@ -1,7 +1,7 @@
-"""TwinCAT Scope's export to text: rows of what is known of each channel, then a time column before every group of them.
+"""TwinCAT Scope text export: channel properties, then a time column per group.
 
-A row of the table is no instant: groups of channels with other sample times run down their own time columns, and the
-short ones end early. The layout is that of Beckhoff's TE13xx Scope View manual, "Export to CSV".
+Groups of different sample times have their own time columns, and short ones end early. Layout: Beckhoff, TE13xx Scope
+View manual, "Export to CSV".
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Scope:
     first: int
 
     def groups(self) -> Iterator[range]:
-        """Yield the columns of each group; the first of them is its time."""
+        """Yield the columns of each group, time first."""
         for start, end in zip(self.starts, (*self.starts[1:], len(self.rows["Name"])), strict=True):
             yield range(start, end)
 
@@ -60,7 +60,7 @@ class Scope:
 
 
 def find_scope(text: TextFile) -> Scope | None:
-    """Return the header of an export; None for a text that is none."""
+    """Parse the header of an export; None for other text."""
     lines = text.lines[:_LOOK]
     if not lines or not lines[0].text.startswith("Name") or len(lines[0].text) < len("Name_"):
         return None
@@ -80,14 +80,9 @@ def find_scope(text: TextFile) -> Scope | None:
 
 
 def read_scope(text: TextFile, scope: Scope, decimal: str | None = None) -> Table:
-    """Return the numbers of an export, each column with its own clock.
+    """Read an export, each column with its own clock.
 
-    Times are in ms, those of FILETIMEs since the first of them. `Offset` is where a channel is drawn, and is never
-    added. A decimal mark of None is found.
-
-    Raises:
-        RecordError: it was exported with blanks or without time columns, two channels have one name, or a row is
-            damaged.
+    Times are in ms, FILETIMEs relative to the first. `Offset` is for display only. None detects the decimal mark.
     """
     names, rows = _channel_names(text.name, scope), _number_rows(text, scope)
     point = decimal or ("," if scope.delimiter != "," and any("," in row.text for row in rows) else ".")
@@ -109,7 +104,7 @@ def read_scope(text: TextFile, scope: Scope, decimal: str | None = None) -> Tabl
 
 
 def _sort_by_length(numbers: _Numbers, scope: Scope) -> dict[int, list[int]]:
-    """Return the columns of all groups by the count of their rows; those of one count are read together."""
+    """Group columns by row count, to be read together."""
     found: dict[int, list[int]] = {}
     for group in scope.groups():
         found.setdefault(numbers.count(group.start), []).extend(group)
@@ -141,7 +136,7 @@ def _number_rows(text: TextFile, scope: Scope) -> list[Line]:
 
 
 def _channel_names(file: str, scope: Scope) -> dict[int, str]:
-    """Return the name of each channel by its column, with its unit in brackets."""
+    """Channel names by column, with units in brackets."""
     channels = [column for group in scope.groups() for column in group[1:]]
     for said in ("Name", "SymbolName"):
         names = {column: scope.cell(said, column) for column in channels}
@@ -151,10 +146,9 @@ def _channel_names(file: str, scope: Scope) -> dict[int, str]:
 
 
 def _bracket_unit(scope: Scope, column: int) -> str:
-    """Return the unit of a channel in brackets, if the file says it.
+    """A channel's unit in brackets, if stated.
 
-    What a channel is scaled by is in the values or not, as it was exported, and the file does not say which: a unit
-    that is none makes whoever reads it say it.
+    The file does not say whether the values are scaled, so an unknown unit has to be declared.
     """
     symbol = scope.cell("Unit", column).partition(" (")[0].strip()
     symbol = "" if symbol.startswith("(") else _SYMBOLS.get(symbol, symbol)
@@ -166,7 +160,7 @@ def _bracket_unit(scope: Scope, column: int) -> str:
 
 
 def _drop_fill(time: FloatArray, values: Mapping[str, FloatArray]) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """Return a group without the rows that the export filled with the ones before them."""
+    """Drop rows that the export repeated as padding."""
     same = np.diff(time) == 0
     for column in values.values():
         same &= np.diff(column) == 0
@@ -175,7 +169,7 @@ def _drop_fill(time: FloatArray, values: Mapping[str, FloatArray]) -> tuple[Floa
 
 
 def _check_step(file: str, time: FloatArray, stated: str, name: str) -> None:
-    """Check that a time column runs as its channel was sampled: exported without times, another one stands there."""
+    """Check that a time column matches the channel's sample time."""
     try:
         expected = float(stated.replace(",", "."))
     except ValueError:
@@ -190,7 +184,7 @@ def _check_step(file: str, time: FloatArray, stated: str, name: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Numbers:
-    """The rows of an export below its header, as text; those that were looked into are kept as cells."""
+    """Rows of an export as text, with cells cached once split."""
 
     file: str
     rows: Sequence[Line]
@@ -199,7 +193,7 @@ class _Numbers:
     cells: dict[int, list[str]] = field(default_factory=dict)
 
     def count(self, column: int) -> int:
-        """Return the count of rows of a group: from the first on, all that have a time."""
+        """Number of leading rows of a group that have a time."""
         return bisect_left(range(len(self.rows)), True, key=lambda row: not self._cell(row, column))
 
     def columns(self, wanted: Sequence[int], count: int) -> dict[int, FloatArray]:
@@ -222,7 +216,7 @@ class _Numbers:
 
     @property
     def _origin(self) -> int:
-        """The first FILETIME of all; 0 where times are in ms."""
+        """First FILETIME; 0 for times in ms."""
         firsts = [cell for start in self.scope.starts if (cell := self._cell(0, start)).isdecimal()]
         return min([int(cell) for cell in firsts if len(cell) in _FILETIME], default=0)
 
@@ -233,7 +227,7 @@ class _Numbers:
         return cells[column].strip() if column < len(cells) else ""
 
     def _damage(self, wanted: Sequence[int], count: int) -> str:
-        """Return the sentence on the first cell that holds no number."""
+        """Describe the first cell without a number."""
         for row in range(count):
             for column in wanted:
                 cell = self._cell(row, column)

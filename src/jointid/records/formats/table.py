@@ -1,7 +1,6 @@
-"""Tables of named columns and single numbers, which every file format reads and writes; and what no format reads.
+"""Tables of columns and scalars, common to all formats, and errors on damaged files.
 
-The libraries behind the binary formats raise whatever their parsers stumble over. None of it tells a user more than
-that the file is damaged, so everything that comes out of them on the way from a file is that sentence.
+Binary libraries raise arbitrary errors on damaged files; all become one sentence.
 """
 
 from __future__ import annotations
@@ -82,7 +81,7 @@ class Table:
         object.__setattr__(self, "passed", MappingProxyType(dict(self.passed)))
 
     def list_columns(self, wanted: str) -> str:
-        """Return the names of the columns, quoted; of very many, those most like the one that was wanted."""
+        """List column names, quoted; of many, those most similar to `wanted`."""
         names = list(self.columns)
         close = names if len(names) <= _LISTED else _find_close(wanted, names)
         rest = f" and {len(names) - len(close)} more" if len(close) < len(names) else ""
@@ -98,7 +97,7 @@ class Table:
         return replace(self, columns={name: values[first:last] for name, values in self.columns.items()})
 
     def take(self, names: Iterable[str]) -> Table:
-        """Return the table with the columns of these names alone, in their order.
+        """Select columns by name, in order.
 
         Raises:
             RecordError: there is no such column.
@@ -114,7 +113,7 @@ class Table:
 
 
 def _find_close(wanted: str, names: Sequence[str]) -> list[str]:
-    """Return the names most like one; of thousands, those that share its letters are compared, by their beginnings."""
+    """Find similar names; of thousands, prefilter by shared letters and beginnings."""
     matcher = difflib.SequenceMatcher(b=wanted[:_QUOTED])
 
     def share(name: str) -> float:
@@ -128,7 +127,7 @@ def _find_close(wanted: str, names: Sequence[str]) -> list[str]:
 
 
 def join_tables(tables: Sequence[Table]) -> Table:
-    """Return tables one below the other, one or more; a column that a later one lacks ends there."""
+    """Concatenate tables; a column missing in a later one ends there."""
     first = tables[0]
     if len(tables) == 1:
         return first
@@ -140,7 +139,7 @@ def join_tables(tables: Sequence[Table]) -> Table:
 
 
 class Holds(Flag):
-    """Contents that a file can hold beside columns of one length."""
+    """Optional contents of a file beside columns of one length."""
 
     NOTHING = 0
     SCALARS = auto()
@@ -150,7 +149,7 @@ class Holds(Flag):
 
 
 def require_place(table: Table, target: str, holds: Holds) -> None:
-    """Raise a `RecordError` if a table has scalars, or columns of several lengths, that have no place in `target`."""
+    """Refuse scalars or unequal columns that `target` cannot hold."""
     if table.scalars and Holds.SCALARS not in holds:
         raise RecordError(f"{target} has no place for the scalars {', '.join(table.scalars)}; write a .mat file.")
     if len({values.size for values in table.columns.values()}) != 1 and Holds.LENGTHS not in holds:
@@ -159,7 +158,7 @@ def require_place(table: Table, target: str, holds: Holds) -> None:
 
 
 class Format(Protocol):
-    """A file format: a frozen dataclass whose fields are the options of its reader.
+    """A file format: a frozen dataclass of reader options.
 
     Attributes:
         name: what messages call the format.
@@ -182,7 +181,7 @@ class Format(Protocol):
         ...
 
     def write(self, path: Path, table: Table) -> None:
-        """Write `table` so that `read` gives it back to the last bit, without the units if the format has no place.
+        """Write `table` so that `read` restores it exactly, except unsupported units.
 
         Raises:
             RecordError: the format cannot hold this table.
@@ -191,13 +190,13 @@ class Format(Protocol):
         ...
 
     def legal_name(self, name: str, others: Collection[str] = ()) -> str:
-        """Return the name of a column, beside others, as a file can hold it: itself, or one that is like it."""
+        """Return the nearest column name that a file can hold."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Neighbouring rows of a file, not read until they are asked for.
+    """Consecutive rows of a file, read on demand.
 
     Attributes:
         rows: how many, 1 or more.
@@ -208,7 +207,7 @@ class Block:
     read: Callable[[int], Table]
 
     def table(self, rows: int | None = None) -> Table:
-        """Read them, or the first so many.
+        """Read all or the first `rows` rows.
 
         Raises:
             RecordError: a row is damaged; the sentence names its line.
@@ -217,9 +216,9 @@ class Block:
 
 
 def split_rows(total: int, rows: int, read: Callable[[int, int], Table]) -> Iterator[Block]:
-    """Yield blocks of so many rows of a file of `total`, in which any row can be gone to; the last may have fewer.
+    """Yield blocks of `rows` rows of a file with random access.
 
-    `read` reads rows: it is given the first of them, and how many.
+    `read` takes the first row and the count.
     """
     for first in range(0, total, rows):
         yield Block(min(rows, total - first), partial(read, first))
@@ -227,28 +226,28 @@ def split_rows(total: int, rows: int, read: Callable[[int, int], Table]) -> Iter
 
 @runtime_checkable
 class Streamed(Protocol):
-    """A format whose files can be read from front to back in bounded memory."""
+    """A format that can be read in bounded memory."""
 
     def blocks(self, path: Path, rows: int) -> Iterator[Block]:
-        """Yield so many rows after so many; the last block may have fewer. One is read before the next is asked for.
+        """Yield blocks of `rows` rows, each read before the next.
 
-        A column that is shorter than others ends early, and is not in the blocks behind its end.
+        Short columns are absent from blocks behind their end.
 
         Raises:
             RecordError: the file is not of this format.
-            NotStreamedError: this file has no rows one after the other.
+            NotStreamedError: this file has no consecutive rows.
             OSError: the file cannot be opened.
         """
         ...
 
 
 class NotStreamedError(RecordError):
-    """A file that can only be read whole was to be read in chunks."""
+    """A file without consecutive rows cannot be read in chunks."""
 
 
 @contextmanager
 def explain_damage(path: Path, format_name: str, remedy: str) -> Iterator[None]:
-    """Turn whatever a library raises into the sentence on a damaged file; `remedy`, its end, is what to do then."""
+    """Convert any library error to the sentence on a damaged file; `remedy` ends it."""
     try:
         yield
     except (JointidError, MemoryError):
@@ -260,7 +259,7 @@ def explain_damage(path: Path, format_name: str, remedy: str) -> Iterator[None]:
 
 
 def require_size(path: Path, numbers: int, limit: int = WHOLE) -> None:
-    """Raise a `RecordError` on a file that declares more numbers than are read, before there is memory for any."""
+    """Refuse a file that declares too many numbers."""
     if numbers * _NUMBER > limit:
         advice = (
             "choose columns with jointid data convert --columns, or read it in chunks with jointid identify --window"
@@ -284,7 +283,7 @@ def format_size(count: int) -> str:
 
 
 def require_unique_names(path: Path, names: list[str]) -> None:
-    """Raise a `RecordError` that names a column if two have one name."""
+    """Refuse duplicate column names."""
     seen: set[str] = set()
     for name in names:
         if name in seen:
@@ -293,6 +292,6 @@ def require_unique_names(path: Path, names: list[str]) -> None:
 
 
 def list_passed(passed: Mapping[str, str]) -> str:
-    """Return what was passed over and why, in brackets: the first few; "" of nothing."""
+    """List skipped items with reasons, in brackets."""
     listed = "; ".join(f"{name!r}: {why}" for name, why in list(passed.items())[:_FEW])
     return f" ({listed})" if listed else ""

@@ -1,4 +1,4 @@
-"""National Instruments' TDMS: channels in groups, each with its properties."""
+"""National Instruments' TDMS: channels in groups, with properties."""
 
 from __future__ import annotations
 
@@ -38,12 +38,11 @@ Nptdms: TypeAlias = Any
 
 @dataclass(frozen=True, slots=True)
 class Tdms:
-    """TDMS: a channel is the column "group/channel", of the group "Untitled" just "channel".
+    """TDMS: columns "group/channel", or "channel" for the group "Untitled".
 
-    Numbers among the properties of the file and of its groups are scalars.
-    The property "unit_string" is the unit. A waveform (property wf_increment) has no column for its time: it gets
-    one, called "group/time" if all channels of the group have the same, else "group/channel/time". Instants, and the
-    wf_start_time of waveforms, are seconds since the first one of the file. Text is passed over.
+    Numeric properties of the file and its groups are scalars; "unit_string" is the unit. A waveform (wf_increment) gets
+    a time column "group/time" if shared by the group, else "group/channel/time". Instants and wf_start_time are seconds
+    since the first in the file. Text is skipped.
     """
 
     name: ClassVar[str] = "TDMS"
@@ -63,7 +62,7 @@ class Tdms:
             yield from split_rows(contents.rows, rows, contents.read)
 
     def write(self, path: Path, table: Table) -> None:
-        """Write a channel of eight bytes for each column; scalars are properties of the file."""
+        """Write float64 channels; scalars are file properties."""
         for name in table.columns:
             if name != self.legal_name(name):
                 raise RecordError(
@@ -93,7 +92,7 @@ class Tdms:
 
 
 class _Channel(NamedTuple):
-    """One column: a channel, or the time of a waveform, which is computed; `late` seconds after the file's first."""
+    """A channel or computed waveform time, `late` seconds after the file's first."""
 
     name: str
     rows: int
@@ -118,7 +117,7 @@ class _Channel(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class _Contents:
-    """An open file: its columns and single numbers, and the rows of columns that were read last."""
+    """An open file with cached rows."""
 
     path: Path
     channels: list[_Channel]
@@ -130,7 +129,7 @@ class _Contents:
         return max(channel.rows for channel in self.channels)
 
     def read(self, first: int, count: int) -> Table:
-        """Read so many rows from the first on, of the columns that are so long."""
+        """Read `count` rows from `first` on, of sufficiently long columns."""
         last = first + count
         with explain_damage(self.path, Tdms.name, _REMEDY):
             columns = {c.name: self._values(c, first, min(last, c.rows)) for c in self.channels if c.rows > first}
@@ -139,7 +138,7 @@ class _Contents:
         return Table(columns, self.scalars, self.path.name, units, clocks=clocks)
 
     def _values(self, channel: _Channel, first: int, last: int) -> FloatArray:
-        """Return rows of a column, and hold some that follow."""
+        """Read rows of a column, and cache some further ones."""
         begin, held = self.slabs.get(channel.name, (0, np.empty(0)))
         if not begin <= first <= last <= begin + held.size:
             end = min(channel.rows, max(last, first + _SLAB // len(self.channels)))
@@ -166,7 +165,7 @@ def _open(path: Path) -> Iterator[_Contents]:
 
 
 def _find_beginning(channel: Nptdms) -> np.datetime64 | None:
-    """Return the instant at which a waveform or a channel of instants begins; None where the file does not say."""
+    """First instant of a waveform or channel; None if not stated."""
     is_instants = np.dtype(channel.dtype).kind == "M"
     found = channel.read_data(0, 1)[0] if is_instants else channel.properties.get(_START)
     return found if isinstance(found, np.datetime64) and found >= _UNSET else None
@@ -199,7 +198,7 @@ def _list_channels(file: Nptdms) -> Iterator[_Channel]:
 
 
 def _list_scalars(file: Nptdms) -> Iterator[tuple[str, float]]:
-    """Yield the numbers among the properties of the file and of its groups."""
+    """Yield the numeric properties of the file and its groups."""
     for prefix, properties in (("", file.properties), *((f"{g.name}/", g.properties) for g in file.groups())):
         for name, value in properties.items():
             if isinstance(value, int | float | np.number) and not isinstance(value, bool):
@@ -207,7 +206,7 @@ def _list_scalars(file: Nptdms) -> Iterator[tuple[str, float]]:
 
 
 def _read_unit(channel: Nptdms) -> str:
-    """Return the unit that a property states, "" without one."""
+    """Unit that a property states, empty without one."""
     if np.dtype(channel.dtype).kind == "M":
         return "s"
     found = (channel.properties.get(key) for key in _UNITS)

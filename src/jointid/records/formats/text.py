@@ -1,4 +1,4 @@
-"""Text as numbered lines without comments, and the delimiter and decimal mark of the rows of numbers in it."""
+"""Text as numbered content lines, and detection of delimiter and decimal mark."""
 
 from __future__ import annotations
 
@@ -42,29 +42,24 @@ class Line(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class TextFile:
-    """The lines of a text file that are neither empty nor comments, and the comment right above, without its mark."""
+    """The content lines of a text, and the comment directly above."""
 
     name: str
     lines: list[Line]
     comment: Line | None
 
     def above(self, index: int) -> Line | None:
-        """Return the line above `lines[index]`; above the first, that is the comment."""
+        """Return the line above `lines[index]`; above the first, the comment."""
         return self.lines[index - 1] if index else self.comment
 
 
 def is_comment(text: str) -> bool:
-    """True if a line is a comment."""
+    """Test for a comment."""
     return text.lstrip().startswith((*_COMMENTS, _SPREADSHEET))
 
 
 def read_lines(path: Path) -> TextFile:
-    """Read a file in UTF-8, or UTF-16 with a byte order mark; what is neither is taken as Latin-1.
-
-    Raises:
-        RecordError: the file is not text.
-        OSError: the file cannot be opened.
-    """
+    """Read a file in UTF-8, UTF-16 with byte order mark, or Latin-1."""
     raw = path.read_bytes()
     try:
         wide = raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
@@ -81,7 +76,7 @@ def read_lines(path: Path) -> TextFile:
 
 
 def build_text(name: str, filled: list[Line]) -> TextFile:
-    """Return the text that lines make, none of which is empty."""
+    """Build a text from non-empty lines."""
     lines = [line for line in filled if not is_comment(line.text)]
     above = [line for line in filled if not lines or line.number < lines[0].number][-1:]
     comments = [Line(n, line.lstrip(" \t#%/")) for n, line in above if not line.startswith(_SPREADSHEET)]
@@ -89,13 +84,9 @@ def build_text(name: str, filled: list[Line]) -> TextFile:
 
 
 def stream_lines(path: Path) -> Iterator[Line]:
-    """Yield the lines that are not empty, comments too, of a file of any length, encoded as for `read_lines`.
+    """Yield the non-empty lines of a file of any length, including comments.
 
-    Whether it is UTF-8 is told by its beginning; what is no text further down is no number either.
-
-    Raises:
-        RecordError: the file is not text.
-        OSError: the file cannot be opened.
+    The beginning determines the encoding.
     """
     with path.open("rb") as raw:
         head = raw.read(_HEAD)
@@ -115,7 +106,7 @@ def stream_lines(path: Path) -> Iterator[Line]:
 
 
 def _line(path: Path, number: int, text: str) -> Line:
-    """Return a line, unless it is too long to be one of a table."""
+    """Return a line; refuse one too long for a table."""
     if len(text) > _LONGEST:
         raise RecordError(
             f"{path.name}: line {number} has more than {_LONGEST} characters; expected a row for each sample: is it a "
@@ -129,26 +120,26 @@ def _has_content(line: str) -> bool:
 
 
 def point_rows(rows: Sequence[Line], decimal: str) -> list[str]:
-    """Return rows with decimal points; beside a decimal comma a point is a thousands separator, and no number."""
+    """Convert decimal commas to points; a point beside them invalidates the number."""
     if decimal == ".":
         return [row.text for row in rows]
     return [row.text.replace(".", "?").replace(",", ".") for row in rows]
 
 
 def is_number(cell: str) -> bool:
-    """True if a cell is one number, with a decimal point or comma, NaN and infinity included."""
+    """Test for one number, with point or comma, NaN or infinity."""
     return any(pattern.fullmatch(cell) for pattern in _NUMBERS.values())
 
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """Delimiter, one character or `BLANKS` for any run of blanks, and decimal mark of a text."""
+    """Delimiter, a character or `BLANKS`, and decimal mark."""
 
     delimiter: str
     decimal: str
 
     def split(self, line: str) -> list[str]:
-        """Return the cells of a line, without the blanks and quotes around them."""
+        """Split a line into cells, without blanks and quotes."""
         if '"' in line:
             reader = csv.reader([line.strip(" ")], delimiter=self.delimiter, skipinitialspace=True)
             return [cell.strip() for cell in next(reader)]
@@ -157,11 +148,7 @@ class Dialect:
         return [cell.strip() for cell in line.split(self.delimiter)]
 
     def number(self, cell: str) -> float:
-        """Return the value of a cell, NaN if it is empty.
-
-        Raises:
-            ValueError: the cell holds something else.
-        """
+        """Parse a cell, NaN if empty."""
         if not cell:
             return np.nan
         if not _NUMBERS[self.decimal].fullmatch(cell):
@@ -169,7 +156,7 @@ class Dialect:
         return float(cell.replace(self.decimal, "."))
 
     def width(self, line: str) -> int:
-        """Return the count of cells in a row of numbers; 0 for a line that is no such row."""
+        """Number of cells in a row of numbers; 0 for other lines."""
         if self.delimiter == self.decimal and '"' not in line:
             return 0  # only quotes keep a decimal comma and a delimiting comma apart
         cells = self.split(line)
@@ -179,7 +166,7 @@ class Dialect:
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """Rows of numbers that a dialect finds in a sample of lines, and their commonest width."""
+    """Rows of numbers under a dialect, and their commonest width."""
 
     dialect: Dialect
     rows: int
@@ -191,11 +178,9 @@ class Fit:
 
 
 def sniff(lines: Sequence[str], delimiter: str | None, decimal: str | None) -> list[Fit]:
-    """Return the readings of `lines` that no other beats; none if there is no row of numbers.
+    """Return the best dialects for `lines`; two if ambiguous, none without numbers.
 
-    There are two where the lines are like "1,5": two whole numbers, or one number with a decimal comma (the
-    second reading). Lines are neither empty nor comments, and the last of them decide; delimiter and decimal mark are
-    given where they are known.
+    "1,5" is ambiguous: two integers, or a decimal comma (second). The last lines decide.
     """
     fits: list[Fit] = []
     for mark in (delimiter,) if delimiter else _DELIMITERS:

@@ -1,7 +1,6 @@
-"""Signals: zero-phase filters, derivatives, decimation, and torque brought to the instants of the positions.
+"""Zero-phase filters, derivatives, decimation and torque windows.
 
-Everything that is compared or regressed goes through the same `Filtering`, torque and every column alike, so that
-what the filter takes from one side it takes from the other.
+Torque and regressor columns pass the same `Filtering`, so that both sides of the equation lose the same.
 """
 
 from __future__ import annotations
@@ -74,7 +73,7 @@ class Filtering:
 
     @classmethod
     def published(cls) -> Self:
-        """Return the filtering of the EMPS benchmark report, to every digit of its results.
+        """Filtering of the EMPS benchmark report, which reproduces all its digits.
 
         Butterworth at 100 Hz; the first 49 samples dropped; Chebyshev at 40 Hz, one sample in ten; torque read as
         sampled.
@@ -83,11 +82,11 @@ class Filtering:
 
     @classmethod
     def as_printed(cls) -> Self:
-        """Return the paper's filtering for a flexible joint: 60 Hz, one sample in twelve, which aliases at 1 kHz."""
+        """The paper's filtering of a flexible joint: 60 Hz, decimated by twelve, which aliases at 1 kHz."""
         return cls(cutoff=60.0, decimation=12, aliasing="warned")
 
     def warnings(self, sample_time: float) -> tuple[str, ...]:
-        """Return the warnings on this filtering, which must be `resolved`."""
+        """Warnings on this filtering, which must be `resolved`."""
         assert self.cutoff is not None
         assert self.decimation is not None
         nyquist = 0.5 / (sample_time * self.decimation)
@@ -99,7 +98,7 @@ class Filtering:
         )
 
     def resolved(self, sample_time: float, model: str = "rigid") -> Filtering:
-        """Return this filtering with every default filled in for signals of that sample time and a joint's model.
+        """Fill in the defaults for a sample time and a joint's model.
 
         Raises:
             MethodError: a cut-off is at or above the Nyquist frequency, or the decimation would alias.
@@ -122,7 +121,7 @@ class Filtering:
         return replace(self, position_cutoff=position, cutoff=cutoff, decimation=self.decimation or most)
 
     def decimate(self, values: FloatArray, sample_time: float) -> FloatArray:
-        """Return values low-passed both ways and thinned; the filtering must be `resolved`.
+        """Low-pass forwards and backwards, and decimate; the filtering must be `resolved`.
 
         Chebyshev type I of order 8 and 0.05 dB. Forwards and backwards it passes a constant at 0.9886, so it must be
         applied to both sides of an equation. The last sample is always kept, and every so many before it.
@@ -144,14 +143,14 @@ class Filtering:
 
 
 def lowpass(values: FloatArray, cutoff: float, sample_time: float) -> FloatArray:
-    """Return `values` through a Butterworth filter of order 4 forwards and backwards: no phase, twice the attenuation.
+    """Filter by a Butterworth filter of order 4, forwards and backwards.
+
+    Ends are padded by 3 x order samples, reflected about the end point.
 
     Args:
         values: (samples,) or (samples, columns).
         cutoff: Hz.
         sample_time: seconds.
-
-    Ends are padded by 3 x order samples, reflected about the end point. Raises `RecordError` on a shorter signal.
     """
     from scipy.signal import sosfiltfilt
 
@@ -171,9 +170,9 @@ def _require_padding(values: FloatArray, order: int) -> int:
 
 
 def thin_channel(channel: Channel, sample_time: float) -> Channel:
-    """Return a sampled channel at a clock that is a whole number of times slower: every so many samples; else as it is.
+    """Decimate a sampled channel to a slower clock, without a filter; others stay.
 
-    Nothing is filtered first: a position moves slowly against a torque's clock, and what noise it has is folded down.
+    A position is slow against a torque's clock; its noise aliases.
     """
     ratio = sample_time / channel.sample_time
     every = round(ratio)
@@ -188,11 +187,9 @@ def differentiate(values: FloatArray, sample_time: float) -> FloatArray:
 
 
 def decimate_all(parts: Sequence[FloatArray], filtering: Filtering, sample_time: float) -> list[FloatArray]:
-    """Decimate several signals as `Filtering.decimate` does, to rounding, by the filter's `modes`.
+    """Decimate several signals as `Filtering.decimate` does, but faster, by `modes`.
 
-    Several times faster, where a search pays for loading the compiler.
-
-    The parts are (samples,) or (samples, columns) each. Columns that stand one after the other are read where they are.
+    The parts are (samples,) or (samples, columns). The compiled filter pays off in a search.
     """
     cutoff, keep, first, padding = _plan_decimation(parts[0], filtering, sample_time)
     series = [np.ascontiguousarray(np.atleast_2d(part.T), dtype=np.float64) for part in parts]
@@ -205,7 +202,7 @@ def decimate_all(parts: Sequence[FloatArray], filtering: Filtering, sample_time:
 
 
 def _plan_decimation(values: FloatArray, filtering: Filtering, sample_time: float) -> tuple[float, int, int, int]:
-    """Return the cut-off as a share of the Nyquist frequency, how many become one, which is first, and the padding."""
+    """Return relative cut-off, decimation factor, first sample and padding."""
     assert filtering.cutoff is not None
     assert filtering.decimation is not None
     keep, n = filtering.decimation, len(values)
@@ -215,7 +212,7 @@ def _plan_decimation(values: FloatArray, filtering: Filtering, sample_time: floa
 
 @lru_cache(maxsize=64)
 def _design_butterworth(cutoff: float) -> FloatArray:
-    """Return a position filter's sections; the cut-off as a fraction of the Nyquist frequency."""
+    """Second-order sections of a position filter; cut-off relative to Nyquist."""
     from scipy.signal import butter
 
     return np.asarray(butter(_POSITION_ORDER, cutoff, output="sos"))
@@ -223,7 +220,7 @@ def _design_butterworth(cutoff: float) -> FloatArray:
 
 @lru_cache(maxsize=64)
 def _design_chebyshev(cutoff: float) -> FloatArray:
-    """Return the decimation filter's sections."""
+    """Second-order sections of the decimation filter."""
     from scipy.signal import cheby1
 
     return np.asarray(cheby1(_ORDER, _RIPPLE, cutoff, output="sos"))
@@ -231,14 +228,14 @@ def _design_chebyshev(cutoff: float) -> FloatArray:
 
 @lru_cache(maxsize=64)
 def _design_thinning(cutoff: float, keep: int, padding: int) -> Thinning:
-    """Return the decimation filter by its modes."""
+    """Modes of the decimation filter."""
     from scipy.signal import cheby1
 
     return Thinning.of(Modes.of(*cheby1(_ORDER, _RIPPLE, cutoff, output="zpk")), keep, padding)
 
 
 def differentiate_twice(values: FloatArray, sample_time: float) -> tuple[FloatArray, FloatArray]:
-    """Return first and second derivatives at the instants, from five samples each: exact to the fourth order.
+    """First and second derivatives, exact to the fourth order.
 
     Ends are reflected about the end point, so two samples at each end are of lower order.
     """
@@ -249,7 +246,7 @@ def differentiate_twice(values: FloatArray, sample_time: float) -> tuple[FloatAr
 
 
 def apply_window(columns: FloatArray) -> FloatArray:
-    """Return signals through the window of `window_torque`: the mean over +-T, twice, by Simpson's rule.
+    """Apply the window of `window_torque` to signals, by Simpson's rule.
 
     Args:
         columns: (samples, ...) at the instants.
@@ -261,15 +258,14 @@ def apply_window(columns: FloatArray) -> FloatArray:
 
 
 def window_torque(channel: Channel, delay: float = 0.0) -> FloatArray:
-    """Return a torque through a triangular window, the mean over one sample time T on each side, twice, (samples,).
+    """Average a torque over +-T twice, a triangular window, (samples,).
 
-    A torque held from t to t + T acts on the motion half a period after its stamp, and steps; positions are smooth.
-    Through this window, which for a held torque is exact (weights 1, 3, 3, 1 over 8), both can be compared instant by
-    instant: what the window takes from one side it takes from the other (`apply_window`).
+    A held torque acts half a period after its stamp, in steps, while positions are smooth. After this window, exact for
+    a held torque (weights 1, 3, 3, 1 over 8), both can be compared by instant; see `apply_window`.
 
     Args:
-        channel: the torque; its timing says what a logged value stands for, see `Timing.begins`.
-        delay: seconds between the logged value and the torque that acts.
+        channel: the torque; see `Timing.begins`.
+        delay: seconds between the logged value and the acting torque.
     """
     period, values = channel.sample_time, channel.values
     weights, first = _window_weights(1, channel.timing.begins + delay / period, 0)
@@ -279,7 +275,7 @@ def window_torque(channel: Channel, delay: float = 0.0) -> FloatArray:
 
 
 def _window_weights(parts: int, late: float, order: int) -> tuple[FloatArray, int]:
-    """Return the weights of the parts in the window of `window_parts`, and which after the instant is the first."""
+    """Weights of parts in the window of `window_parts`, and the first index."""
     first, last = math.floor(parts * (-2.0 - late)), math.ceil(parts * (2.0 - late))
     edges = np.arange(first, last + 1) / parts + late
     inside = np.clip(edges, -2.0, 2.0)
@@ -292,16 +288,16 @@ def _window_weights(parts: int, late: float, order: int) -> tuple[FloatArray, in
 
 
 def window_parts(columns: FloatArray, parts: int, late: float, order: int = 0) -> FloatArray:
-    """Return signals that are constant over parts of a sample through the window of `window_torque`, when they lag.
+    """Apply the window of `window_torque` to signals that are constant over parts.
 
     Args:
         columns: (parts of all samples, columns); after the last sample there is none.
-        parts: of a sample.
-        late: samples by which a signal is seen after it acts; may be broken, and negative.
-        order: of the derivative by `late` that is wanted, 0 to 2.
+        parts: per sample.
+        late: lag in samples, not necessarily whole or positive.
+        order: of the derivative by `late`, 0 to 2.
 
     Returns:
-        The signals, or their derivatives, at the instants, (samples, columns). Exact, and smooth in `late`.
+        The signals, or their derivatives, (samples, columns); exact, and smooth in `late`.
     """
     weights, first = _window_weights(parts, late, order)
     last = first + weights.size

@@ -1,13 +1,12 @@
-"""A filter forwards and backwards by its modes, at the samples that are kept and nowhere else.
+"""Forward-backward filtering by modes, evaluated only at the kept samples.
 
-A filter H with single poles p_i is a sum of modes, each of which forgets by its own factor a sample (partial
-fractions), and so is what it makes of a signal forwards and then backwards::
+A filter H with single poles p_i is a sum of modes (partial fractions), also forwards and then backwards::
 
     H(z) = d + sum_i r_i / (1 - p_i / z)
     H(z) H(1/z) = d H(0) + sum_i r_i H(1/p_i) (1 / (1 - p_i / z) + p_i z / (1 - p_i z))
 
-The modes forwards and those backwards read the signal itself, side by side, so the samples between two that are kept
-are summed up by one small matrix, and only one sample in so many takes a step of a recurrence.
+Both directions read the signal itself. One small matrix sums the samples between two kept ones, so that a recurrence
+runs over the kept samples only.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ ComplexArray = NDArray[np.complex128]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Modes:
-    """A filter of real coefficients with as many zeros as poles, complex and single, by its modes.
+    """The modes of a real filter with single poles and as many zeros.
 
     Attributes:
         poles: (modes,) those above the real axis; the others are their conjugates.
@@ -51,12 +50,12 @@ class Modes:
 
     @classmethod
     def of(cls, zeros: ComplexArray, poles: ComplexArray, gain: float) -> Self:
-        """Return the modes of a filter given by its zeros, poles and gain."""
+        """Modes of a filter given by zeros, poles and gain."""
         upper = poles[poles.imag > 0]
         every = np.concatenate([upper, upper.conj()])
 
         def response(inverse: ComplexArray, others: ComplexArray) -> complex:
-            """Return H at 1/z, without the pole that `others` leave out."""
+            """Evaluate H at 1/z without the pole that `others` excludes."""
             return complex(gain * np.prod(1 - zeros * inverse) / np.prod(1 - others * inverse))
 
         residues = np.array([response(1 / p, np.delete(every, i)) for i, p in enumerate(upper)])
@@ -68,7 +67,7 @@ class Modes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Thinning:
-    """Coefficients of decimation by modes, for one number of samples that become one.
+    """Coefficients of decimation by modes, for one decimation factor.
 
     Attributes:
         modes: of the filter.
@@ -100,11 +99,11 @@ class Thinning:
 
     @np.errstate(over="ignore", invalid="ignore")  # the derivatives of a loop that runs away may be beyond all numbers
     def __call__(self, parts: Sequence[FloatArray], first: int) -> FloatArray:
-        """Return signals filtered forwards and backwards, (signals, kept), as `scipy.signal.sosfiltfilt` does.
+        """Filter forwards and backwards, (signals, kept), as `scipy.signal.sosfiltfilt` does.
 
         Args:
-            parts: of the signals, (signals, samples) each: they are read where they stand.
-            first: sample that is kept first; the last one is kept, too.
+            parts: of the signals, (signals, samples) each, not copied.
+            first: first kept sample; the last one is kept, too.
         """
         modes, padding = self.modes, self.padding
         between = [part[:, first + 1 :] for part in parts]
@@ -126,17 +125,17 @@ class Thinning:
         return kept
 
     def _gather(self, values: FloatArray, states: ComplexArray) -> ComplexArray:
-        """Return the modes, (signals, modes), after samples, each a sample older than the one before, and states."""
+        """Modes (signals, modes) after samples, newest first, and states."""
         size = values.shape[1]
         return np.asarray(values @ self.older[:, :size].T + states * self.older[:, size])
 
     def _add(self, kept: FloatArray, between: Sequence[FloatArray], states: ComplexArray, step: int) -> ComplexArray:
-        """Add the modes of one direction to all that is kept, and return them where they end.
+        """Add the modes of one direction to `kept`, and return their final states.
 
         Args:
             kept: (signals, kept).
-            between: (signals, kept - 1, keep) of each part, the samples after each that is kept, up to the next.
-            states: (signals, modes) where they begin.
+            between: (signals, kept - 1, keep) samples from each kept one to the next.
+            states: initial modes, (signals, modes).
             step: 1 forwards, -1 backwards.
         """
         from jointid.common.compiled import carry
