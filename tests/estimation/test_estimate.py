@@ -140,7 +140,7 @@ def test_without_pandas_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_the_figure_of_the_torque_is_at_hand() -> None:
-    assert [axes.get_ylabel() for axes in ESTIMATE.plot.torque().axes] == ["force [N]", "force [N]"]
+    assert [axes.get_ylabel() for axes in ESTIMATE.plot.torque().axes] == ["force [N]", "force [N]", "error [N]"]
     assert ESTIMATE.plot.torque()._repr_png_().startswith(b"\x89PNG"), "what a notebook shows, also without pyplot"
 
 
@@ -151,6 +151,9 @@ def test_the_residual_and_the_report_are_a_word_away() -> None:
     record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
     estimate = ji.identify(record, loop)
     assert [axes.get_xlabel() for axes in estimate.plot.residual(record).axes][:2] == ["velocity [m/s]", "position [m]"]
+    assert [axes.get_xlabel() for axes in estimate.plot.spectrum().axes] == ["frequency [Hz]"]
+    assert estimate.plot.response().axes[1].get_ylabel() == "phase [°]"
+    assert estimate.plot.profile(record, ["inertia"]).axes[0].get_xlabel().startswith("ZZ")
     report = estimate.report(record, name="axis 1", profiles=())
     assert isinstance(report, ji.Report)
 
@@ -228,9 +231,8 @@ def test_figures_are_saved_in_the_format_of_their_suffix(tmp_path: Path) -> None
     figure = torque(ESTIMATE)
     assert save(figure, tmp_path / "t.png").read_bytes().startswith(b"\x89PNG")
     assert b"<svg" in save(figure, tmp_path / "t.svg").read_bytes()
-    labels = [axes.get_ylabel() for axes in figure.axes]
-    assert labels == ["force [N]", "force [N]"]
-    assert [text.get_text() for text in figure.axes[0].get_legend().get_texts()] == ["measured", "simulated", "error"]  # type: ignore[union-attr]
+    legends = [[text.get_text() for text in axes.get_legend().get_texts()] for axes in figure.axes]  # type: ignore[union-attr]
+    assert legends == [["measured", "simulated"], ["measured", "simulated"], ["error"]]
     with pytest.raises(RecordError, match=r'received "t.gif"'):
         save(figure, tmp_path / "t.gif")
 

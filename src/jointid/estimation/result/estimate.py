@@ -21,7 +21,6 @@ from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.signals.filtering import Filtering
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from pandas import DataFrame
 
     import jointid
@@ -204,9 +203,11 @@ class Estimate(Documented):
         return Path(path)
 
     @property
-    def plot(self) -> Plots:
-        """The figures: ``estimate.plot.torque()``, ``estimate.plot.residual(record)``."""
-        return Plots(self)
+    def plot(self) -> jointid.figures.Plots:
+        """The figures: ``estimate.plot.torque()``, ``.residual(record)``, ``.spectrum()``, ``.response()`` and more."""
+        import jointid
+
+        return jointid.figures.Plots(self)
 
     def report(self, record: Record, *, name: str = "", profiles: Sequence[str] | None = None) -> jointid.Report:
         """Return the report: one page with figures, see `jointid.Report.of`.
@@ -219,33 +220,6 @@ class Estimate(Documented):
         import jointid
 
         return jointid.Report.of(self, record, name=name, profiles=profiles)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Plots:
-    """The figures of an estimate, of matplotlib: ``figure.savefig(path)`` writes one."""
-
-    estimate: Estimate
-
-    def __call__(self) -> Figure:
-        """Return the first of them, `torque`."""
-        return self.torque()
-
-    def torque(self) -> Figure:
-        """Return measured, simulated and error torque over time."""
-        import jointid
-
-        return jointid.figures.torque(self.estimate)
-
-    def residual(self, record: Record) -> Figure:
-        """Return the torque error against velocity and position, and its autocorrelation.
-
-        Args:
-            record: that it was identified from, or another one of the joint; an estimate keeps no motion.
-        """
-        import jointid
-
-        return jointid.figures.residual(jointid.validate(self.estimate, record))
 
 
 def fingerprint(torque: FloatArray) -> str:

@@ -24,10 +24,10 @@ from jointid.diagnostics.report_data import ReportData, collect_report_data
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers.drive_numbers import DriveNumber
+from jointid.output.figures.charts import report_charts
 from jointid.output.json import plain
 from jointid.output.json.documents import REPORT_SCHEMA
 from jointid.output.report.pages import Pages
-from jointid.output.report.pictures import draw_charts
 from jointid.output.report.sections import report_blocks
 from jointid.output.report.summary import report_title
 from jointid.planning.design import Design
@@ -201,7 +201,7 @@ class Report(Pages):
     @property
     def charts(self) -> dict[str, Chart]:
         """Its figures by name."""
-        drawn = draw_charts(self.dossier)
+        drawn = report_charts(self.dossier)
         if self.tuned is not None:
             drawn["tuning"] = replace(self.tuned.chart(), caption=_TUNING)
         if self.design is not None:
