@@ -69,7 +69,7 @@ def propose(loop: LoopName, noise: NoiseName, goal: str, seconds: float) -> Prop
     """Return the test that is designed from the twin's first record."""
     axis = twin(loop, noise=noise)
     record = axis.record.without("motor_position", "load_position")
-    estimate = ji.identify(record, axis.loop, filtering=ji.Filtering(cutoff=60.0), loop_check=False)
+    estimate = ji.identify(record, axis.loop, filtering=ji.Filtering(cutoff=60.0), checks=False)
     known = ji.Noise(log=axis.noise) if noise == "white" else ji.Noise(force=axis.noise)
     design = plan_from_estimate(estimate, record, noise=known, goal=goal, seconds=seconds)
     assert design.present is not None

@@ -14,7 +14,6 @@ from jointid.apps.cli import main
 from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.common.transmission import Transmission
 from jointid.config import JointFile, dumps, loads, save
-from jointid.estimation.identify import identify
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.output.json import read_identified, to_dict, write
@@ -23,6 +22,7 @@ from jointid.records.reading import read
 from jointid.records.record import Record
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
+from tests.estimates import identify
 from tests.geared import LAW, RATE, RIGID, TURNED_SCREW
 from tests.joint_files import faults
 

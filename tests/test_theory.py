@@ -12,7 +12,6 @@ from scipy.linalg import expm
 from scipy.stats import norm
 
 from jointid.common.arrays import FloatArray
-from jointid.estimation.identify import identify
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.flexible_search import pseudo_regular
 from jointid.estimation.methods.idim import IDIM
@@ -28,6 +27,7 @@ from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from jointid.solvers.regression import least_squares
 from jointid.uncertainty.covariance import bandwidth, sandwich
+from tests.estimates import identify
 
 T = 1e-3
 RIGID = {"inertia": 105.0, "viscous": 202.0, "coulomb": 20.4, "offset": -3.16}

@@ -14,10 +14,10 @@ from jointid.config import (
     load,
     loads,
 )
-from jointid.estimation.identify import identify
 from jointid.models.controllers import (
     Cascade,
 )
+from tests.estimates import identify
 from tests.joint_files import (
     CASCADE,
     EXAMPLE,

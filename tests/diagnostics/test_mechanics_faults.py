@@ -26,13 +26,13 @@ from jointid.diagnostics.mechanics_faults import (
     solve_with_fault,
     vary_mechanics,
 )
-from jointid.estimation.identify import identify
 from jointid.estimation.result.answer import Trust
 from jointid.simulation.closed_loop import simulate as simulate_exactly
 from jointid.simulation.loop_input import prepare
 from jointid.uncertainty.verdict import Reason
 from studies.healthy import drive
 from studies.mechanics import simulate, spoiled
+from tests.estimates import identify
 from tests.faults import problem, setting
 
 

@@ -20,6 +20,7 @@ from jointid.output import json as answers
 from jointid.output.figures import save, torque
 from jointid.records.signals.filtering import Filtering
 from jointid.solvers.regression import Conditioning, least_squares
+from tests.estimates import amended
 from tests.estimation.conftest import CONTROLLER
 
 LOOP = ClosedLoop(RigidJoint(), CONTROLLER)
@@ -111,7 +112,7 @@ def test_the_table_to_the_letter() -> None:
 
 
 def test_a_notebook_shows_the_table_and_no_tag_of_a_name() -> None:
-    html = ESTIMATE.amended(data={"record": "<script>alert(1)</script>"})._repr_html_()
+    html = amended(ESTIMATE, data={"record": "<script>alert(1)</script>"})._repr_html_()
     assert "<script" not in html
     assert '<th scope="row">ZZ</th><td class=text>inertia</td><td>94.903</td>' in html
 
@@ -159,7 +160,7 @@ def test_the_residual_and_the_report_are_a_word_away() -> None:
 
 
 def test_conditioning_is_printed_three_ways() -> None:
-    regressed = ESTIMATE.amended(fit={"conditioning": Conditioning(25.98830347, 4.33, 12.294)})
+    regressed = amended(ESTIMATE, fit={"conditioning": Conditioning(25.98830347, 4.33, 12.294)})
     assert "conditioning  25.9883 raw, 4.33 normalised, 12.29 scaled by the parameters" in regressed.summary(
         details=True
     )
@@ -173,7 +174,7 @@ def test_a_parameter_is_found_by_name_or_symbol() -> None:
 
 
 def test_json_says_null_and_never_nan(tmp_path: Path) -> None:
-    answer = answers.to_dict(ESTIMATE.amended(fit={"relative_error": float("nan")}))
+    answer = answers.to_dict(amended(ESTIMATE, fit={"relative_error": float("nan")}))
     answers.write(answer, tmp_path / "out.json")
     text = (tmp_path / "out.json").read_text(encoding="utf-8")
     read = json.loads(text)
@@ -194,8 +195,9 @@ def test_every_key_of_the_json_is_documented() -> None:
 
 
 def test_an_estimate_is_read_back(tmp_path: Path) -> None:
-    whole = ESTIMATE.amended(
-        params={"rows": (*ESTIMATE.params[:2], parameter("coulomb", "Fc", "N", 20.1, 0.1), *ESTIMATE.params[3:])}
+    whole = amended(
+        ESTIMATE,
+        params={"rows": (*ESTIMATE.params[:2], parameter("coulomb", "Fc", "N", 20.1, 0.1), *ESTIMATE.params[3:])},
     )
     answers.write(answers.to_dict(whole), tmp_path / "out.json")
     assert answers.read_identified(tmp_path / "out.json", LOOP.joint, LOOP) == whole.identified

@@ -11,7 +11,6 @@ import pytest
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.messages import silent
 from jointid.diagnostics.validation import validate
-from jointid.estimation.identify import identify
 from jointid.estimation.methods import flexible, flexible_search
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
@@ -25,6 +24,7 @@ from jointid.records.record import Injection, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.synthesis import simulated_record
 from studies import healthy
+from tests.estimates import identify
 
 
 def deviations(estimate: Estimate, truth: dict[str, float]) -> dict[str, float]:

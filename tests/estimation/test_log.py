@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError, RecordError
-from jointid.estimation.identify import identify
 from jointid.estimation.identify_log import StreamingGaussNewton
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.flexible import FlexibleDIDIM
@@ -41,6 +40,7 @@ from jointid.simulation.synthesis import simulated_record
 from jointid.solvers.bounded_least_squares import TrustRegion
 from jointid.solvers.solve import solve
 from jointid.uncertainty.resampling import Sums
+from tests.estimates import identify
 from tests.text import unwrapped
 
 PERIOD = 1e-3

@@ -10,7 +10,6 @@ import pytest
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.parameters import Parameter, Quantity
 from jointid.diagnostics.validation import validate
-from jointid.estimation.identify import identify
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.controllers import PD, Cascade
@@ -22,6 +21,7 @@ from jointid.simulation.closed_loop import Initial, simulate
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.synthesis import simulated_record
+from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
 
 T = 1e-3

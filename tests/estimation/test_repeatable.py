@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.estimation.identify import identify
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.models.joints import ClosedLoop, RigidJoint
@@ -16,6 +15,7 @@ from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.uncertainty.covariance import sandwich
 from jointid.uncertainty.position_dependent_error import Cells, Uncertainty, by_place, cells, repeatable, uncertainty
+from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
 from tests.estimation.motions import NAMES, columns, field, motion
 

@@ -13,7 +13,6 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import silent
 from jointid.common.parameters import Parameter
 from jointid.diagnostics.validation import validate
-from jointid.estimation.identify import identify
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.stiffness_identifiability import visible
@@ -25,6 +24,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.synthesis import simulated_record
 from jointid.uncertainty.position_dependent_error import uncertainty
 from jointid.uncertainty.verdict import POOR_FIT
+from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
 from tests.faster_drives import CASCADE, drive
 

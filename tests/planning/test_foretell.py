@@ -90,7 +90,7 @@ def test_a_load_encoder_parts_the_frictions() -> None:
 def test_the_noise_of_a_first_record_gives_its_own_intervals_back() -> None:
     axis = twin("L19", noise="disturbance")
     record = axis.record.without("motor_position", "load_position")
-    estimate = ji.identify(record, axis.loop, ji.FlexibleDIDIM(frequency=30.0), loop_check=False)
+    estimate = ji.identify(record, axis.loop, ji.FlexibleDIDIM(frequency=30.0), checks=False)
     noise = Noise.of(estimate, record)
     problem, _ = rebuild_declared_problem(estimate, record)
     told = foretell(axis.loop, estimate.values, record, noise, filtering=problem.filtering, parameters={})
@@ -131,7 +131,7 @@ def test_the_pulsed_record_of_a_real_axis_is_foretold_from_the_other(data_dir: P
     first, second = (file.record(data_dir / "emps" / name) for name in ("DATA_EMPS.mat", "DATA_EMPS_PULSES.mat"))
     assert file.loop is not None
     known, given = (
-        ji.identify(record, file.loop, file.method, filtering=file.filtering, loop_check=False)
+        ji.identify(record, file.loop, file.method, filtering=file.filtering, checks=False)
         for record in (first, second)
     )
     told = foretell(file.loop, known.values, second, Noise.of(known, first), filtering=file.filtering)

@@ -116,14 +116,14 @@ def reproduce(seed: int = 1, progress: Progress = silent) -> Reproduction:
     progress("Table 1: the rigid joint, below 5 Hz")
     rigid_loop = ClosedLoop(RigidJoint(), axis.loop.controller)
     rigid = identify(
-        keep_torque_only(axis), rigid_loop, DIDIM("residual"), filtering=Filtering(cutoff=5.0), loop_check=False
+        keep_torque_only(axis), rigid_loop, DIDIM("residual"), filtering=Filtering(cutoff=5.0), checks=False
     )
     first = _reproduce_experiment(axis, others[0], "Tables 2 and 3", progress)
     second = _reproduce_experiment(heavy, others[1], "Tables 4 and 5, with 10 kg on the load", progress)
     progress("The test of F12")
     damping = next(p for p in axis.loop.joint.parameters if p.name == "damping")
     fixed = {"damping": damping.fixed(0.0)}
-    without_damping = identify(keep_torque_only(axis), axis.loop, FlexibleDIDIM(), parameters=fixed, loop_check=False)
+    without_damping = identify(keep_torque_only(axis), axis.loop, FlexibleDIDIM(), parameters=fixed, checks=False)
     return Reproduction(seed, rigid, first, second, without_damping)
 
 
@@ -138,7 +138,7 @@ def _reproduce_experiment(axis: Twin, other: Twin, tables: str, progress: Progre
     progress(f"{tables}: DIDIM by Nelder-Mead")
     didim = identify(keep_torque_only(axis), axis.loop, FlexibleDIDIM.paper())
     progress(f"{tables}: DIDIM by least squares, for its deviations")
-    best = identify(keep_torque_only(axis), axis.loop, FlexibleDIDIM(), loop_check=False)
+    best = identify(keep_torque_only(axis), axis.loop, FlexibleDIDIM(), checks=False)
     # An inverse model's values in a loop that can be simulated.
     filtering = Filtering().resolved(idim.data.sample_time, "flexible")
     simulable = replace(idim.identified, method="didim", loop=axis.loop, filtering=filtering)

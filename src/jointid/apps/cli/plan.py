@@ -204,7 +204,7 @@ def design(
     if rough.stated:
         found = rough.plan(file, options.record, asked)
     else:
-        record, estimate = options.identify(file)
+        record, estimate = options.identify(file, checks=False)
         found = plan_from_estimate(estimate, record, **asked)
     deliver(found, options.json, (figure, figures.draw))
     if out is not None:

@@ -99,8 +99,8 @@ def report(
     record, estimate = options.identify(file)
     tuning = None if no_tuning else Aside(partial(tune_to_limit, estimate, file.drive, file.declared_numbers))
     told = Report.of(
-        estimate, record, name=file.name or "", profiles=() if no_profiles else None, loop=file.tells_of_its_loop,
-        shown=file.declared_numbers, repetition=again, progress=options.progress,
+        estimate, record, name=file.name or "", profiles=() if no_profiles else None, repetition=again,
+        progress=options.progress,
     )  # fmt: skip
     tuned = None if tuning is None else tuning.result()
     if isinstance(tuned, str):

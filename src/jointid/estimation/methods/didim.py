@@ -37,8 +37,8 @@ from jointid.estimation.methods.search import (
 )
 from jointid.estimation.methods.search_in_pieces import from_linear_laws, with_linear_laws
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.result.build_estimate import build_closed_loop_estimate
-from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.assemble import FitResult
+from jointid.estimation.result.build_result import build_closed_loop_result
 from jointid.models.joints import ClosedLoop
 
 _LEAST = "by least squares"
@@ -86,7 +86,7 @@ class DIDIM(Method):
         """Return the settings of the paper: form (11), regular start, stop at 2.5 % or after 10 iterations."""
         return cls("paper", "regular", 1, 0.025, 0.025, 10, "reference")
 
-    def identify(self, task: Task) -> Estimate:
+    def identify(self, task: Task) -> FitResult:
         """Identify a rigid joint from torque and reference; a motor position in the record is not read.
 
         The filter goes over torque and columns alike. With a cut-off well below the loop's bandwidth, the regressor is
@@ -116,13 +116,11 @@ class DIDIM(Method):
             )
         else:
             known = known_of_fixed_point(state)
-        found = build_closed_loop_estimate(
-            task.record, state.problem, state.x, state.simulation, (end.stop, end.converged), known, state.J
-        )
-        return found.amended(
-            settings={"variant": f"DIDIM {how} from {'an' if began == 'inversion' else 'a'} {began} start"},
-            fit={"trace": tuple(search.history.trace), "simulations": search.history.tally.evaluations},
-        )
+        variant = f"DIDIM {how} from {'an' if began == 'inversion' else 'a'} {began} start"
+        return build_closed_loop_result(
+            task.record, state.problem, state.x, state.simulation, (end.stop, end.converged), known, state.J, variant,
+            search.history.trace, search.history.tally.evaluations,
+        )  # fmt: skip
 
     def solve(self, task: Task, history: History) -> Solved:
         """Return where the least torque error is, from any start.

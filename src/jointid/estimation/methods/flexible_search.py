@@ -33,7 +33,7 @@ from jointid.estimation.methods.registry import Task
 from jointid.estimation.methods.search import History, Solved, begins_moving, crossover, least_squares, regular_start
 from jointid.estimation.problems.base import INITIAL, INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.assemble import FitResult
 from jointid.models.controllers import SampledLaw
 from jointid.models.joints import ClosedLoop, FlexibleJoint, acts_on_whole
 from jointid.records.record import Record
@@ -70,7 +70,7 @@ _REST = 1e-4  # of the torque: what remains of a record without noise, and is no
 _MODES = 2.0  # the cut-off is that many free-free frequencies, or more
 
 
-def rigid_estimate(record: Record, loop: ClosedLoop, cutoff: float | None, progress: Progress) -> Estimate:
+def rigid_estimate(record: Record, loop: ClosedLoop, cutoff: float | None, progress: Progress) -> FitResult:
     """Return a rough identification of a flexible joint as rigid, below its resonance.
 
     Args:
@@ -86,7 +86,7 @@ def rigid_estimate(record: Record, loop: ClosedLoop, cutoff: float | None, progr
     joint = loop.joint.rigid
     rigid = ClosedLoop(joint, loop.controller)
 
-    def identified(edge: float) -> Estimate:
+    def identified(edge: float) -> FitResult:
         progress(f"identifying the joint as rigid, below {edge:.3g} Hz")
         return _ROUGH.identify(Task(record, joint, rigid, joint.parameters, Filtering(cutoff=edge), progress))
 
@@ -104,8 +104,7 @@ def rigid_estimate(record: Record, loop: ClosedLoop, cutoff: float | None, progr
     law = loop.controller.law(sample_time)
     slow = max(_RIGID_BELOW * crossover(law, found.values["inertia"]), least)
     if cutoff is None and slow < 0.7 * edge:
-        first, found = found, identified(slow)
-        found = found.amended(fit={"simulations": first.fit.simulations + found.fit.simulations})
+        return replace(identified(slow), earlier=found.simulations)
     return found
 
 
@@ -418,7 +417,9 @@ def on_band(problem: ClosedLoopProblem, filtering: Filtering, mode: float) -> Cl
     return replace(problem, filtering=replace(filtering, cutoff=cutoff).resolved(sample_time, "flexible"))
 
 
-def simplex_start(problem: ClosedLoopProblem, rigid: Estimate, frequency: float | None, history: History) -> FloatArray:
+def simplex_start(
+    problem: ClosedLoopProblem, rigid: FitResult, frequency: float | None, history: History
+) -> FloatArray:
     """Return where the paper starts: (13) at its frequency, or where that loop is unstable the best of a grid."""
     if frequency is not None:
         start = problem.vector(started(problem, rigid.values, frequency, 0.5))
@@ -428,7 +429,7 @@ def simplex_start(problem: ClosedLoopProblem, rigid: Estimate, frequency: float 
     return problem.vector(_explored(problem, rigid.values, frequency, history)[0][1])
 
 
-def or_moving(resting: Solved, rigid: Estimate, free: bool, solver: Solver[Counted], history: History) -> Solved:
+def or_moving(resting: Solved, rigid: FitResult, free: bool, solver: Solver[Counted], history: History) -> Solved:
     """Return the better of two answers, the motor at rest at the first sample or moving: see `rigid_search`.
 
     Args:

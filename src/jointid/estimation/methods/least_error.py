@@ -13,7 +13,7 @@ from jointid.estimation.methods.force_in_loop import widened_for_force
 from jointid.estimation.methods.search import History
 from jointid.estimation.problems.base import EVEN, filter_rows
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.estimation.result.build_estimate import find_at_bound
+from jointid.estimation.result.build_result import find_at_bound
 from jointid.models.joints import RigidJoint
 from jointid.simulation.closed_loop import Simulation
 from jointid.uncertainty.position_dependent_error import Uncertainty, uncertainty

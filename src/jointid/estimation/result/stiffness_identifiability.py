@@ -21,7 +21,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from jointid.estimation.methods.flexible_search import FASTEST, frequency_of
 from jointid.estimation.methods.search import History, least_squares
 from jointid.estimation.methods.search_in_pieces import with_linear_spring
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.estimation.result.build_estimate import find_lost
+from jointid.estimation.result.build_result import Visibility, find_lost
 from jointid.estimation.result.stiffness_bounds import (
     SHARES,
     ModeProfile,
@@ -61,31 +61,6 @@ _LITTLE = 0.3  # of the rigid joint's sum of squares: a spring that explains les
 _SAME = 0.2  # of a stiffness: springs that the profile, on a band of its own, does not tell apart
 _APART = 3.0  # deviations: stiffnesses that are not the same
 _BOTH_SIDES = 1.42  # times a bound's threshold is an interval's at 95 %: 3.841 / 2.706
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Visibility:
-    """What a record shows of a joint's spring.
-
-    Attributes:
-        verdict: whether its stiffness is reported, and why not.
-        rigid: values of the rigid joint on the same band. rigid_std: standard deviations of those that move its torque.
-        rigid_error: (rows,) what it leaves.
-        bounds: where the stiffness is refused.
-        simulations: that all this took.
-    """
-
-    verdict: Verdict
-    rigid: Mapping[str, float]
-    rigid_std: Mapping[str, float]
-    rigid_error: FloatArray
-    bounds: tuple[StiffnessBound, ...]
-    simulations: int
-
-    @property
-    def shown(self) -> bool:
-        """Whether the stiffness is reported."""
-        return self.verdict.status is Status.PASSED
 
 
 def visible(
