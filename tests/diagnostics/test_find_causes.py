@@ -90,7 +90,7 @@ def test_nothing_is_looked_for_where_the_record_fits() -> None:
     said: list[str] = []
     estimate = ji.identify(record, loop, progress=said.append)
     assert estimate.checks.verdicts[-1].good
-    assert not said
+    assert not [one for one in said if "looking for the cause" in one]
 
 
 def test_small_deviation_is_left_to_its_sensitivity() -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from jointid.estimation.result.build_estimate import find_lost
+from jointid.estimation.result.build_result import find_lost
 
 from jointid.common.errors import MethodError
 from jointid.diagnostics.method_comparison import compare_methods
