@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from jointid.estimation.result.build_result import find_lost
 
 from jointid.common.errors import MethodError
 from jointid.diagnostics.method_comparison import compare_methods
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit, OpenLoopFit
 from jointid.estimation.problems.closed_loop import beginning_position, torque_problem
+from jointid.estimation.result.build_result import find_lost
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Cascade
 from jointid.models.friction import AsymmetricFriction
