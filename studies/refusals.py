@@ -131,7 +131,7 @@ def judge(seed: int, factor: float, noise: Noise) -> StiffnessRun:
     problem = _problem(axis)
     names = [p.name for p in problem.free]
     at, truth = names.index("stiffness"), problem.vector({**axis.truth, "initial_position": 0.0})
-    error, J = problem.linearised(truth)
+    error, J = problem.linearise(truth)
     predicted = uncertainty(J, J, error, problem.cells(problem.simulate(truth)), names).robust.std[at] / truth[at]
     x, J = refined_least_squares(problem, truth, _EXACTLY)
     known = uncertainty(J, J, problem.residual(x), problem.cells(problem.simulate(x)), names)

@@ -133,7 +133,7 @@ def _predict(plant: BoundedPlant) -> float:
     still = tuple(p.fixed(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
     problem = on_band(replace(problem, parameters=still), Filtering(), plant.mode)
     truth = problem.vector({"initial_position": 0.0, "initial_torque": 0.0} | plant.truth)
-    error, J = problem.linearised(truth)
+    error, J = problem.linearise(truth)
     names = [p.name for p in problem.free]
     at, cells = names.index("stiffness"), problem.cells(problem.simulate(truth))
     return float(uncertainty(J, J, error, cells, names).robust.std[at] / truth[at])

@@ -171,7 +171,7 @@ def test_the_chord_bound(hertz: float) -> None:
 
 
 def test_the_gain_of_the_decimation_and_the_weights_of_the_window() -> None:
-    constant = Filtering(cutoff=60.0).resolved(T).decimate(np.ones(3000), T)
+    constant = Filtering(cutoff=60.0).resolve(T).decimate(np.ones(3000), T)
     assert constant[100] == pytest.approx(10 ** (-0.05 / 10), rel=1e-9)
     assert 1 / constant[100] - 1 == pytest.approx(0.0116, abs=5e-5)
     pulse = np.zeros(20)

@@ -149,7 +149,7 @@ def test_a_report_names_who_drifted_what_stands_out_and_how_runs_scatter() -> No
 
 
 def test_a_report_while_nothing_is_known_says_so() -> None:
-    assert report([], 7).sentence == "Drift was not looked for: no joint has eight runs."
+    assert report([], 7).sentence == "Drift was not tested: no joint has eight runs."
     assert "0 of 7 cases" in report([], 7).summary()
     assert report(list(fleet(1, 9))).sentence.startswith(
         "No stiffness and no friction drifted by more than its scatter"

@@ -127,7 +127,7 @@ def test_and_does_what_is_predicted_of_it(logged: tuple[Twin, Estimate]) -> None
     axis, estimate = logged
     problem, _ = rebuild_declared_problem(estimate, axis.record)
     truth = problem.vector({**axis.truth, "initial_position": 0.0})
-    error, J = problem.linearised(truth)
+    error, J = problem.linearise(truth)
     variance = float(error @ error) / error.size
     spread = np.linalg.inv(J.T @ J) * variance
     added, _ = compute_encoder_information(problem, truth, "log", STEP, STEP)

@@ -197,7 +197,7 @@ def test_a_residual_that_follows_the_motion_widens_alike_in_any_unit() -> None:
     where = setting("L19", brief=True)
     made = problem(where, None, None)
     x = made.vector(where.truth)
-    slopes = made.linearised(x)[1]
+    slopes = made.linearise(x)[1]
     sizes = np.linalg.norm(slopes, axis=0)
     exact = np.sqrt(np.diag(np.linalg.inv((slopes / sizes).T @ (slopes / sizes)))) / sizes
     assert worst_shift(made, x, 1.0) == pytest.approx(

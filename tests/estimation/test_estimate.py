@@ -76,7 +76,7 @@ ESTIMATE = Estimate(
         variant="DIDIM in residual form from an inversion start",
         joint=LOOP.joint,
         loop=LOOP,
-        filtering=Filtering().resolved(1e-3),
+        filtering=Filtering().resolve(1e-3),
     ),
 )
 

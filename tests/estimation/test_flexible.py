@@ -293,7 +293,7 @@ def test_ten_kilograms_on_the_load_are_found_there(method: IDIM | FlexibleDIDIM)
 
 def test_the_filter_as_printed_warns() -> None:
     axis = twin(noise="white")
-    estimate = identify(torque_only(axis), axis.loop, FlexibleDIDIM(frequency=30.0), filtering=Filtering.as_printed())
+    estimate = identify(torque_only(axis), axis.loop, FlexibleDIDIM(frequency=30.0), filtering=Filtering.as_in_paper())
     assert any(
         "one sample in 12 has its Nyquist frequency at 41.7 Hz" in warning for warning in estimate.checks.warnings
     )

@@ -81,7 +81,7 @@ def test_an_axis_that_never_rests_is_not_moved(noise: str) -> None:
     problem = torque_problem(axis.record, axis.loop, Filtering(cutoff=60.0), axis.loop.joint.parameters)
     problem = problem.keeping({"initial_velocity": 0.0})
     x = problem.vector({**axis.truth, "initial_position": 0.0})
-    error, slopes = problem.linearised(x)
+    error, slopes = problem.linearise(x)
     std = uncertainty(slopes, slopes, error, problem.cells(problem.simulate(x)), [p.name for p in problem.free])
     assert allow_for_force(problem, x, -slopes, std.covariance.std, History(silent)) is None
 

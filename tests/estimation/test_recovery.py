@@ -321,7 +321,7 @@ def test_what_cannot_be_identified_is_refused_in_a_sentence() -> None:
     made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
     asymmetric = RigidJoint(friction=AsymmetricFriction())
     free_offset = {"offset": Parameter("offset", "offset", Quantity.FORCE)}
-    with pytest.raises(MethodError, match=r"offset.*cannot be told apart"):
+    with pytest.raises(MethodError, match=r"offset.*cannot be distinguished"):
         identify(made, asymmetric, parameters=free_offset)
     with pytest.raises(RecordError, match=r"IDIM needs motor_position; this record has torque, reference\."):
         identify(made.without("motor_position"), RigidJoint())

@@ -152,7 +152,7 @@ def emps_fit(record: Record) -> tuple[ClosedLoopProblem, np.ndarray, np.ndarray,
     values = {p.name: p.value for p in estimate.params}
     problem = torque_problem(record, LOOP, Filtering(), LOOP.joint.parameters)
     x = problem.vector({name: value or 0.0 for name, value in values.items()})
-    residual, J = problem.linearised(x)
+    residual, J = problem.linearise(x)
     return problem, residual, J[:, :4], cells(*at_rows(problem, x))
 
 
@@ -202,7 +202,7 @@ def test_on_the_twin_the_intervals_hold_the_truth_and_nothing_repeats() -> None:
     still = tuple(p.fixed(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
     problem = replace(problem, parameters=still)
     x = problem.vector({**axis.truth, "initial_position": 0.0})
-    _, J = problem.linearised(x)
+    _, J = problem.linearise(x)
     where = cells(*at_rows(problem, x))
     inside, repeats = np.zeros(x.size), 0
     for seed in range(100):

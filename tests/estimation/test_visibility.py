@@ -123,7 +123,7 @@ def test_a_load_that_its_friction_holds_tells_no_inertia() -> None:
     problem = torque_problem(record, axis.loop, Filtering(), axis.loop.joint.parameters)
     problem = problem.keeping({"initial_velocity": 0.0})
     x = problem.vector({"initial_position": 0.0, "initial_torque": 0.0} | truth)
-    error, J = problem.linearised(x)
+    error, J = problem.linearise(x)
     names = [p.name for p in problem.free]
     assert not J[:, names.index("load_inertia")].any()
     known = uncertainty(J, J, error, problem.cells(problem.simulate(x)), names)

@@ -261,7 +261,7 @@ def test_of_friction_that_differs_the_mean_is_fed_forward() -> None:
 def test_a_rigid_joint_says_up_to_where_it_speaks() -> None:
     found = tune(rigid(Cascade(position_gain=50.0, velocity_gain=8000.0)))
     said = "\n".join(found.notes)
-    assert "a rigid joint says nothing beyond the band" in said
+    assert "a rigid joint says nothing outside the band" in said
     assert "keeps the asked margins with" in said
     assert found.proposed is not None and found.proposed.crossover <= 40.0
     assert lowest_mode([1.0, 2.0, 3.0], [True, False, True]) == 3.0

@@ -128,8 +128,8 @@ class Campaign:
         for number in range(asked.runs):
             draw = np.random.default_rng([asked.seed + number])
             starts = tuple((name, start * asked.spread ** draw.uniform(-1.0, 1.0)) for name, start in given.items())
-            begun = Started(starts, asked.seed + number)
-            yield Case(logged.joint, text, logged.address, logged.stamp, "", changes, begun)
+            started = Started(starts, asked.seed + number)
+            yield Case(logged.joint, text, logged.address, logged.stamp, "", changes, started)
 
     def _named_record(self, joint: str, record: str | None) -> Logged:
         return named_record(self.folder / joint, None if record is None else self.folder / record)

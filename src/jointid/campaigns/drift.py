@@ -114,10 +114,10 @@ def judge(series: Iterable[Series], false_alarm: float = FALSE_ALARM) -> tuple[C
 
 def _fit(series: Series, shapes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Slope, level and slope deviation of each shape, (shapes,) each."""
-    beyond = max(series.scatter**2 - float(np.median(series.stds)) ** 2, 0.0)
+    unstated = max(series.scatter**2 - float(np.median(series.stds)) ** 2, 0.0)
     # No run weighs more than the middle one: one whose deviation is stated too small would fit itself, and what is
     # left would look like no scatter at all.
-    weights = 1.0 / (np.maximum(series.stds, np.median(series.stds)) ** 2 + beyond)
+    weights = 1.0 / (np.maximum(series.stds, np.median(series.stds)) ** 2 + unstated)
     share = weights / weights.sum()
     y = series.values - float(share @ series.values)
     means = shapes @ share

@@ -56,7 +56,7 @@ class RowFaults:
         for sentence in sentences:
             self._found.setdefault(sentence, []).append(number)
 
-    def require_none(self) -> None:
+    def raise_any(self) -> None:
         """Raise the collected faults, if any."""
         found = sorted(self._found.items(), key=lambda one: one[1])
         said = [f"{self._path.name}, {_rows(numbers)}: {one}" for one, numbers in found]
@@ -190,7 +190,7 @@ def _read_parquet(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
             if not isinstance(value, str | bool | int | float | None):
                 sentence = f"{name} holds a {type(value).__name__}; expected text, a number, true or false: convert it."
                 faults.add(number, [sentence])
-    faults.require_none()
+    faults.raise_any()
     return header, [(number, list(map(_text, cells))) for number, cells in enumerate(zip(*columns, strict=True), 1)]
 
 

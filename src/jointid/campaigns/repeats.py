@@ -21,7 +21,7 @@ from jointid.common.text import counted, listed, number, signed
 _FEWEST = 3  # runs that have a scatter
 _LEVEL = 0.95  # of its interval
 _CLOSE = 1.1  # a ratio that is no other, however surely it is known
-_OUT = 6.0  # robust deviations beyond which a run stands out
+_OUT = 6.0  # robust deviations above which a run stands out
 _NAMED = 5  # quantities in a sentence
 _TO_SIGMA = 1.4826  # from the median of absolute deviations, for a normal distribution
 
@@ -94,8 +94,8 @@ def repeats_of(rows: Sequence[Row]) -> Iterator[Repeated]:
         if len(runs) >= _FEWEST:
             seeds, values, stds = zip(*runs, strict=True)
             called = f"{name} ({'; '.join(changes)})" if changes else name
-            told = truths[name, changes]
-            truth = next(iter(told)) if len(told) == 1 else None
+            known = truths[name, changes]
+            truth = next(iter(known)) if len(known) == 1 else None
             yield Repeated(called, seeds, np.array(values), np.array(stds), units[name], truth)
 
 

@@ -46,7 +46,7 @@ class Row:
     Attributes:
         content_hash: of the case.
         joint, record, day, changes: as the case has them.
-        seed: of a run that is simulated, resampled or begun elsewhere; None for another one.
+        seed: of a run that is simulated, resampled or has a random start; None for another one.
         outcome: how it ended; a refusal is the record's or the joint file's fault, a failure is one of jointid's.
         sentence: the answer in a line, or why there is none.
         found: parameters, and sums that are known where their parts are not, by name.

@@ -77,7 +77,7 @@ class Series:
         )  # fmt: skip
 
 
-def watched(names: Sequence[str]) -> tuple[str, ...]:
+def list_monitored(names: Sequence[str]) -> tuple[str, ...]:
     """Quantities monitored for drift: stiffness, and sums of frictions of both sides.
 
     Example:
@@ -106,7 +106,7 @@ def series_of(rows: Sequence[Row]) -> Iterator[Series]:
     for (joint, changes), runs in joints.items():
         runs.sort(key=lambda row: row.place)
         names = list(dict.fromkeys(name for row in runs for name in row.found))
-        for quantity in watched(names):
+        for quantity in list_monitored(names):
             yield from _series(joint, changes, quantity, runs)
 
 

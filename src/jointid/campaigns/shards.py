@@ -106,7 +106,7 @@ class ShardFile:
             self._contents.name, self._contents.cases = name, cases
         return len(cases)
 
-    def is_finished(self, content_hash: str) -> bool:
+    def has_result(self, content_hash: str) -> bool:
         """Test whether a case has a result."""
         return content_hash in self._finished
 

@@ -83,7 +83,9 @@ class SlurmJobs:
         )
         jobs = _NamedJobs(executor, self.folder)
         try:
-            yield Workers(jobs, lambda: workers or self.jobs, self.batch, ahead=1, begun=_begun(self.folder))
+            yield Workers(
+                jobs, lambda: workers or self.jobs, self.batch, ahead=1, submitted=_find_submitted(self.folder)
+            )
         finally:
             jobs.shutdown(wait=False)
 
@@ -92,7 +94,7 @@ class SlurmJobs:
         return isinstance(error, RuntimeError) and "terminated without producing output" in str(error)
 
 
-def _begun(folder: Path) -> dict[str, frozenset[str]]:
+def _find_submitted(folder: Path) -> dict[str, frozenset[str]]:
     """Submitted jobs by case hash, the latest if several."""
     found: dict[str, frozenset[str]] = {}
     for path in sorted(folder.glob(f"*/{_CASES}"), key=lambda path: path.stat().st_mtime_ns):
@@ -148,10 +150,10 @@ class _NamedJobs(Executor):
 
     def _wait_for_earlier(self) -> None:
         """Collect the results of an earlier client's jobs."""
-        missed, looked = Counter[str](), -_LOOK
+        missed, checked = Counter[str](), -_LOOK
         while not self._over.wait(_POLL):
-            if time.monotonic() - looked >= _LOOK:
-                looked, queue = time.monotonic(), _queue()
+            if time.monotonic() - checked >= _LOOK:
+                checked, queue = time.monotonic(), _queue()
                 if queue is not None:
                     missed = Counter({name: missed[name] + 1 for name in list(self._earlier) if name not in queue})
             try:

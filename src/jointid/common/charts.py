@@ -14,7 +14,7 @@ from jointid.common.arrays import FloatArray
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Okabe-Ito colours: told apart by the colour-blind; the lightness differs too, so a grey print still reads.
+# Okabe-Ito colours: distinct to the colour-blind; the lightness differs too, so a grey print still reads.
 MEASURED = "#0072B2"
 SIMULATED = "#E69F00"
 ERROR = "#000000"

@@ -171,7 +171,7 @@ class Documented(ABC):
 
     @abstractmethod
     def document(self, *, details: bool = False) -> Document:
-        """Return the result as a document, with `details` beyond one screen."""
+        """Return the result as a document, with `details` on demand."""
 
     def summary(self, *, details: bool = False) -> str:
         """Return the document as text."""

@@ -50,7 +50,7 @@ INTERRUPTED = Message(
 )
 
 
-def keep_declared(made: Controller, declared: Controller | None) -> tuple[Controller, tuple[Message, ...]]:
+def fill_from_declaration(made: Controller, declared: Controller | None) -> tuple[Controller, tuple[Message, ...]]:
     """Take limit and delay from the declaration where the record hides them."""
     said = {} if declared is None else numbers_of(declared)
     if "limit" in said:  # in the units of the law that was learned, which is on the joint's side

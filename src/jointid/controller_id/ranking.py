@@ -75,7 +75,7 @@ def much_simpler(best: FittedLaw, rivals: Iterable[Rival]) -> FittedLaw | None:
     return min(simple, key=lambda one: one.structure.parts, default=None)
 
 
-def drop_none(laws: Iterable[_Law | None]) -> list[_Law]:
+def drop_failures(laws: Iterable[_Law | None]) -> list[_Law]:
     """Keep the laws that could be fitted."""
     return [one for one in laws if one is not None]
 

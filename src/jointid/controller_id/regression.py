@@ -176,8 +176,8 @@ class Regression:
         """Optimise a structure's nonlinear numbers; `free` as in `fit_gains`."""
         from scipy.optimize import least_squares  # itself: `solvers` search for an end, and this stops long before
 
-        begun = without_taps(one.numbers)
-        names = list(begun)
+        initial = without_taps(one.numbers)
+        names = list(initial)
         low, high = np.array([bounds(n, self.log.period, one.structure.rate) for n in names]).reshape(-1, 2).T
 
         def fit_gains(x: FloatArray) -> RegressionFit:
@@ -188,7 +188,7 @@ class Regression:
             found = fit_gains(x)
             return _stack(np.fft.rfft(found.residual) * self._weights(weighting, found.response))
 
-        start = np.array(list(begun.values()))
+        start = np.array(list(initial.values()))
         if not names:
             return fit_gains(start)
         sizes = np.maximum(start, [_smallest_scale(name, self.log.period) for name in names])

@@ -549,7 +549,7 @@ def _accept_fault(state: SearchState, found: _TestResults) -> SearchState:
     held = SearchState(problem, state.x, (*state.corrected, signature), named)
     try:
         x = _solve(wider, wider.vector(problem.values(state.x) | {suspect.name: start}))
-        wider.linearised(x)
+        wider.linearise(x)
     except MethodError:  # the number goes to where its part of the law vanishes
         return held
     reached = wider.values(x)[suspect.name] - suspect.declared
@@ -601,9 +601,9 @@ def _make_finding(
     value = values[suspect.name]
     if suspect.name == LIMIT:
         return Finding(suspect, value * _torque_per_unit(state.problem), rivals, changes)
-    residual, slopes = after.problem.linearised(after.x)
+    residual, slopes = after.problem.linearise(after.x)
     columns = _stack_columns(after, -slopes)
-    covariance, _ = widened(robust(columns, columns, residual), columns, columns, residual, _assign_cells(after))
+    covariance, _ = widen(robust(columns, columns, residual), columns, columns, residual, _assign_cells(after))
     refined_std = float(covariance.std[free.index(suspect.name)])
     return Finding(replace(suspect, size=value - suspect.declared, std=refined_std), value, rivals, changes)
 

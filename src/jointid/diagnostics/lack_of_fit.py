@@ -46,7 +46,7 @@ def widen_for_rest(problem: ClosedLoopProblem, x: FloatArray, rest: PredictedRes
 
 def worst_shift(problem: ClosedLoopProblem, x: FloatArray, size: float) -> dict[str, float]:
     """Return by how much a part of the filtered torque of a norm can move each free parameter at most, by name."""
-    slopes = problem.linearised(x)[1]
+    slopes = problem.linearise(x)[1]
     sizes = column_norms(slopes)  # of parameters in units of their own
     # Rows of the pseudo-inverse: their norms are the deviations under a noise of one, and never the root of a rounding.
     spread = np.linalg.norm(np.linalg.pinv(slopes / sizes, rcond=1e-8), axis=1) / sizes

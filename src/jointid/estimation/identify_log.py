@@ -92,7 +92,7 @@ def identify_log(
         )
     filtering, wanted = filtering or Filtering(), adjusted(loop.joint.parameters, parameters or {})
     sample_time = source.sample_time
-    keep = filtering.resolved(sample_time, loop.joint.model).decimation or 1
+    keep = filtering.resolve(sample_time, loop.joint.model).decimation or 1
 
     def samples(seconds: float, unit: int = keep) -> int:  # whole rows, so that all windows keep the same samples
         return unit * math.ceil(seconds / (sample_time * unit) - 1e-9)

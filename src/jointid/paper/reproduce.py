@@ -140,7 +140,7 @@ def _reproduce_experiment(axis: Twin, other: Twin, tables: str, progress: Progre
     progress(f"{tables}: DIDIM by least squares, for its deviations")
     best = identify(keep_torque_only(axis), axis.loop, FlexibleDIDIM(), checks=False)
     # An inverse model's values in a loop that can be simulated.
-    filtering = Filtering().resolved(idim.data.sample_time, "flexible")
+    filtering = Filtering().resolve(idim.data.sample_time, "flexible")
     simulable = replace(idim.identified, method="didim", loop=axis.loop, filtering=filtering)
     return ReproducedExperiment(
         axis, idim, didim, best, validate(simulable, other.record), validate(didim, axis.record)

@@ -48,7 +48,7 @@ class Goal:
         return 0.5 * math.log(float(found[-1])) if self.name == WEAKEST else 0.5 * float(np.mean(np.log(found)))
 
 
-def goal_named(name: str, units: Mapping[str, str]) -> Goal:
+def parse_goal(name: str, units: Mapping[str, str]) -> Goal:
     """Parse a goal.
 
     Args:

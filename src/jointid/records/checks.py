@@ -19,9 +19,9 @@ from jointid.records.resampling import update_interval
 from jointid.records.signals.filtering import lowpass
 
 _LIMIT_SHARE = 0.01  # of the samples may stand at the torque limit: a few peaks cost little information
-# Share of the samples that may lie beyond the limit: peaks of a signal declared to be injected after it. The public
+# Share of the samples that may exceed the limit: peaks of a signal declared to be injected after it. The public
 # EMPS record with pulses has 14 of 24,841: its pulses pass the limit, though its report adds them after it.
-_BEYOND_SHARE = 1e-3
+_EXCESS_SHARE = 1e-3
 _AT_LIMIT = 1e-3  # as a share of the limit, the distance that counts as at it: the resolution of a ten-bit log
 # Speed that no servo-driven joint keeps up: ten times that of a fast linear motor, and 950,000 rpm; it is judged by
 # what a share of the samples exceeds, since a step in the reference is no high speed.
@@ -44,7 +44,7 @@ _MOSTLY = 0.95  # of the positions that are such multiples
 _PARTS = 5  # steps that the smallest gap may be: an axis that never rests may skip some
 _SLOW = 0.04  # of the sampling frequency: where a joint moves, and noise does not
 _FEWEST_SAMPLES = 100
-# What a channel's largest number, in SI, and its sample time lie between: beyond any sensor, and far from where a sum
+# Ranges of a channel's largest number, in SI, and of its sample time: wider than any sensor's, and far from where a sum
 # of their squares ends.
 _NUMBERS, _TIMES = (1e-30, 1e30), (1e-9, 1e6)
 
@@ -83,7 +83,7 @@ def still_faults(record: Record) -> list[str]:
 
 
 def limit_faults(record: Record, limit: float, side: str | None = None) -> list[str]:
-    """Faults of a torque at or beyond the controller's limit.
+    """Faults of a torque at or above the controller's limit.
 
     The known injection is subtracted first.
 
@@ -102,10 +102,10 @@ def limit_faults(record: Record, limit: float, side: str | None = None) -> list[
         output = output - np.interp(record.torque.time, injected.channel.time, injected.channel.values)
     size, here = np.abs(output), "" if side is None else f" on the {side} side"
     # Measured currents carry noise, and filters overshoot: only the command itself never passes the limit.
-    beyond = float(np.mean(size > limit * (1 + _AT_LIMIT)))
-    if record.tap is Tap.COMMAND and beyond > _BEYOND_SHARE:
+    excess = float(np.mean(size > limit * (1 + _AT_LIMIT)))
+    if record.tap is Tap.COMMAND and excess > _EXCESS_SHARE:
         return [
-            f"The torque reaches {size.max():g} {unit_name}{here}, beyond the controller's limit of {limit:g} "
+            f"The torque reaches {size.max():g} {unit_name}{here}, above the controller's limit of {limit:g} "
             f"{unit_name}{here and ' there'}; check the limit, and the torque's unit and gain."
         ]
     share = float(np.mean(size >= limit * (1 - _AT_LIMIT)))

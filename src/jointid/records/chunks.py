@@ -55,7 +55,7 @@ class LongRecord(Protocol):
 
         Args:
             length: samples between the beginnings of chunks.
-            overlap: samples beyond the length, `length` at most.
+            overlap: further samples, `length` at most.
             every: 1 yields all chunks.
         """
         ...

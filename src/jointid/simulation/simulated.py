@@ -35,7 +35,7 @@ class Simulated(Protocol):
 Run = TypeVar("Run", bound=Simulated)
 
 
-def require_finished(run: Run, of_what: str = "The simulation") -> Run:
+def require_success(run: Run, of_what: str = "The simulation") -> Run:
     """Return a run that finished.
 
     Args:

@@ -93,7 +93,7 @@ class GaussNewton:
         before, names = counted.evaluations, tuple(p.name for p in problem.free)
 
         def evaluate(x: FloatArray) -> _Point:
-            return _Point(x, *counted.linearised(x))
+            return _Point(x, *counted.linearise(x))
 
         def step(at: _Point) -> FloatArray:
             return at.x - solution(at.jacobian, at.residual, names)

@@ -28,7 +28,7 @@ class Problem(Protocol):
     def residual(self, x: FloatArray) -> FloatArray:
         """Residual, (rows,); large and finite where simulation fails."""
 
-    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Residual, (rows,), and derivatives, (rows, free); the latter 0 where simulation fails."""
 
 
@@ -92,7 +92,7 @@ class Step:
 
 
 Watch: TypeAlias = Callable[[Step], None]
-"""Is told every step."""
+"""Callback for every step."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,11 +164,11 @@ class Counted:
         self.tally.evaluations += 1
         return self.problem.residual(x)
 
-    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Residual, (rows,), and derivatives, (rows, free)."""
         if self._last is None or not np.array_equal(self._last[0], x):
             self.tally.evaluations += 1
-            self._last = (x.copy(), self.problem.linearised(x))
+            self._last = (x.copy(), self.problem.linearise(x))
         return self._last[1]
 
     def remember(self, x: FloatArray, residual: FloatArray, derivatives: FloatArray) -> None:

@@ -200,7 +200,7 @@ class StiffestLoop:
         present = rate_of(controller, self.inertia) or 0.02 / period
         rates = [float(rate) for rate in present * _RATES if rate * period < math.pi]
         least = 0.0 if best is None else _BETTER * math.sqrt(best.stiffness) * damping
-        # What fails where it would begin to be of use is looked at no further.
+        # What fails where it would begin to be of use is not examined further.
         if least and not self._first_keeps(self._law(controller, least, damping)):
             return None
         for place, rate in enumerate(rates):
@@ -314,13 +314,15 @@ def feedforward(
         per = 1.0 / (controller.gain * ratio**power)
         before, after = float(getattr(controller, key, 0.0)), per * total.value
         std = None if total.std is None else abs(per) * total.std
-        told = before, after, std, unit_of_number(controller, key, POSITION_UNIT[kind], torque)
+        shown_as = before, after, std, unit_of_number(controller, key, POSITION_UNIT[kind], torque)
         if (there := shown.get(key)) is not None and there.unit:
             by = there.of(1.0, {})
-            told = by * before, by * after, None if std is None else by * std, there.unit
+            shown_as = by * before, by * after, None if std is None else by * std, there.unit
         per_mille = _per_mille(name, total.value, estimate, drive)
         si = unit_of(quantity, kind, torque)
-        found.append(FeedForward(key, total.formula, total.value, total.std, si, before, after, std, told, *per_mille))
+        found.append(
+            FeedForward(key, total.formula, total.value, total.std, si, before, after, std, shown_as, *per_mille)
+        )
     return tuple(found)
 
 

@@ -32,7 +32,7 @@ from jointid.uncertainty.covariance import (
     Covariance,
     bandwidth,
     bartlett_sum,
-    different,
+    compare_deviations,
     larger,
     residual_left_out,
     robust,
@@ -249,7 +249,7 @@ def by_place(Z: FloatArray, J: FloatArray, error: FloatArray, where: Cells) -> C
     return scaled_sandwich(Z, J, meat, _LAGS)
 
 
-def widened(
+def widen(
     covariance: Covariance, Z: FloatArray, J: FloatArray, error: FloatArray, where: Cells, unit: str = ""
 ) -> tuple[Covariance, Repeatable]:
     """Widen a covariance by `by_place` if the residual repeats; return both."""
@@ -278,7 +278,7 @@ def uncertainty(
         series: rows of each record, stacked.
     """
     over_time = robust(Z, J, error, series)
-    judged, verdict = widened(over_time, Z, J, error, where, unit)
+    judged, verdict = widen(over_time, Z, J, error, where, unit)
     basis = f"{words(over_time)}, and by the residual's spectrum where that says more"
     if verdict.p_value is not None:
         basis = (
@@ -289,5 +289,5 @@ def uncertainty(
         basis += (
             ", widened for what repeats with the motion (scores summed over cells of position, direction and speed)"
         )
-    differs = different(names, white(J, error), over_time)
+    differs = compare_deviations(names, white(J, error), over_time)
     return Uncertainty(over_time, judged, verdict, basis, () if differs is None else (differs,))

@@ -6,8 +6,8 @@ group; groups are independent. Leaving out each group gives::
     d_g = -(A - A_g)^-1 (b - b_g)        V = (G - 1) / G  sum_g (d_g - mean)(d_g - mean)'
 
 with A = sum_g J_g'J_g and b = sum_g J_g'e_g, 0 at the estimate. It holds for any correlation and variance within a
-group and is conservative for few groups. Directions that a single group determines, and those beyond G - 1, get the
-intervals of a white residual. Columns are scaled first, since J's condition number is squared.
+group and is conservative for few groups. Directions that a single group determines, and those after the first G - 1,
+get the intervals of a white residual. Columns are scaled first, since J's condition number is squared.
 
 **Bootstrap.** Rows are drawn in overlapping blocks of time (moving blocks, Kunsch 1989) or by cells of position,
 direction and speed, which keeps repeatable errors. With w the number of times each row was drawn::

@@ -144,7 +144,7 @@ def _simulate_joint(joint: Path, estimate: Path | None, out: Path | None, option
     from jointid.common.transmission import transmission_lines
     from jointid.models.disturbances import EncoderOffset
     from jointid.output import json as answers
-    from jointid.simulation.simulated import require_finished
+    from jointid.simulation.simulated import require_success
 
     friction = None if estimate is None else answers.read_friction(estimate)
     file = options.load(joint, outputs, friction=friction)
@@ -160,7 +160,7 @@ def _simulate_joint(joint: Path, estimate: Path | None, out: Path | None, option
         if any(not isinstance(effect, EncoderOffset) for effect in identified.effects):
             options.progress("the estimate's ripple and drift are left out, which the simulated loop does not have")
     ready(options.progress, derivatives=False)
-    simulation = require_finished(run(file.loop, prepare(file.loop, logged), values))
+    simulation = require_success(run(file.loop, prepare(file.loop, logged), values))
     peak = float(abs(simulation.torque).max())
     for line in transmission_lines(file.joint.transmission):
         show(line)

@@ -127,7 +127,7 @@ class FlexibleDIDIM(Method):
             tolerance = stopping_tolerance(self)
             solved = free_more(solved.problem, solved.solution.x, self.free, tolerance, history)
         problem, x = solved.problem, solved.solution.x
-        error, J = history.counted(problem).linearised(x)
+        error, J = history.counted(problem).linearise(x)
         run = problem.simulate(x)
         history.tally.evaluations += 1
         stop, converged = solved.solution.message, solved.solution.converged

@@ -411,10 +411,10 @@ def on_band(problem: ClosedLoopProblem, filtering: Filtering, mode: float) -> Cl
     sample_time = problem.experiment.sample_time
     if FASTEST / sample_time < mode < math.inf:
         mode = 0.0
-    default = Filtering().resolved(sample_time, "flexible").cutoff
+    default = Filtering().resolve(sample_time, "flexible").cutoff
     assert default is not None
     cutoff = min(max(default, _MODES * mode), WIDE / sample_time)
-    return replace(problem, filtering=replace(filtering, cutoff=cutoff).resolved(sample_time, "flexible"))
+    return replace(problem, filtering=replace(filtering, cutoff=cutoff).resolve(sample_time, "flexible"))
 
 
 def simplex_start(

@@ -163,7 +163,7 @@ def allow_for_force(
         at = bounds.clip(at + step)
         if not np.any(np.abs(step) > _MATTERS * np.hypot(std, at - x)):
             break
-        J = filter_rows(taps, -problem.linearised(at)[1])
+        J = filter_rows(taps, -problem.linearise(at)[1])
         run = problem.simulate(at)
         history.tally.evaluations += 2
         force = _find_large_force(problem, at, run, problem.measured - mean)

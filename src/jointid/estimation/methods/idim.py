@@ -136,7 +136,7 @@ class IDIM(Method):
                 "IDIM-IV simulates the closed loop for its instruments, so it needs the controller; give a ClosedLoop, "
                 "or use another estimator."
             )
-        filtering = task.filtering.resolved(sample_time, joint.model)
+        filtering = task.filtering.resolve(sample_time, joint.model)
 
         def regression(effects: tuple[Effect, ...]) -> _Regression:
             model = motion_of(record, delay, filtering, joint, effects)

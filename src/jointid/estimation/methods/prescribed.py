@@ -177,7 +177,7 @@ def _linear(problem: DriveSideProblem, frequency: float | None) -> tuple[float, 
     sought = (replace(p, free=True) if p.name in names else p.fixed(unit[p.name]) for p in problem.parameters)
     trial = replace(problem, parameters=tuple(sought))
     x = np.array([unit[p.name] for p in trial.free])
-    error, J = trial.linearised(x)
+    error, J = trial.linearise(x)
     W = [-column for column in J.T]
     if flexible:
         W.append(trial.filtered(problem.measured) - error + J[:, 0])  # the prediction, less the motor's inertia

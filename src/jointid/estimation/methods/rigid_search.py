@@ -170,7 +170,7 @@ class RigidSearch:
         homes = dict.fromkeys((there["initial_position"], beginning_position(problem)))
         begun = [problem.vector(there | {"initial_position": home}) for home in homes]
         begun.sort(key=lambda one: float(np.linalg.norm(counted.residual(one))))
-        if not np.any(counted.linearised(begun[0])[1]):
+        if not np.any(counted.linearise(begun[0])[1]):
             _require_simulated(self._evaluate(problem, begun[0]))
             raise MethodError(_unstable(problem, begun[0]))
         return begun
@@ -217,7 +217,7 @@ class RigidSearch:
         if free:
             solved = free_more(solved.problem, solved.solution.x, free, tolerance, history)
         problem, x = solved.problem, solved.solution.x
-        error, slopes = history.counted(problem).linearised(x)
+        error, slopes = history.counted(problem).linearise(x)
         names = tuple(p.name for p in problem.free_joint)
         refuse_idle(slopes[:, : len(names)], names)
         after = State(problem, x, problem.simulate(x), error, slopes, slopes, np.ones(len(names)))
@@ -228,7 +228,7 @@ class RigidSearch:
         """Go on by least squares with more of what surrounds the joint free."""
         state, settings, history = end.state, self.settings, History(self.history.progress)
         problem, solution = free_more(state.problem, state.x, settings.free, settings.tolerance, history)
-        error, slopes = history.counted(problem).linearised(solution.x)
+        error, slopes = history.counted(problem).linearise(solution.x)
         run, W = problem.simulate(solution.x), slopes[:, : state.W.shape[1]]
         self.history.tally.evaluations += history.tally.evaluations + 1
         after = State(problem, solution.x, run, error, W, slopes, state.scales)
@@ -237,7 +237,7 @@ class RigidSearch:
     def _evaluate(self, problem: ClosedLoopProblem, x: FloatArray, gain_scale: float = 1.0) -> State:
         """Simulate one candidate with its derivatives, with the controller's gains scaled."""
         values, names = problem.values(x), [p.name for p in problem.free]
-        experiment = problem.experiment if gain_scale == 1.0 else problem.experiment.scaled(gain_scale)
+        experiment = problem.experiment if gain_scale == 1.0 else problem.experiment.scale(gain_scale)
         simulation, J = simulate_with_sensitivities(problem.loop, experiment, values, names, initial_of(values))
         self.history.tally.evaluations += 1
         error, W_seen, J_seen = problem.seen(simulation, problem.regressor(simulation), J)

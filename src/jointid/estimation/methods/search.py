@@ -140,7 +140,7 @@ def regular_start(problem: ClosedLoopProblem, given: dict[str, float] | None = N
     reference, as if the axis tracked it perfectly.
     """
     experiment, joint = problem.experiment, _rigid(problem)
-    periods = experiment.looked // experiment.lengths.size
+    periods = experiment.log_index // experiment.lengths.size
     reference = experiment.inputs[periods, REFERENCE]
     torque = problem.measured - experiment.logged[periods] + experiment.after_limit[periods]
     tracked = _regressed(problem, joint, torque, reference, np.ones(torque.size, dtype=np.bool_))

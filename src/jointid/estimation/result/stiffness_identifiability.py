@@ -84,7 +84,7 @@ def visible(
         shares: of the load in the inertia, for which bounds are looked for.
     """
     rigid, at = _fit_rigid(problem, problem.values(x))
-    error, slopes = rigid.linearised(at.x)
+    error, slopes = rigid.linearise(at.x)
     where = rigid.cells(rigid.simulate(at.x))
     values, found, runs = rigid.values(at.x), problem.values(x), at.evaluations + 4
     reasons, said, made = _doubts(problem, x, J, known, error, together), "", None

@@ -156,12 +156,12 @@ class RobotProblem(ABC, Generic[Run]):
         error = self.error(run)
         return np.asarray(error * self.weights(error.size))
 
-    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the weighted residual, (rows,), and its derivatives, (rows, free); 0 of what cannot be simulated."""
         return self.linearised_run(x)[1:]
 
     def linearised_run(self, x: FloatArray) -> tuple[Run, FloatArray, FloatArray]:
-        """Return the run that `linearised` makes, and what that returns."""
+        """Return the run that `linearise` makes, and what that returns."""
         run = self.run(x)
         if run.outcome is not RobotOutcome.FINISHED:
             error = self._failed()
@@ -257,7 +257,7 @@ def robot_problem(
     measured = np.column_stack([r.torque.values[:samples] for r in records if r.torque is not None])
     require_torques(loop.robot, measured)
     model = "flexible" if any(loop.robot.flexible) else "rigid"
-    resolved = (filtering or Filtering()).resolved(experiment.clock.sample_time, model)
+    resolved = (filtering or Filtering()).resolve(experiment.clock.sample_time, model)
     return RobotLoopProblem(measured, resolved, parameters, np.std(measured, axis=0) + 1e-300, experiment)
 
 

@@ -67,14 +67,14 @@ class End:
         finer = problem.roughly() is not problem
         return replace(self, problem=problem.weighted(self.problem.sigma), run=None, finer=finer)
 
-    def linearised(self) -> tuple[FloatArray, FloatArray]:
+    def linearise(self) -> tuple[FloatArray, FloatArray]:
         """Return the error, (rows,), and its derivatives, (rows, free), not weighted."""
         weights = self.problem.weights(self.solution.residual.size)
         return self.solution.residual / weights, self.solution.jacobian / weights[:, np.newaxis]
 
     def reweighted(self) -> RobotProblem[Any]:
         """Return the problem with the sizes of the errors that are left."""
-        error, slopes = self.linearised()
+        error, slopes = self.linearise()
         return self.problem.weighted(joint_sizes(self.problem, error, slopes.shape[1], least_error(self.problem)))
 
     @property
@@ -100,7 +100,7 @@ class End:
     @property
     def is_poor(self) -> bool:
         """Whether much of a joint's torque is left."""
-        error, _ = self.linearised()
+        error, _ = self.linearise()
         left, seen = (self.problem.by_joint(rows) for rows in (error, self.problem.decimated(self.problem.measured)))
         return bool(np.any(np.linalg.norm(left, axis=1) > _POOR * np.linalg.norm(seen, axis=1)))
 
@@ -110,7 +110,7 @@ class End:
         run = self.run or self.problem.run(x)
         if run.outcome is not RobotOutcome.FINISHED:
             return None
-        J = -self.linearised()[1]
+        J = -self.linearise()[1]
         return conclude(self.problem, x, run, J, J, self.made, self.solution.converged, least_error(self.problem))
 
 
@@ -164,7 +164,7 @@ def search(problem: RobotProblem[Any], start: Start | End, aim: Aim, evaluations
     if isinstance(start, End):
         made = start.made
         if not start.finer:
-            error, slopes = start.linearised()
+            error, slopes = start.linearise()
             weights = problem.weights(error.size)
             counted.remember(x, error * weights, slopes * weights[:, np.newaxis])
     exact = least_error(problem) / float(np.max(problem.sigma))
@@ -184,7 +184,7 @@ class _LowestRun:
         """Return the weighted residual, (rows,)."""
         return self.problem.residual(x)
 
-    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the weighted residual, (rows,), and its derivatives, (rows, free)."""
         run, error, J = self.problem.linearised_run(x)
         norm = float(np.linalg.norm(error))

@@ -37,7 +37,7 @@ _TUNING = (
     "interval, the circle about -1 the distance that was asked."
 )
 _TEST = (
-    "What is to be played, the torque that is foretold, and its spectrum beside the modes of the joint as it was "
+    "What is to be played, the torque that is predicted, and its spectrum beside the modes of the joint as it was "
     "identified."
 )
 _CREATED = re.compile(rb"Created on: \w{3} (\w{3} +\d+ \d\d:\d\d:\d\d \d{4})")  # of the header of a .mat file

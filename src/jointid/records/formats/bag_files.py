@@ -69,7 +69,7 @@ def _require_plain_tables(file: Path) -> None:
     with closing(sqlite3.connect(place, uri=True)) as base:
         base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, 2**26)
         for kind, name in base.execute("SELECT type, name FROM sqlite_master"):
-            if kind in ("view", "trigger") or (kind == "table" and _has_computed(base, name)):
+            if kind in ("view", "trigger") or (kind == "table" and _has_generated_column(base, name)):
                 raise RecordError(
                     f"{file.name} has a {kind} {name!r} whose content is computed, which no bag has; record it again."
                 )
@@ -77,7 +77,7 @@ def _require_plain_tables(file: Path) -> None:
         _require_few_topics(file, count)
 
 
-def _has_computed(base: sqlite3.Connection, name: str) -> bool:
+def _has_generated_column(base: sqlite3.Connection, name: str) -> bool:
     """Test for a generated column."""
     described = base.execute("SELECT hidden FROM pragma_table_xinfo(?)", (name,))
     return any(hidden in _HIDDEN for (hidden,) in described)
@@ -102,12 +102,12 @@ def message_types(name: str, text: str) -> dict[str, list[tuple[str, str, int | 
         definition = own.get(kind) or FIELDDEFS.get(kind)
         if definition is None or kind in found:
             continue
-        found[kind] = [_field(key, *described) for key, described in definition[1]]
+        found[kind] = [_parse_type(key, *described) for key, described in definition[1]]
         wanted += [inner for inner, _, _ in found[kind] if "/" in inner]
     return found
 
 
-def _field(name: str, shape: Any, described: Any) -> tuple[str, str, int | None]:
+def _parse_type(name: str, shape: Any, described: Any) -> tuple[str, str, int | None]:
     """Parse a field: type, name, and length (None: one value, -1: any number)."""
     if shape.name in ("BASE", "NAME"):
         return (described[0] if shape.name == "BASE" else described), name, None

@@ -23,9 +23,9 @@ from jointid.records.formats.table import (
     Block,
     Holds,
     Table,
+    describe_skips,
     explain_damage,
     format_size,
-    list_passed,
     require_size,
     require_unique_names,
     split_rows,
@@ -287,7 +287,7 @@ def open_contents(path: Path, name: str, scan: Callable[[Contents], None], limit
             signals = contents.signals
             if not (signals or contents.scalars):
                 raise RecordError(
-                    f"{path.name} holds no numbers{list_passed(contents.passed)}; expected datasets of one or two "
+                    f"{path.name} holds no numbers{describe_skips(contents.passed)}; expected datasets of one or two "
                     "dimensions."
                 )
             require_unique_names(path, [name for signal in signals for name in signal.names])

@@ -1,6 +1,6 @@
 """Decode ROS 2 messages (CDR) by their definitions.
 
-Definitions are looked up, not compiled to code. Every length is checked against the available bytes and a budget.
+Definitions are interpreted, not compiled to code. Every length is checked against the available bytes and a budget.
 (CDR version 1 of the Object Management Group, aligned from the end of the four-byte header.)
 """
 

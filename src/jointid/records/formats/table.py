@@ -291,7 +291,7 @@ def require_unique_names(path: Path, names: list[str]) -> None:
         seen.add(name)
 
 
-def list_passed(passed: Mapping[str, str]) -> str:
+def describe_skips(passed: Mapping[str, str]) -> str:
     """List skipped items with reasons, in brackets."""
     listed = "; ".join(f"{name!r}: {why}" for name, why in list(passed.items())[:_FEW])
     return f" ({listed})" if listed else ""

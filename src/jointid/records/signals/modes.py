@@ -97,7 +97,7 @@ class Thinning:
         weights = np.concatenate([2 * modes.both.real, -2 * modes.both.imag])
         return cls(modes, keep, padding, between, older, _real_parts(older[:, keep]), weights)
 
-    @np.errstate(over="ignore", invalid="ignore")  # the derivatives of a loop that runs away may be beyond all numbers
+    @np.errstate(over="ignore", invalid="ignore")  # the derivatives of a diverging loop may overflow
     def __call__(self, parts: Sequence[FloatArray], first: int) -> FloatArray:
         """Filter forwards and backwards, (signals, kept), as `scipy.signal.sosfiltfilt` does.
 
