@@ -146,7 +146,7 @@ def test_what_is_added_after_the_limit_does_not_count() -> None:
     torque = channel(TORQUE + pulses.values, "N")
     assert limit_faults(good(torque=torque, injected=Injection(pulses)), 5.5) == []
     before = Injection(pulses, InjectionPoint.BEFORE_LIMIT)
-    assert "beyond" in only(limit_faults(good(torque=torque, injected=before), 5.5))
+    assert "above" in only(limit_faults(good(torque=torque, injected=before), 5.5))
 
 
 @pytest.mark.parametrize(
