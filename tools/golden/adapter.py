@@ -1392,7 +1392,7 @@ def dossier(found: Any, record: Any) -> Json:
 
 def predicted(driven: Any, values: Mapping[str, float], reference: Any, **noise: Any) -> Json:
     """Return the deviations that a test of a reference of 1 ms will give, and what is said of them."""
-    made = ji.foretell(driven, _valued(values), ji.planned_record(driven, reference, 1e-3), ji.Noise(**noise))
+    made = ji.predict_test(driven, _valued(values), ji.planned_record(driven, reference, 1e-3), ji.Noise(**noise))
     return {"text": text(str(made)), "std": numbers(made.covariance.std)}
 
 
