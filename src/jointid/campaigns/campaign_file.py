@@ -30,8 +30,6 @@ class Campaign:
     """A campaign file; the files it names are listed on demand.
 
     Attributes:
-        name: of it.
-        table: of the file.
         folder: from which its paths are taken.
     """
 

@@ -21,7 +21,6 @@ class Simulated:
         values: every parameter of the joint by name, in SI units.
         noise_force: standard deviation of a white force on the motor, inside the loop, N or N m.
         noise_log: standard deviation of white noise on the logged torque, N or N m.
-        seed: of both.
     """
 
     kind: ClassVar[str] = "simulated"
@@ -33,11 +32,7 @@ class Simulated:
 
 @dataclass(frozen=True, slots=True)
 class Redrawn:
-    """A record with its residual resampled in blocks of time.
-
-    Attributes:
-        seed: of the draw.
-    """
+    """A record with its residual resampled in blocks of time."""
 
     kind: ClassVar[str] = "resampled"
     seed: int
@@ -49,7 +44,6 @@ class Started:
 
     Attributes:
         starts: by parameter, in SI units.
-        seed: that they were drawn with.
     """
 
     kind: ClassVar[str] = "started"

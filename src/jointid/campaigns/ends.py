@@ -20,7 +20,6 @@ class SearchEnd:
     Attributes:
         changes: swept settings that these searches have in common.
         best: the search of them that has the least error.
-        searches: all that ended there.
     """
 
     changes: tuple[str, ...]

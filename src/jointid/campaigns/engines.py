@@ -30,7 +30,6 @@ class Workers:
     """Available workers.
 
     Attributes:
-        executor: takes the cases.
         capacity: how many tasks it can work at; of a cluster that is now.
         batch: cases of a task: one, where handing out a task is cheap.
         ahead: tasks under way for each that it works at, so that no worker waits for the next.

@@ -30,8 +30,6 @@ class Logged:
     """A record of a joint.
 
     Attributes:
-        joint: its name.
-        joint_file: text of it.
         address, stamp, day: of the record, as a case has them.
         settings: keys of the joint file that are set for this joint alone.
     """
@@ -50,7 +48,6 @@ class FleetRecords:
 
     Attributes:
         asked: the table [fleet] of the campaign file.
-        folder: of the campaign file.
     """
 
     asked: FleetTable

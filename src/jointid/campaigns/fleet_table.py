@@ -28,7 +28,6 @@ class FleetRow:
 
     Attributes:
         number: of the row, from 1: of CSV the header is the first, as spreadsheets count.
-        name: of the joint.
         joint: path of its joint file, empty where the table does not say it.
         records: path or URL of its records, with what stands for a part of it; empty where the table does not say it.
         record: path or URL of one record.

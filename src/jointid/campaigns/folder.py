@@ -26,8 +26,6 @@ class Results:
     """The results of a campaign so far.
 
     Attributes:
-        name: of the campaign.
-        cases: that it has.
         rows: results, in an order that depends on no engine.
         stored: when each was stored, in seconds since 1970, in increasing order.
     """
@@ -67,7 +65,6 @@ class Status(Documented):
     """Progress of a campaign.
 
     Attributes:
-        results: so far.
         now: when that is, in seconds since 1970.
     """
 

@@ -35,7 +35,6 @@ class Repeated:
         seeds: (runs,) of each.
         values: (runs,) in SI units.
         stds: (runs,) stated standard deviations.
-        unit: of both.
         truth: where it is known, and of all runs the same.
     """
 

@@ -39,7 +39,6 @@ class CampaignReport(Documented):
     """Results of a campaign; see `report_of`.
 
     Attributes:
-        results: so far.
         false_alarm: chance that any joint of a fleet without drift is named.
     """
 

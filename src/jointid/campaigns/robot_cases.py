@@ -40,12 +40,7 @@ def is_robot(text: str) -> bool:
 
 
 def embed_model(text: str, folder: Path) -> str:
-    """Return the text of a file for a case, with absolute path and digest of a robot's model.
-
-    Args:
-        text: of the joint file.
-        folder: that it is in.
-    """
+    """Return the text of a file for a case, with absolute path and digest of a robot's model."""
     if not is_robot(text):
         return text
     tables = parse_toml(text)

@@ -31,7 +31,6 @@ class Found:
     Attributes:
         value: in SI units; None where it is refused.
         std: its standard deviation; None where it was kept fixed.
-        unit: of both.
     """
 
     value: float | None
@@ -44,8 +43,6 @@ class Row:
     """The result of a case.
 
     Attributes:
-        content_hash: of the case.
-        joint, record, day, changes: as the case has them.
         seed: of a run that is simulated, resampled or has a random start; None for another one.
         outcome: how it ended; a refusal is the record's or the joint file's fault, a failure is one of jointid's.
         sentence: the answer in a line, or why there is none.
@@ -53,11 +50,9 @@ class Row:
         trust: whether to rely on the answer, a code.
         converged: whether the search did; None where there was none.
         error_percent: norm of the torque error, filtered, over that of the torque.
-        simulations: that the search took.
         record_sha256: of the record's bytes; empty where they could not be read.
         joint_file_sha256: of the joint file's text.
         versions: of jointid, Python and the libraries that compute, by name.
-        settings: as the case has them.
         kind: of the run: logged, simulated, resampled, or a search that is started elsewhere.
         truth: of a simulated run what is true of each that is found, by name, in its unit.
     """

@@ -34,8 +34,6 @@ class Ran:
     """Summary of a run.
 
     Attributes:
-        cases: that the campaign has.
-        found: results that were there before.
         made: results that this run made, by how they ended.
     """
 

@@ -29,9 +29,6 @@ from jointid.uncertainty.resampling import BANDWIDTHS
 def run_case(case: Case) -> Row:
     """Identify a case and return its row; failures become sentences.
 
-    Args:
-        case: the case.
-
     Example:
         >>> from jointid.campaigns.cases import Case
         >>> from jointid.campaigns.run_case import run_case

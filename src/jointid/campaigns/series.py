@@ -25,7 +25,6 @@ class Series:
     """A quantity of a joint over its runs.
 
     Attributes:
-        joint: its name.
         changes: of the joint file, that these runs have in common.
         quantity, unit: a parameter, or a sum of some.
         days: (runs,) in days since the year 1, or the number of the run where a day is not known.

@@ -30,7 +30,6 @@ class Shard:
 
     Attributes:
         number: of it, from 1.
-        count: of all.
 
     Example:
         >>> from jointid.campaigns.shards import Shard

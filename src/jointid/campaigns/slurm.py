@@ -52,8 +52,6 @@ class SlurmJobs:
 
     Attributes:
         folder: for functions and results, which client and nodes share.
-        jobs: at once, waiting ones included.
-        batch: cases of a job.
         partition: of SLURM; its default one when empty.
     """
 

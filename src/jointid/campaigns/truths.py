@@ -35,11 +35,6 @@ class AgainstTruth:
     Attributes:
         name: of the quantity, with the swept settings of these runs.
         unit: of truth, bias, its deviation, scatter and stated deviation.
-        runs: how many there are.
-        truth: of the simulation.
-        bias: mean error.
-        bias_std: its standard deviation.
-        scatter: standard deviation of the runs.
         stated: median of the standard deviations that they state.
         held: in how many runs two stated deviations held the truth.
         low, high: range of the share of these, of 95 %.

@@ -119,8 +119,6 @@ class Message:
 
     Attributes:
         code: the kind of statement, by which a program knows it; never by the words.
-        words: the same as a sentence.
-        values: names and numbers in it.
         clause: the fact alone, without its evidence, for a sentence about something else; empty where the words are it.
     """
 

@@ -20,8 +20,6 @@ class NumberInDrive:
     Attributes:
         name: of it in the drive, as integral_time for an integral gain.
         value: in the drive's unit.
-        lower, upper: ends of its interval, likewise.
-        unit: of the drive.
         declared: what the joint file says, in that unit; None where it says nothing.
     """
 

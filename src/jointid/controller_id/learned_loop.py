@@ -39,7 +39,6 @@ class Alternative:
     """A structure that was compared with the chosen one.
 
     Attributes:
-        structure: of the law.
         controller: with the numbers that fit best.
         worse: difference of the criterion (Schwarz's); above 10 the chosen one is as good as certain.
         apart: rms difference of the two torques, as a share of the torque's rms.

@@ -26,7 +26,6 @@ class Rival:
     """A structure compared with the best.
 
     Attributes:
-        fitted: with its numbers.
         worse: how much larger its criterion is.
         apart: by how much the torques differ that the two predict, in rms, as a share of the torque's rms.
     """

@@ -29,7 +29,6 @@ class Weighting(NamedTuple):
     """Noise and response that weight a regression.
 
     Attributes:
-        noise: of torque and position.
         response: |G| of the law that it is the noise of, by which a regression is weighted.
     """
 
@@ -95,7 +94,6 @@ class Regression:
     """The regression on a record's stretch.
 
     Attributes:
-        log: the stretch.
         kept: (samples,) 1 where the torque counts: not at the begin, nor at a limit.
         own: whether a law's cost is under its own response, or under that which the regression is weighted by.
     """

@@ -65,7 +65,6 @@ class _SearchData:
 
     Attributes:
         task: the record's stretch.
-        regression: on it.
         limited: whether the limit acts in it.
     """
 

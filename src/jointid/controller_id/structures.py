@@ -148,7 +148,6 @@ class NumberedStructure:
     """A structure with numbers and cost.
 
     Attributes:
-        structure: of the law.
         numbers: those the structure leaves open, or of a regression, those its torque is not linear in: of its filters,
             ki of a cascade, and the reference's delay.
         cost: sum of the squares of the whitened residual.

@@ -35,11 +35,7 @@ class Erratum:
     """One finding.
 
     Attributes:
-        item: its subject.
-        where: in the paper.
-        printed: statement of the paper.
         recomputed: from the paper's own numbers and equations.
-        what_we_do: treatment in jointid.
     """
 
     item: str

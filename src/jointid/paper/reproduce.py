@@ -42,8 +42,6 @@ class ReproducedExperiment:
     """One of the paper's two experiments.
 
     Attributes:
-        axis: the run of the twin.
-        idim: from torque and both positions.
         didim: from torque alone, by Nelder-Mead, with the paper's statistics.
         best: from torque alone, by least squares, with the deviations of the output sensitivities.
         idim_simulated: the loop simulated with IDIM's values, against a run with other pulses (Figure 4).
@@ -63,7 +61,6 @@ class Reproduction:
     """Results of the whole reproduction.
 
     Attributes:
-        seed: of the noise.
         rigid: rigid DIDIM of the first experiment.
         first, second: without and with the added mass.
         without_damping: the test of F12, on the first experiment: by least squares, with the damping fixed at 0.

@@ -46,7 +46,6 @@ class Floor:
     """The least deviation over all motions, and the optimal force powers.
 
     Attributes:
-        deviation: of the goal.
         hertz, power: (frequencies,) of the force that acts, and its mean square at each.
         sensitivity: (frequencies,) size of S: so much of a signal that is injected is left of it in the force.
     """

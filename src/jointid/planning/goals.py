@@ -23,7 +23,6 @@ class Goal:
     """Goal of a test.
 
     Attributes:
-        name: as it was asked for.
         weights: of the parameters, by name, where it is one or a combination of them; else none.
     """
 

@@ -51,13 +51,9 @@ class Purpose:
     """Purpose of a test.
 
     Attributes:
-        loop: joint and controller.
         joints: values of every parameter, one mapping a joint that it may be; first the one that is roughly known.
-        noise: that will disturb the test.
         goal: what the test is to tell.
-        samples, sample_time: of the test.
         tap: where its torque will be logged.
-        filtering, parameters: of the identification.
     """
 
     loop: ClosedLoop
@@ -92,8 +88,6 @@ class Asked:
 
     Attributes:
         purpose: what the test is planned for.
-        limits: what the axis may do.
-        room: ranges of the search.
         at, in_torque: where a signal is added, and whether the log contains it, see `Injection`.
     """
 
@@ -117,7 +111,6 @@ class Tried:
     """An evaluated test.
 
     Attributes:
-        plan: the test.
         score: of the goal, the smaller the better, see `Goal.score`; the mean over the joints.
         reached: the largest of each quantity over the joints, by name.
         over: by how much the limit that is passed farthest is passed, at most 1 where none is.

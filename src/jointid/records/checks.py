@@ -229,7 +229,6 @@ class EncoderLag:
     """A lag of one encoder that explains nearly all of the difference.
 
     Attributes:
-        late, early: the channels.
         lag: between them, seconds.
         share: of the difference's energy that it explains.
     """

@@ -141,11 +141,7 @@ class Log:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InMemory:
-    """A record in memory, read in chunks.
-
-    Attributes:
-        record: all channels at one rate.
-    """
+    """A record in memory, read in chunks."""
 
     record: Record
 

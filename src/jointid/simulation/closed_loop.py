@@ -114,21 +114,18 @@ class ClosedLoopRun:
     """The kernel's output, period by period.
 
     Attributes:
-        loop, experiment, values: what was run.
         drive: (14,) the joint's coefficients.
         gravity: (5,) those of its gravity, or None.
         segments: (segments, 23) those of its spring or its friction in pieces, or None.
         laws: numbers of smooth laws, with which it was simulated in steps; or None.
         position, velocity: of the motor at the first sample. torque: the controller's there, where that is said.
         sliding: direction of a motion that began before it; 0 of none.
-        before: torque that acted before it.
         command: (periods,) the controller's output. tapped: the same behind its limit, before what filters follow.
         excess: (periods, elements) what limits and gates took away, where it was kept and `command` does not say it.
         states, modes, tape: see `kernels.run`; empty when they were not kept. In steps there are no
             modes, and the tape is that of `kernels.stepped_drive`.
         accelerations: (periods * parts, 2) of motor and load just after each torque begins to act, where the simulation
             went in steps and kept its states.
-        outcome: how it ended.
         counts: events, Taylor steps (rows of the tape), periods simulated, periods at the limit.
     """
 

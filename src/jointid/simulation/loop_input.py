@@ -59,10 +59,8 @@ class LoopInput:
             (samples,) those at which the newest torque of the same periods begins to act.
         far: a motor position that no loop comes back from, reckoned from the initial one.
         tap: where the torque is logged. timing: what a logged value is.
-        samples: of the log.
         begin: seconds from the first sample of the record's file to the first here, see `Record`.
         shows: whether the logged torque contains anything beside the controller's output, see `shown`.
-        sampled: what the kernels read.
     """
 
     law: SampledLaw

@@ -209,7 +209,6 @@ class _Load:
     """A simulated load: states at the edges, and data for derivatives.
 
     Attributes:
-        joint, motion, values: what was simulated.
         drive: (14,) the coefficients of the kernels.
         gravity: (5,) those of the load's gravity, as if it were the motor's, or None.
         push: (edges,) the force held in each part; one more part follows the last edge.

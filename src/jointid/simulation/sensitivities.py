@@ -50,7 +50,6 @@ class Sensitivities:
     """A run and its derivatives, in the order of names.
 
     Attributes:
-        response: of the loop.
         torque: (samples, names) of the torque as the log shows it.
         motor_position, load_position: (samples, names); empty where positions were not asked for, the second also for a
             rigid joint.

@@ -52,8 +52,6 @@ class Ended(Generic[_Iterate]):
     """Final iterate and reason for stopping.
 
     Attributes:
-        at: the iterate.
-        status: why it ended there.
         change: of the residual's norm in the last step, or foreseen for the next one, a share of it.
         step: the largest of a parameter, a share of its scale.
     """

@@ -81,8 +81,6 @@ class Step:
     """One accepted step.
 
     Attributes:
-        x: the free parameters after it.
-        norm: of the residual there.
         evaluations: of the problem up to then, in all that was solved with it.
     """
 
@@ -136,7 +134,6 @@ class Counted:
     """Wrapper that counts evaluations and caches the last linearised point.
 
     Attributes:
-        problem: that is evaluated.
         tally: where its evaluations are counted, with or without derivatives.
     """
 
@@ -189,11 +186,7 @@ class Solver(Protocol[_Solved_contra]):
 
 @dataclass(frozen=True, slots=True)
 class Multistart:
-    """One solver with several starts.
-
-    Attributes:
-        solver: of one start.
-    """
+    """One solver with several starts."""
 
     solver: Solver[Problem]
 

@@ -40,7 +40,6 @@ class Interval:
     """The possible joints.
 
     Attributes:
-        joint: their model.
         nominal: the parameters of the estimate, or of the softest spring, by name.
         names: of the parameters that span the ellipsoid, factor: (names, names) from a unit ball to it, lower: bounds.
         others: joints beside it: those of a spring that is refused.

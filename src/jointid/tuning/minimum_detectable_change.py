@@ -47,7 +47,6 @@ class MinimumDetectableChange(Documented):
     """Smallest detectable changes of a joint.
 
     Attributes:
-        record: its name.
         false_alarm: share of comparisons that report a change where there is none.
         power: share that report one where there is one of that size.
         changes: of each identified parameter, and of the sums and differences of both sides.

@@ -160,9 +160,7 @@ class StiffestLoop:
 
     Attributes:
         joints: sampled for the controller's period and delay.
-        inertia: of the whole joint.
         sample_time: of the log, the controller's where it has none of its own.
-        settings: the margins.
         band: Hz, which the loop's crossover may not pass; None where it may.
     """
 
@@ -270,12 +268,10 @@ class FeedForward:
 
     Attributes:
         key: its name in a joint file's [controller].
-        formula: from the estimate, in symbols.
         value, std: in SI, on the joint's side; unit: of these. std is None where nothing of it was free.
         before: what the controller has, in its own units. after, after_std: what is proposed, in the same.
         in_drive: before, after, the latter's deviation, and their unit as the drive shows them.
         drive: in per mille of the rated torque, and per count of the encoder; None where they are not known.
-        drive_unit: of that.
     """
 
     key: str

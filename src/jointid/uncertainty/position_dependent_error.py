@@ -86,7 +86,6 @@ class Repeatable:
             are visited in both.
         p_value: how often a residual that does not repeat would show as much; None where the record is too short, or
             nothing is visited twice.
-        unit: of the residual.
     """
 
     rms: float
@@ -121,7 +120,6 @@ class Uncertainty:
     Attributes:
         robust: over time, whatever the residual's autocorrelation.
         covariance: to be reported: the robust one, widened where the residual repeats with the motion.
-        repeatable: the verdict on that.
         basis: how the deviations were obtained, in words.
         warnings: limits of the deviations, for the reader.
         shifts: (parameters,) each, of the estimate, for which the deviations were widened.

@@ -48,7 +48,6 @@ class Sums:
 
     Attributes:
         A: (free, free) J'J. b: (free,) J'e. square: e'e. size: y'y of the filtered torque that e is left of.
-        rows: how many there are.
     """
 
     A: FloatArray
@@ -138,9 +137,7 @@ class Bootstrapping:
     """Settings of a bootstrap.
 
     Attributes:
-        draws: resamples.
         level: of the percentile intervals; 0.9545 is that of 2 sigma.
-        seed: of the draws.
     """
 
     draws: int = 1000
@@ -160,10 +157,8 @@ class Bootstrap(Documented):
     """Estimates from resamples of a record.
 
     Attributes:
-        parameters: that were estimated.
         estimate: (free,) from the record itself.
         draws: (draws, free) from its resamples.
-        level: of the intervals.
         blocks: the rows were drawn in so many different ones.
         how: the parts that were drawn, in words.
     """

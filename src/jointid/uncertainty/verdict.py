@@ -100,8 +100,6 @@ class Verdict:
     """The answer to one question.
 
     Attributes:
-        subject: the question.
-        status: the answer.
         reasons: why, at least one; a limitation of the record is a reason, too, with a code of its own.
     """
 

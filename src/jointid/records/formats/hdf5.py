@@ -136,9 +136,6 @@ class DatasetColumns(NamedTuple):
     """A dataset that gives columns.
 
     Attributes:
-        place: its path in the file.
-        names: of the columns.
-        rows: of each.
         fields: of the columns in a dataset of records, else empty.
         turned: True if the samples run along the second dimension.
         unit: of all of them, None without one.
@@ -167,14 +164,10 @@ class Contents:
     """An open file: its datasets and their shapes, filled during the scan.
 
     Attributes:
-        path: of the file.
-        format: what messages call it.
         file: of h5py.
-        signals: the datasets that give columns.
         scalars, passed: see `Table`.
         seen: how many datasets, groups and references there were.
         kept: datasets that stay open, by their place, with a cache for a chunk that several blocks are cut of.
-        caches: bytes of these caches.
     """
 
     path: Path

@@ -55,7 +55,6 @@ class ReaderProcess:
     """A process that reads one file at a time.
 
     Attributes:
-        process: the program at work.
         used: True once it has read a file.
         busy: True while it has an order and has not answered.
         late: True once it was ended for the time it took.

@@ -161,7 +161,6 @@ class Format(Protocol):
     """A file format: a frozen dataclass of reader options.
 
     Attributes:
-        name: what messages call the format.
         suffixes: the endings of its files, in lower case, with the dot.
         holds: what of a table beside its columns has a place in such a file.
     """

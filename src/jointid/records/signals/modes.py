@@ -70,8 +70,6 @@ class Thinning:
     """Coefficients of decimation by modes, for one decimation factor.
 
     Attributes:
-        modes: of the filter.
-        keep: one sample in so many.
         padding: samples by which the ends are reflected about their ends.
         between: (2, keep, 2 modes) what the samples between two that are kept add to the later, forwards, and to the
             earlier, backwards: real parts, then imaginary ones.
