@@ -13,12 +13,20 @@ import numpy as np
 
 from jointid.campaigns.cases import Redrawn, Simulated, Started
 from jointid.campaigns.drift import FALSE_ALARM, Change, judge
-from jointid.campaigns.ends import SearchEnd, end_blocks, ends_of, summarise_ends
 from jointid.campaigns.folder import Results, describe_row, read_results
-from jointid.campaigns.repeats import Repeated, repeat_blocks, repeats_of, summarise_repeats
 from jointid.campaigns.rows import LOGGED, Outcome, Row
+from jointid.campaigns.run_groups import (
+    Repeated,
+    SearchEnd,
+    end_blocks,
+    ends_of,
+    repeat_blocks,
+    repeats_of,
+    summarise_ends,
+    summarise_repeats,
+    sweep_blocks,
+)
 from jointid.campaigns.series import Series, series_of
-from jointid.campaigns.sweeps import sweep_blocks
 from jointid.campaigns.truths import AgainstTruth, against_truth, summarise_truth, truth_blocks
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, Paragraph, Table

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jointid.campaigns.repeats import Repeated
+from jointid.campaigns.run_groups import Repeated
 from jointid.common.document import Block, Heading, Paragraph, Table
 from jointid.common.errors import RecordError
 from jointid.common.text import counted, listed, number, signed
