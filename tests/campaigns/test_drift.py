@@ -10,12 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jointid.campaigns.cases import Case
-from jointid.campaigns.drift import best_change, judge
+from jointid.campaigns.cases import Case, Found, Outcome, Row
+from jointid.campaigns.drift import Series, best_change, judge, series_of
 from jointid.campaigns.folder import Results, Status
 from jointid.campaigns.report import CampaignReport, report_of
-from jointid.campaigns.rows import Found, Outcome, Row
-from jointid.campaigns.series import Series, series_of
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
 

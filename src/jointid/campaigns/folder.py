@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from jointid.campaigns.rows import Outcome, Row
+from jointid.campaigns.cases import Outcome, Row
 from jointid.campaigns.shards import has_shards, read_shards
 from jointid.campaigns.store import DATABASE, read_database
 from jointid.common.document import Block, Document, Documented, Facts, Listing, Paragraph

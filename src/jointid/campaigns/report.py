@@ -11,10 +11,9 @@ from typing import Literal
 
 import numpy as np
 
-from jointid.campaigns.cases import Redrawn, Simulated, Started
-from jointid.campaigns.drift import FALSE_ALARM, Change, judge
+from jointid.campaigns.cases import LOGGED, Outcome, Redrawn, Row, Simulated, Started
+from jointid.campaigns.drift import FALSE_ALARM, Change, Series, judge, series_of
 from jointid.campaigns.folder import Results, describe_row, read_results
-from jointid.campaigns.rows import LOGGED, Outcome, Row
 from jointid.campaigns.run_groups import (
     Repeated,
     SearchEnd,
@@ -26,7 +25,6 @@ from jointid.campaigns.run_groups import (
     summarise_repeats,
     sweep_blocks,
 )
-from jointid.campaigns.series import Series, series_of
 from jointid.campaigns.truths import AgainstTruth, against_truth, summarise_truth, truth_blocks
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, Paragraph, Table

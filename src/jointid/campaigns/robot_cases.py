@@ -16,8 +16,7 @@ import numpy as np
 import tomli_w
 
 from jointid import JointFile
-from jointid.campaigns.cases import Case, Simulated
-from jointid.campaigns.rows import Found, Outcome, finite
+from jointid.campaigns.cases import Case, Found, Outcome, Simulated, finite
 from jointid.common.errors import JointFileError, MethodError
 from jointid.config import loads
 from jointid.config.loading import apply_changes, parse_toml

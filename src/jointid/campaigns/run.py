@@ -12,9 +12,8 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from jointid.campaigns.cases import Case
+from jointid.campaigns.cases import Case, Outcome, Row
 from jointid.campaigns.engines import Engine, Workers, on_one_core
-from jointid.campaigns.rows import Outcome, Row
 from jointid.campaigns.run_case import run_case
 from jointid.campaigns.store import Results
 from jointid.common.errors import JointidError, RecordError

@@ -15,9 +15,8 @@ import numpy as np
 
 from jointid import Estimate, JointFile, Record, __version__, simulated_record
 from jointid.campaigns.addresses import digest, fetch
-from jointid.campaigns.cases import Case, Redrawn, Simulated, Started
+from jointid.campaigns.cases import Case, Found, Outcome, Redrawn, Row, Simulated, Started, finite
 from jointid.campaigns.robot_cases import identify_robot_case, is_robot
-from jointid.campaigns.rows import Found, Outcome, Row, finite
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.config import loads

@@ -16,8 +16,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from jointid.campaigns.cases import canonical
-from jointid.campaigns.rows import Row
+from jointid.campaigns.cases import Row, canonical
 from jointid.campaigns.store import DATABASE, SHARD_FILES
 from jointid.common.errors import MethodError, RecordError
 

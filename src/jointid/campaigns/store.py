@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Protocol
 
-from jointid.campaigns.rows import Outcome, Row
+from jointid.campaigns.cases import Outcome, Row
 from jointid.common.errors import RecordError
 
 DATABASE = "campaign.sqlite"

@@ -14,8 +14,8 @@ from jointid.controller_id.intervals import numbers_with_intervals
 from jointid.controller_id.learned_loop import Alternative, LearnedLoop
 from jointid.controller_id.limitations import INTERRUPTED, fill_from_declaration, list_equivalents, list_limitations
 from jointid.controller_id.loop_record import prepare_loop_record
-from jointid.controller_id.plain_regression import compare_with_regression
 from jointid.controller_id.ranking import ALIKE, Rival
+from jointid.controller_id.regression import compare_with_regression
 from jointid.controller_id.search import search
 from jointid.diagnostics.plain_causes import find_steps
 from jointid.models.controllers import Controller, shift_start

@@ -10,7 +10,7 @@ from typing import Any
 from jointid.common.messages import Message
 from jointid.common.text import number
 from jointid.controller_id.loop_record import LoopRecord
-from jointid.controller_id.plain_regression import LAGS, BesideRegression
+from jointid.controller_id.regression import LAGS, BesideRegression
 from jointid.controller_id.structures import VELOCITY, Structure
 from jointid.models.controllers import Controller, numbers_of, with_numbers
 from jointid.records.record import Tap

@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError, extra
-from jointid.records.formats.bag_files import Topic, read_messages
 from jointid.records.formats.messages import (
     SkippedTopicError,
+    Topic,
     decode_message,
     flatten_numbers,
     header_stamp,
+    read_messages,
 )
 from jointid.records.formats.table import (
     Holds,
