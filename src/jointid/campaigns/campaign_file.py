@@ -41,7 +41,10 @@ class Campaign:
         """Yield the cases in a reproducible order."""
         for changes in self._combinations:
             if self.table.fleet is not None:
-                yield from self._of_fleet(changes)
+                for one in self._fleet.found:
+                    yield Case(
+                        one.joint, one.joint_file, one.address, one.stamp, one.day, changes, settings=one.settings
+                    )
             elif self.table.monte_carlo is not None:
                 asked = self.table.monte_carlo
                 assert asked is not None
@@ -65,10 +68,6 @@ class Campaign:
             dict.fromkeys(f"{key}={json.dumps(value)}" for value in values) for key, values in self.table.sweep.items()
         ]
         return tuple(itertools.product(*keys))
-
-    def _of_fleet(self, changes: tuple[str, ...]) -> Iterator[Case]:
-        for one in self._fleet.found:
-            yield Case(one.joint, one.joint_file, one.address, one.stamp, one.day, changes, settings=one.settings)
 
     @cached_property
     def _fleet(self) -> FleetRecords:

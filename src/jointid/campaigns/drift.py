@@ -181,7 +181,9 @@ class Series:
         """(runs,) deviations of outliers from neighbouring runs; else 0."""
         if not self.enough:
             return np.zeros(self.values.size)
-        off = self.values - _running_median(self.values)
+        half = _WINDOW // 2
+        at = np.clip(np.arange(self.values.size), half, self.values.size - 1 - half)
+        off = self.values - np.asarray(np.median(self.values[at[:, None] + np.arange(-half, half + 1)], axis=1))
         scale = np.maximum(self.stds, _TO_SIGMA * float(np.median(np.abs(off))))
         scale = np.maximum(scale, self.scatter)
         return np.where(np.abs(off) > _OUT * scale, off / scale, 0.0)
@@ -247,10 +249,3 @@ def _ordinal(day: str) -> float | None:
         return float(datetime.date.fromisoformat(day).toordinal())
     except ValueError:
         return None
-
-
-def _running_median(values: FloatArray) -> FloatArray:
-    """Median over neighbouring runs, (runs,)."""
-    half = _WINDOW // 2
-    at = np.clip(np.arange(values.size), half, values.size - 1 - half)
-    return np.asarray(np.median(values[at[:, None] + np.arange(-half, half + 1)], axis=1))

@@ -158,17 +158,13 @@ def ends_of(rows: Sequence[Row]) -> tuple[tuple[SearchEnd, ...], ...]:
 
 def _group(changes: tuple[str, ...], runs: list[Row]) -> tuple[SearchEnd, ...]:
     ends: list[list[Row]] = []
-    for row in sorted(runs, key=lambda row: (_error(row), row.place)):
+    for row in sorted(runs, key=lambda row: (math.inf if row.error_percent is None else row.error_percent, row.place)):
         there = next((end for end in ends if _largest_distance(end[0], row)[0] <= 1), None)
         if there is None:
             ends.append([row])
         else:
             there.append(row)
     return tuple(SearchEnd(changes, end[0], tuple(end)) for end in ends)
-
-
-def _error(row: Row) -> float:
-    return float("inf") if row.error_percent is None else row.error_percent
 
 
 def _largest_distance(best: Row, row: Row) -> tuple[float, str]:

@@ -106,7 +106,13 @@ def open_database(folder: Path) -> Iterator[Database]:
     if any(folder.glob(SHARD_FILES)):
         raise RecordError(f"{folder} has the results of shards; name another folder by --out, or go on with work.")
     path = folder / DATABASE
-    with _explain(path), contextlib.closing(_lock(folder)), contextlib.closing(_connect(path)) as connection:
+    with (
+        _explain(path),
+        contextlib.closing(_lock(folder)),
+        contextlib.closing(sqlite3.connect(path, timeout=_PATIENCE)) as connection,
+    ):
+        connection.execute("PRAGMA journal_mode=WAL")
+        connection.execute("PRAGMA synchronous=FULL")  # a result outlives a power cut, too
         connection.executescript(_TABLES)
         found = dict(connection.execute("SELECT key, value FROM about").fetchall()).get("format", str(_FORMAT))
         if found != str(_FORMAT):
@@ -114,13 +120,6 @@ def open_database(folder: Path) -> Iterator[Database]:
                 f"{path} is of format {found}, and this jointid knows {_FORMAT}; use the one that wrote it."
             )
         yield Database(path, connection)
-
-
-def _connect(path: Path) -> sqlite3.Connection:
-    connection = sqlite3.connect(path, timeout=_PATIENCE)
-    connection.execute("PRAGMA journal_mode=WAL")
-    connection.execute("PRAGMA synchronous=FULL")  # a result outlives a power cut, too
-    return connection
 
 
 def _lock(folder: Path) -> sqlite3.Connection:

@@ -158,7 +158,9 @@ class Design(Charted, Documented):
         for name in proposed.joint:
             stds = (number(2 * prediction.std[name], 2) for prediction in tests.values())
             rows.append((proposed.symbols[name], number(proposed.values[name]), *stds, proposed.units[name]))
-        for pair in _pairs(proposed.joint):
+        # Torque alone hardly separates the parameters of both sides.
+        motor = [name for name in proposed.joint if name.startswith("motor_") and "inertia" not in name]
+        for pair in [(name, f"load_{name[6:]}") for name in motor if f"load_{name[6:]}" in proposed.joint]:
             for sign in (1.0, -1.0):
                 weights = {pair[0]: 1.0, pair[1]: sign}
                 shown = f"{proposed.symbols[pair[0]]} {'+' if sign > 0 else '-'} {proposed.symbols[pair[1]]}"
@@ -604,9 +606,3 @@ def _predict_current(purpose: Purpose, present: Record) -> PredictedTest | None:
 
 def _times(samples: int, sample_time: float) -> FloatArray:
     return np.asarray(np.arange(samples) * sample_time, dtype=np.float64)
-
-
-def _pairs(names: Sequence[str]) -> list[tuple[str, str]]:
-    """Return the parameters that both sides have, but for inertias: what torque alone tells hardly apart."""
-    motor = [name for name in names if name.startswith("motor_") and "inertia" not in name]
-    return [(name, f"load_{name[6:]}") for name in motor if f"load_{name[6:]}" in names]

@@ -215,12 +215,29 @@ def find_record_warnings(record: Record, channels: Collection[str]) -> tuple[str
     notes: list[str] = []
     for name, channel in record.items():
         if name in channels:
-            notes += _update_warnings(name, channel)
+            every = update_interval(channel.values) if name == "torque" else 1
+            if every > 1:
+                notes.append(
+                    f"the {name} changes only every {every} samples: it is logged more often than it is refreshed; "
+                    f"give its channel update_time = {every * channel.sample_time:g}, or it is read up to that much "
+                    "too late"
+                )
             notes += _rounding_warnings(name, channel)
-    if {"motor_position", "load_position"} <= set(channels):
-        notes += _lag_warnings(record)
-    if {"torque", "reference"} <= set(channels):
-        notes += _hunting_warnings(record)
+    lag = find_encoder_lag(record) if {"motor_position", "load_position"} <= set(channels) else None
+    if lag is not None:
+        notes.append(
+            f"{lag.share:.0%} of the difference of motor_position and load_position is as if {lag.late} were "
+            f"{1e3 * lag.lag:.2g} ms later than {lag.early}: a spring is hidden behind it, and a stiffness from "
+            "both encoders is not to be trusted"
+        )
+    hunting = find_hunting(record) if {"torque", "reference"} <= set(channels) else None
+    if hunting is not None and record.torque is not None:
+        notes.append(
+            f"the axis hunts at rest (stick-slip): while the reference stands still the torque saws between "
+            f"{number(hunting.low, 2)} and {number(hunting.high, 2)} {record.torque.unit}, every "
+            f"{number(hunting.period, 2)} s, as an integral does against a friction that is larger at rest, which no "
+            "model here has; use a longer integral time, and a record without long rests"
+        )
     return tuple(notes)
 
 
@@ -258,36 +275,6 @@ def find_encoder_lag(record: Record) -> EncoderLag | None:
         return None
     late, early = ("load_position", "motor_position") if lag > 0 else ("motor_position", "load_position")
     return EncoderLag(late, early, abs(lag), share)
-
-
-def _lag_warnings(record: Record) -> Iterator[str]:
-    found = find_encoder_lag(record)
-    if found is not None:
-        yield (
-            f"{found.share:.0%} of the difference of motor_position and load_position is as if {found.late} were "
-            f"{1e3 * found.lag:.2g} ms later than {found.early}: a spring is hidden behind it, and a stiffness from "
-            "both encoders is not to be trusted"
-        )
-
-
-def _hunting_warnings(record: Record) -> Iterator[str]:
-    found = find_hunting(record)
-    if found is not None and record.torque is not None:
-        yield (
-            f"the axis hunts at rest (stick-slip): while the reference stands still the torque saws between "
-            f"{number(found.low, 2)} and {number(found.high, 2)} {record.torque.unit}, every "
-            f"{number(found.period, 2)} s, as an integral does against a friction that is larger at rest, which no "
-            "model here has; use a longer integral time, and a record without long rests"
-        )
-
-
-def _update_warnings(name: str, channel: Channel) -> Iterator[str]:
-    every = update_interval(channel.values) if name == "torque" else 1
-    if every > 1:
-        yield (
-            f"the {name} changes only every {every} samples: it is logged more often than it is refreshed; give its "
-            f"channel update_time = {every * channel.sample_time:g}, or it is read up to that much too late"
-        )
 
 
 def _rounding_warnings(name: str, channel: Channel) -> Iterator[str]:

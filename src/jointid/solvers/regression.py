@@ -96,7 +96,13 @@ def _solve(W: FloatArray, Y: FloatArray, names: tuple[str, ...]) -> tuple[FloatA
     refuse_idle(W, names)
     norms = np.linalg.norm(W, axis=0)
     Q, R = np.linalg.qr(W / norms)
-    _refuse_collinear(R, names)
+    _, sizes, directions = np.linalg.svd(R)  # the triangle of columns of norm 1 has their singular values
+    if not sizes[-1] > _RANK * sizes[0]:
+        involved = [name for name, share in zip(names, directions[-1], strict=True) if abs(share) > 1e-3]
+        raise MethodError(
+            f"{', '.join(involved)} cannot be distinguished in this record (their columns are collinear); fix one of "
+            "them."
+        )
     return np.linalg.solve(R, Q.T @ Y) / norms, norms, R
 
 
@@ -109,17 +115,6 @@ def refuse_idle(columns: FloatArray, names: tuple[str, ...]) -> None:
             f"Nothing in this record excites {', '.join(idle)}; fix {'it' if len(idle) == 1 else 'them'}, or use a "
             "motion that moves at several speeds, both ways; if it does, correct units, gains and sides of the loop."
         )
-
-
-def _refuse_collinear(R: FloatArray, names: tuple[str, ...]) -> None:
-    """Refuse collinear columns, by the triangle of the scaled columns."""
-    _, sizes, directions = np.linalg.svd(R)
-    if sizes[-1] > _RANK * sizes[0]:
-        return
-    involved = [name for name, share in zip(names, directions[-1], strict=True) if abs(share) > 1e-3]
-    raise MethodError(
-        f"{', '.join(involved)} cannot be distinguished in this record (their columns are collinear); fix one of them."
-    )
 
 
 Deviations: TypeAlias = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
