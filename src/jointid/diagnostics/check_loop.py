@@ -68,7 +68,7 @@ from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import FlexibleJoint, Joint, frictions_beside, springs_beside
 from jointid.records.record import Record
 from jointid.uncertainty.covariance import robust
-from jointid.uncertainty.position_dependent_error import Cells, cells, widened
+from jointid.uncertainty.position_dependent_error import Cells, cells, widen
 
 _RIVAL = 6.0  # twice the logarithm of a likelihood ratio of 20
 _ALTERNATIVES = (

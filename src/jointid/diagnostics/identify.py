@@ -19,7 +19,7 @@ from jointid.records.chunks import LongRecord
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.prescribed import DriveSide, OpenLoop
-from jointid.uncertainty.verdict import Subject, not_tested
+from jointid.uncertainty.verdict import Subject, skip_test
 
 
 def identify(
@@ -112,4 +112,4 @@ def identify(
 
 
 def _left_out(why: str) -> CheckResults:
-    return CheckResults((not_tested(Subject.LOOP, why),))
+    return CheckResults((skip_test(Subject.LOOP, why),))

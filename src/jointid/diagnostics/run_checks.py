@@ -18,7 +18,7 @@ from jointid.diagnostics.unmodelled_motion import PredictedResidual, predict_res
 from jointid.estimation.result.assemble import CheckResults, FitResult, assemble
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import FlexibleJoint
-from jointid.uncertainty.verdict import Status, Subject, Verdict, not_tested
+from jointid.uncertainty.verdict import Status, Subject, Verdict, skip_test
 
 
 def run_checks(fit: FitResult, progress: Progress = silent, shown: Sequence[DriveNumber] = ()) -> CheckResults:
@@ -38,7 +38,7 @@ def run_checks(fit: FitResult, progress: Progress = silent, shown: Sequence[Driv
         return CheckResults()
     progress("checking loop and log")
     check = state = rest = None
-    verdict = not_tested(Subject.LOOP, "not checked, because the joint is not fully identified; identify it as rigid")
+    verdict = skip_test(Subject.LOOP, "not checked, because the joint is not fully identified; identify it as rigid")
     whole = all(p.value is not None for p in fit.params)
     if whole:
         try:
@@ -47,7 +47,7 @@ def run_checks(fit: FitResult, progress: Progress = silent, shown: Sequence[Driv
             verdict = Verdict(Subject.LOOP, check.status, check.reasons)
             rest = _predict_rest(state)
         except (JointidError, np.linalg.LinAlgError) as error:  # no check ends an identification
-            verdict = not_tested(Subject.LOOP, f"not checked: {error}")
+            verdict = skip_test(Subject.LOOP, f"not checked: {error}")
     findings = () if check is None else check.findings
     faults = None if check is None else tuple(finding.test for finding in findings)
     left = next((finding.left for finding in findings if finding.left is not None), None)
