@@ -9,12 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from jointid.campaigns.rows import Outcome
 
 import jointid as ji
 from jointid.apps.cli import main
 from jointid.apps.web import worker
-from jointid.campaigns.cases import Case
+from jointid.campaigns.cases import Case, Outcome
 from jointid.campaigns.run_case import run_case
 from jointid.uncertainty.verdict import Status, Subject
 

@@ -132,7 +132,7 @@ class Filtering:
 
         Examples:
             >>> import numpy as np, jointid as ji
-            >>> filtering = ji.Filtering(cutoff=60.0).resolved(1e-3)
+            >>> filtering = ji.Filtering(cutoff=60.0).resolve(1e-3)
             >>> filtering.decimation, len(filtering.decimate(np.ones(3001), 1e-3))
             (6, 501)
         """
