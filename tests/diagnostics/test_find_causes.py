@@ -380,7 +380,7 @@ def test_a_refused_spring_at_its_bounds_is_no_reason_to_look_for_a_cause(monkeyp
     plant = drive(323, 12.0)
     estimate = identify(plant.record, plant.loop)
     assert estimate["stiffness"].value is None
-    assert any(p.at_bound is not None for p in estimate.params)
+    assert any(p.at_bound is not None for p in estimate.params.rows)
     monkeypatch.setattr(searching, "find_causes", lambda *_, **__: pytest.fail("it was asked"))
     verdict = ji.identify(plant.record, plant.loop).checks.verdicts[-1]
     assert verdict.status is Status.UNKNOWN

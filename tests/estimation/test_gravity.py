@@ -124,7 +124,7 @@ def test_a_vertical_axis_from_torque_alone() -> None:
     record = simulated_record(LIFT, reference, LIFT_TRUTH, sample_time=1e-3, injected=known)
     estimate = identify(torque_only(record), LIFT)
     assert_found(estimate, LIFT_TRUTH, 1e-6)
-    assert [p.name for p in estimate.params if not p.free][:2] == ["offset", "counterbalance_constant"]
+    assert [p.name for p in estimate.params.rows if not p.free][:2] == ["offset", "counterbalance_constant"]
 
 
 def test_where_a_motor_hangs_is_read_off_the_first_torque() -> None:

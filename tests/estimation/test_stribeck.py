@@ -53,7 +53,7 @@ def test_a_flexible_joint_tells_that_of_both_sides(shares: dict[str, float]) -> 
     case = prismatic(1)
     loop, values = slow(case, shares)
     estimate = identify(noisy(case, loop, values), loop)
-    for row in estimate.params:
+    for row in estimate.params.rows:
         if row.name in values:
             assert row.value is not None
             assert row.stderr is not None

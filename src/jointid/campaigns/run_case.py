@@ -145,7 +145,7 @@ def _simulate(file: JointFile, motion: Record, asked: Simulated) -> Record:
 
 
 def _list_found(estimate: Estimate) -> Iterator[tuple[str, Found]]:
-    for p in estimate.params:
+    for p in estimate.params.rows:
         if p.of_joint:
             yield p.name, Found(finite(p.value), finite(p.stderr) if p.free else None, p.unit)
     for name, one in _totals(estimate):
@@ -155,7 +155,7 @@ def _list_found(estimate: Estimate) -> Iterator[tuple[str, Found]]:
 def _truth(estimate: Estimate, asked: Simulated) -> Iterator[tuple[str, float]]:
     """Yield true values of the identified quantities, if the model is the simulated one."""
     values = dict(asked.values)
-    for p in estimate.params:
+    for p in estimate.params.rows:
         if p.of_joint and p.name in values:
             yield p.name, values[p.name]
     for name, one in _totals(estimate):

@@ -138,7 +138,7 @@ def check_loop(
     """
     if estimate.settings.loop is None:
         raise MethodError("IDIM simulates no loop, so there is none to check; identify with DIDIM and the controller.")
-    for p in estimate.params:
+    for p in estimate.params.rows:
         if p.value is None:
             raise MethodError(
                 f"The estimate gives no {p.name}, so its loop cannot be simulated; identify a joint whose parameters "
@@ -148,7 +148,7 @@ def check_loop(
         f"The estimate was identified from {estimate.data.record}, and {record.name} has another torque; give the "
         "record it was identified from."
     )
-    std = {p.name: p.stderr for p in estimate.params if p.stderr is not None}
+    std = {p.name: p.stderr for p in estimate.params.rows if p.stderr is not None}
     problem, x = rebuild_problem(estimate, record, another)
     return search_faults(problem, x, settings, std, record, shown)[0]
 

@@ -367,7 +367,7 @@ def _look_at_estimate(estimate: Estimate) -> Iterator[Looked]:
 
 def _determine(estimate: Estimate) -> Iterator[Determined]:
     """Yield how well each parameter, and what is known only together, is determined."""
-    for row in estimate.params:
+    for row in estimate.params.rows:
         if not row.of_joint or (not row.free and row.value is not None):
             continue
         if row.value is None or row.stderr is None:

@@ -191,8 +191,8 @@ def explain_misfit(
     poor = estimate.fit.filtered_error > _SUSPICIOUS
     gross = any(_is_gross(fault, estimate.data.sample_time) for fault in faults)
     # A spring that is refused ends at bounds as a rule, whether or not anything is wrong.
-    refused = any(p.value is None for p in estimate.params)
-    strained = not refused and any(p.of_joint and p.at_bound is not None for p in estimate.params)
+    refused = any(p.value is None for p in estimate.params.rows)
+    strained = not refused and any(p.of_joint and p.at_bound is not None for p in estimate.params.rows)
     if not (poor or gross or ((unchecked or faults) and (strained or _is_doubtful(estimate, record, loop)))):
         return None
     if left is not None and not gross and left <= _MORE_OF_A_LAW * _left_by_a_response(estimate, record, loop):

@@ -132,7 +132,7 @@ def _parabolic(given: ReportData) -> list[Block]:
     """Return of which quantities no profile is followed, since it would be what the table says."""
     if not given.parabolic:
         return []
-    symbols = {p.name: p.symbol for p in given.estimate.params} | {"compliance": "1/K12"}
+    symbols = {p.name: p.symbol for p in given.estimate.params.rows} | {"compliance": "1/K12"}
     return [
         Paragraph(
             f"Of {listed([symbols.get(name, name) for name in given.parabolic])} the criterion is a parabola as far as "
@@ -144,7 +144,7 @@ def _parabolic(given: ReportData) -> list[Block]:
 def _absent(given: ReportData, name: str) -> str:
     """Return why a part is not there."""
     estimate = given.estimate
-    refused = any(p.value is None for p in estimate.params)
+    refused = any(p.value is None for p in estimate.params.rows)
     why = given.absent.get(name)
     if why is None:
         why = {
