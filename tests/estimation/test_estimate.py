@@ -110,7 +110,9 @@ def test_parameters_are_a_mapping_of_rows() -> None:
     rows = dict(ESTIMATE.params)
     assert list(rows) == [row.name for row in ESTIMATE.params.rows]
     assert rows["viscous"] is ESTIMATE.params["Fv"] is ESTIMATE["viscous"]
-    assert "viscous" in ESTIMATE.params.rows and "Fv" in ESTIMATE.params.rows and "stiffness" not in ESTIMATE.params.rows
+    assert "viscous" in ESTIMATE.params
+    assert "Fv" in ESTIMATE.params
+    assert "stiffness" not in ESTIMATE.params
     assert (rows["viscous"].axis, rows["viscous"].side) == ("", None)
     flexible = replace(rows["viscous"], name="elbow.load_viscous")
     assert (flexible.axis, flexible.side) == ("elbow", "load")
