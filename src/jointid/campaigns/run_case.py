@@ -21,7 +21,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.config import loads
 from jointid.uncertainty.covariance import bandwidth
-from jointid.uncertainty.identifiability import Known
+from jointid.uncertainty.identifiability import Kind, Known
 from jointid.uncertainty.resampling import BANDWIDTHS
 
 
@@ -168,5 +168,5 @@ def _totals(estimate: Estimate) -> Iterator[tuple[str, Known]]:
     """Yield the sums of both sides, identifiable where their parts are not."""
     known = estimate.checks.known
     for one in () if known is None else known.physical:
-        if one.combination.name.startswith("total "):
-            yield one.combination.name.replace(" ", "_"), one
+        if one.combination.kind is Kind.SUM:
+            yield f"total_{one.combination.quantity}", one

@@ -20,8 +20,8 @@ from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.common.messages import Message, Progress, Work, silent
 from jointid.common.parameters import POSITION_UNIT
 from jointid.diagnostics.experiment_design import StiffnessTestDesign, design_stiffness_test
+from jointid.diagnostics.faults.findings import LoopCheck
 from jointid.diagnostics.intervals import intervals
-from jointid.diagnostics.loop_findings import LoopCheck
 from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.result.answer import loop_verdict
 from jointid.estimation.result.estimate import Estimate

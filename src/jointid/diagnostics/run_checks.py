@@ -11,9 +11,9 @@ import numpy as np
 from jointid.common.errors import JointidError
 from jointid.common.messages import Progress, silent
 from jointid.diagnostics.check_loop import SearchState, search_faults
+from jointid.diagnostics.faults.motion import find_too_short
 from jointid.diagnostics.find_causes import explain_misfit
 from jointid.diagnostics.lack_of_fit import widen_for_faults, widen_for_rest
-from jointid.diagnostics.plain_causes import find_too_short
 from jointid.diagnostics.unmodelled_motion import PredictedResidual, predict_residual
 from jointid.estimation.result.assemble import CheckResults, FitResult, assemble
 from jointid.models.controllers.drive_numbers import DriveNumber
