@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.diagnostics.friction_comparison import compare_frictions
+from jointid.diagnostics.compare import compare
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import FlexibleJoint
@@ -31,7 +31,7 @@ def test_a_flexible_joint_tells_its_law(law: str) -> None:
 def test_the_record_shows_that_its_friction_winds_up() -> None:
     case = prismatic(1)
     loop, values = with_law(case, "presliding")
-    found = compare_frictions(noisy(case, loop, values), case.loop)
+    found = compare(noisy(case, loop, values), case.loop, "frictions")
     assert found.shown.name == "presliding"
     assert found.sentence.endswith('; set joint.friction = "presliding" to identify it.')
 

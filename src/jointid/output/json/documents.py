@@ -264,8 +264,8 @@ def to_dict(result: object) -> Json:
     """Return a result as a dict of numbers, words, lists and dicts, with its `schema`: what `--json` writes.
 
     Args:
-        result: of `identify`, `validate`, `compare_methods`, `compare_springs`, `compare_frictions`, `check_loop`,
-            `advise`, `design_stiffness_test`, `tune`, `learn_loop`, `inspect`, `compare_estimates`.
+        result: of `identify`, `validate`, `compare`, `check_loop`, `advise`, `design_stiffness_test`, `tune`,
+            `learn_loop`, `inspect`.
 
     Raises:
         MethodError: it is no such result.
