@@ -23,14 +23,12 @@ from .estimation.problems.several_records import SeveralRecords
 from .estimation.result.estimate import Estimate
 from .estimation.robots.consistent import consistent_robot
 from .estimation.robots.drive_gains import identify_drive_gains
-from .estimation.robots.idim import RobotEstimate, RobotIDIM, identify_robot
+from .estimation.robots.idim import RobotEstimate, RobotIDIM
 from .estimation.robots.payload import identify_payload
 from .estimation.robots.torque_estimate import (
     RobotDIDIM,
     RobotDriveSideFit,
     RobotTorqueEstimate,
-    identify_robot_drive_side,
-    identify_robot_from_torques,
     validate_robot_torques,
 )
 from .estimation.robots.validation import RobotValidation, validate_robot
@@ -145,9 +143,6 @@ __all__ = [
     "identify",
     "identify_drive_gains",
     "identify_payload",
-    "identify_robot",
-    "identify_robot_drive_side",
-    "identify_robot_from_torques",
     "inspect",
     "intervals",
     "learn_loop",
