@@ -28,7 +28,6 @@ from jointid.config.drive_numbers import drive_numbers
 from jointid.config.quantities import Stated, stated_in
 from jointid.config.schema import FileTable, with_gains_meant
 from jointid.config.schema_record import Run, Source, Together
-from jointid.diagnostics.identify import identify
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Controller, with_numbers
@@ -275,6 +274,10 @@ class JointFile:
         Raises:
             JointidError: see `jointid.identify`.
         """
+        from jointid.diagnostics.identify import (
+            identify,  # loads the compiled kernels, which a check of the file needs not
+        )
+
         return identify(
             record, self.loop or self.joint, self.method, filtering=self.filtering, parameters=self.parameters,
             checks=checks, shown=self.declared_numbers, torque_constant=self.scale, unchecked=unchecked,
