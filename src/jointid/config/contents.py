@@ -274,9 +274,8 @@ class JointFile:
         Raises:
             JointidError: see `jointid.identify`.
         """
-        from jointid.diagnostics.identify import (
-            identify,  # loads the compiled kernels, which a check of the file needs not
-        )
+        # It loads the compiled kernels, which a check of the file does not need.
+        from jointid.diagnostics.identify import identify
 
         return identify(
             record, self.loop or self.joint, self.method, filtering=self.filtering, parameters=self.parameters,
