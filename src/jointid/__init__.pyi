@@ -5,11 +5,11 @@ from .common.transmission import Transmission
 from .config import JointFile, load
 from .config.robot_file import RobotFile, load_robot_file
 from .config.robot_model import load_robot
-from .controller_id.learn import learn_loop
+from .controller_id.learn import learn_controller
 from .diagnostics.check_loop import check_loop
 from .diagnostics.compare import compare
 from .diagnostics.examine_record import examine
-from .diagnostics.experiment_design import advise, design_stiffness_test
+from .diagnostics.experiment_design import advise
 from .diagnostics.identify import identify
 from .diagnostics.intervals import intervals
 from .diagnostics.robots.diagnose import RobotDiagnosis, diagnose_robot
@@ -132,7 +132,6 @@ __all__ = [
     "consistent_robot",
     "convert",
     "design_robot_test",
-    "design_stiffness_test",
     "design_test",
     "diagnose_robot",
     "examine",
@@ -145,7 +144,7 @@ __all__ = [
     "identify_payload",
     "inspect",
     "intervals",
-    "learn_loop",
+    "learn_controller",
     "load",
     "load_robot",
     "load_robot_file",
