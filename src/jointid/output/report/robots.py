@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from jointid.common.charts import Chart
-from jointid.common.document import Block, Code, Document, Facts, Heading, Listing, Paragraph, Table, dumps
+from jointid.common.document import Block, Facts, Heading, Listing, Paragraph, Table
 from jointid.common.errors import RecordError
 from jointid.common.text import interval, number
-from jointid.common.typography import typeset_block
 from jointid.diagnostics.report_data import Spectra, estimate_spectra
 from jointid.diagnostics.robots.diagnose import FeedForwardName, RobotDiagnosis, diagnose_robot
 from jointid.diagnostics.robots.parameters import ParameterOfJoint, Told
@@ -19,16 +19,12 @@ from jointid.estimation.robots.validation import RobotValidation
 from jointid.models.controllers import Controller
 from jointid.models.robots.robot import Robot
 from jointid.output.figures.charts import AxisSignals, residual_chart, spectra_chart, torques_chart
-from jointid.output.json import plain
-from jointid.output.report import Repetition
-from jointid.output.report.pages import Pages, pictures_of
+from jointid.output.report.pages import Pages, Repetition, pictures_of
 from jointid.records.record import Record
 
 REPORT_OF_ROBOT = "jointid.robot_report/1"
 
 _BEYOND = 1.2  # times the cut-off frequency, up to which the spectra of filtered signals are drawn
-
-_SAMPLES = 6_000  # of each torque that are drawn: six joints have as many as one has in its report
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,33 +85,17 @@ class RobotReport(Pages):
         """Its figures by name."""
         return _charts(self.diagnosis)
 
-    def __repr__(self) -> str:
-        return f"RobotReport({self.title!r})"
+    def _contents(self) -> dict[str, Any]:
+        return {
+            "schema": REPORT_OF_ROBOT,
+            "estimate": self.estimate,
+            "diagnosis": self.diagnosis,
+            "validation": self.validation,
+        }
 
-    def answer(self) -> str:
-        """Return the JSON that the page carries along."""
-        repeated = self.repetition
-        return dumps(
-            plain(
-                {
-                    "schema": REPORT_OF_ROBOT,
-                    "version": repeated.version,
-                    "estimate": self.estimate,
-                    "diagnosis": self.diagnosis,
-                    "validation": self.validation,
-                    "record_file": repeated.record_name or None,
-                    "record_date": repeated.date or None,
-                    "record_file_sha256": repeated.record_sha256 or None,
-                    "robot_file_name": repeated.joint_name or None,
-                    "robot_file": repeated.joint_file or None,
-                    "command": repeated.command or None,
-                }
-            )
-        )
-
-    def _document(self, *, interactive: bool) -> Document:
+    def _blocks(self, *, interactive: bool) -> Iterable[Block]:
         picture = pictures_of(self.charts, interactive=interactive)
-        blocks = (
+        return (
             Heading("Result"),
             *self._result(),
             Heading("Joints"),
@@ -135,7 +115,6 @@ class RobotReport(Pages):
             Heading("Settings and data"),
             *self._repeated(),
         )
-        return Document(self.title, tuple(map(typeset_block, blocks)), self.answer() if interactive else "")
 
     def _result(self) -> Iterator[Block]:
         """Yield the verdict, what it rests on, and how the robot was identified."""
@@ -167,10 +146,7 @@ class RobotReport(Pages):
                 *repeated.facts,
             )
         )
-        if repeated.command:
-            yield Code(repeated.command, "The command, with robot file, model and record beside each other:")
-        if repeated.joint_file:
-            yield Code(repeated.joint_file, f"The robot file, {repeated.joint_name}:")
+        yield from repeated.blocks
 
 
 def _parameters(found: RobotDiagnosis) -> Iterator[Block]:

@@ -6,12 +6,10 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 from jointid.common.charts import Chart
 from jointid.common.document import (
     Block,
-    Code,
     Facts,
     Heading,
     Listing,
@@ -30,14 +28,11 @@ from jointid.estimation.result.summary import (
     combinations_table,
     settings_facts,
 )
-from jointid.output.report.pages import pictures_of
+from jointid.output.report.pages import Repetition, pictures_of
 from jointid.output.report.summary import summary_blocks, verdicts_in_full
 from jointid.output.report.wording import say_suspects, sentence, suspect
 from jointid.planning.design import Design
 from jointid.tuning.tuned import Tuned
-
-if TYPE_CHECKING:
-    from jointid.output.report import Repetition
 
 
 def report_blocks(
@@ -115,11 +110,7 @@ def _repeated(given: ReportData, repetition: Repetition) -> list[Block]:
     found: list[Block] = [Heading("Settings and data"), settings_facts(estimate), _channels_table(given)]
     hashes = [("Torque, SHA-256 of its samples", estimate.data.fingerprint), *repetition.facts]
     found += [Heading("Reproducing this report", 3), Facts(tuple(hashes))]
-    if repetition.command:
-        found.append(Code(repetition.command, "The command, with joint file and record beside each other:"))
-    if repetition.joint_file:
-        found.append(Code(repetition.joint_file, f"The joint file, {repetition.joint_name}:"))
-    return found
+    return [*found, *repetition.blocks]
 
 
 def _tuning(tuned: Tuned, picture: Callable[[str], list[Block]]) -> list[Block]:
