@@ -73,7 +73,7 @@ class Field:
         return f"{self.key}@{self.variant}" if self.variant else self.key
 
     def applies(self, draft: Draft) -> bool:
-        """Whether it counts, beside what stands in the other fields."""
+        """Return whether the field applies, given the other fields."""
         return all(draft.get(name, usual(name)) in values for name, values in self.when.items())
 
     def read(self, draft: Draft) -> Any:
@@ -109,7 +109,7 @@ class Field:
         return int(value) if self.whole and value.is_integer() else value
 
     def number_fault(self, draft: Draft) -> str | None:
-        """Return what is said of a text where numbers belong, None where there is nothing to say."""
+        """Return the fault of a text in a field of numbers; None without a fault."""
         text = self.read(draft)
         if self.form not in ("number", "numbers") or not isinstance(text, str):
             return None
@@ -167,7 +167,7 @@ def _decimals(text: str) -> list[float]:
 
 
 def _factor(name: str, own: str) -> float:
-    """Return what takes a number in the named unit to the field's own.
+    """Return the factor from a named unit to the field's own.
 
     Raises:
         ValueError: one of them is not in the table, or they measure different things.
@@ -277,7 +277,7 @@ _USUAL = {one.name: one.usual for one in FIELDS if one.usual}
 
 
 def usual(name: str) -> str:
-    """Return what a new form has in a field."""
+    """Return the initial text of a field."""
     return _USUAL.get(name, "")
 
 

@@ -1,4 +1,4 @@
-"""What the names of columns say of them: which channel each is, in which unit, and whether the axis turns.
+"""Guess channels, units and the kind of the joint from the names of columns.
 
 First come the names that engineers write where no drive did, then those of the drives' profiles, then words: "Actual
 torque", "Lagesollwert", "iq_act". A channel that two columns may be is left for the person to choose.
@@ -132,7 +132,7 @@ def _find_by_profile(channel: str, names: list[str]) -> str | None:
 
 
 def _find_by_words(role: str, names: list[str]) -> str | None:
-    """Return the one column whose words, or for a torque whose unit, are those of a channel."""
+    """Return the only column with the words of a channel, or with the unit of a torque."""
     told = {name: _normalise(name) for name in names}
     told = {name: words for name, words in told.items() if not _has(_OTHERWISE, words)}
     if role == "torque":
@@ -151,7 +151,7 @@ def _find_by_words(role: str, names: list[str]) -> str | None:
 
 
 def _is_torque(name: str) -> bool:
-    """Whether a unit that only torques, forces and currents have is in a name."""
+    """Return whether a name has a unit of torque, force or current."""
     units_ = {one for kind in _KINDS for one in units_of(TORQUE_UNITS[kind][0], "current")}
     return find_unit(name, units_) is not None
 

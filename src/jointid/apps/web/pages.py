@@ -1,4 +1,4 @@
-"""What comes from the browser, and what it is shown.
+"""State, uploads and views of the page.
 
 Forms and files come in bounded and under names of ours; pages go out as HTML from templates of our own, every text that
 came in escaped. `AppState` is what all addresses share.
@@ -240,7 +240,7 @@ def show_run(state: AppState, run: Run) -> Response:
 
 
 def _list_goals(answer: Mapping[str, Any] | None) -> list[tuple[str, str]]:
-    """Return what a next test may be planned for, each with its words; nothing where none can be planned."""
+    """Return the goals of a next test with their labels; empty if none can be planned."""
     if answer is None or answer["method"] != "didim" or _say_no_goal(answer):
         return []
     free = {name: p["symbol"] for name, p in answer["parameters"].items() if p["free"] and name not in INITIAL}
@@ -281,7 +281,7 @@ def _render(template: str, state: AppState, code: int = 200, **values: object) -
 
 
 def find_fields(sentence: str) -> list[dict[str, str]]:
-    """Return the fields whose keys a sentence names, each with its label and where it stands on the page."""
+    """Return label and address of the fields that a sentence names."""
     found = []
     for one in fields.FIELDS:
         last = one.key.rpartition(".")[2]
@@ -338,7 +338,7 @@ def _loop_reasons(answer: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _tell_value(p: Mapping[str, Any]) -> str:
-    """Return what is known of a parameter, with its unit."""
+    """Return a parameter's value or bound with its unit."""
     if p["value"] is None:
         return "cannot be told" if p["lower_bound"] is None else f"> {number(p['lower_bound'])} {p['unit']}"
     if p["std"] is None:

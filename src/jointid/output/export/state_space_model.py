@@ -188,7 +188,7 @@ def state_space_json(
 def matlab(
     model: JointModel, *, period: float | None = None, delay: float | None = None
 ) -> tuple[str, tuple[str, ...]]:
-    """Return a MATLAB script that makes two models of the Control System Toolbox, and what is not in them.
+    """Return a MATLAB script with two models of the Control System Toolbox, and its losses.
 
     Octave's `control` package has the same. Settings and errors are those of `state_space_json`.
     """

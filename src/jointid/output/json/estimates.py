@@ -24,7 +24,7 @@ Shape: TypeAlias = "str | Callable[[Any], object] | Mapping[str, Shape]"
 
 
 def take(value: Any, shape: Shape) -> Any:
-    """Return what a shape finds in an object."""
+    """Return the values of a shape in an object."""
     if callable(shape):
         return shape(value)
     if isinstance(shape, Mapping):
@@ -119,7 +119,7 @@ def _controller_sha256(estimate: Estimate) -> str | None:
 
 
 def estimate_shape(estimate: Estimate) -> Json:
-    """Return what an estimate has in JSON: of one record, of several, or of a long log."""
+    """Return the document of an estimate of one record, several records or a long log."""
     if estimate.data.records:
         shape = _OF_SEVERAL_RECORDS
     else:
@@ -137,7 +137,7 @@ def _records(estimate: Estimate) -> list[Json]:
 
 
 def _drift(estimate: Estimate) -> Json:
-    """Return what changes over a long log."""
+    """Return the drift over a long log."""
     drift = estimate.checks.drift
     assert drift is not None
     judged = drift.agreement

@@ -42,14 +42,14 @@ class Report(Pages):
     """An estimate, told.
 
     Attributes:
-        dossier: what is told; made by `of`.
+        data: the results to present; `of` collects them.
         name: of the joint; that of the record when empty.
         repetition: what it takes to do it again.
         tuned: what to set in the drive; None where that was not asked for.
         design: the next test; likewise.
     """
 
-    dossier: ReportData
+    data: ReportData
     name: str = ""
     repetition: Repetition = field(default_factory=Repetition)
     tuned: Tuned | None = None
@@ -97,12 +97,12 @@ class Report(Pages):
     @property
     def estimate(self) -> Estimate:
         """The estimate, with the verdict on its loop."""
-        return self.dossier.estimate
+        return self.data.estimate
 
     @property
     def charts(self) -> dict[str, Chart]:
         """Its figures by name."""
-        drawn = report_charts(self.dossier)
+        drawn = report_charts(self.data)
         if self.tuned is not None:
             drawn["tuning"] = replace(self.tuned.chart(), caption=_TUNING)
         if self.design is not None:
@@ -119,7 +119,7 @@ class Report(Pages):
         return self.estimate._repr_html_()
 
     def _contents(self) -> dict[str, Any]:
-        given = self.dossier
+        given = self.data
         return {
             "schema": REPORT_SCHEMA,
             "estimate": given.estimate,
@@ -136,9 +136,7 @@ class Report(Pages):
         }
 
     def _blocks(self, *, interactive: bool) -> Iterable[Block]:
-        return report_blocks(
-            self.dossier, self.charts, self.repetition, self.tuned, self.design, interactive=interactive
-        )
+        return report_blocks(self.data, self.charts, self.repetition, self.tuned, self.design, interactive=interactive)
 
 
 def tune_to_limit(estimate: Estimate, drive: Drive, shown: Iterable[DriveNumber] = ()) -> Tuned | str | None:

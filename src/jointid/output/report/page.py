@@ -47,7 +47,7 @@ def page(document: Document) -> str:
     links = dict(zip(map(id, headings), anchors, strict=True))
     return _environment().get_template("page.html").render(
         title=document.title,
-        blocks=[_escaped(block_html(block, links.get(id(block), ""))) for block in document.blocks],
+        blocks=[_mark_safe(block_html(block, links.get(id(block), ""))) for block in document.blocks],
         contents=list(zip((block.text for block in headings), anchors, strict=True)) if len(headings) >= _FEW else [],
         style=Path(__file__).with_name("style.css").read_text(encoding="utf-8"),
         scripts=scripts,
@@ -75,8 +75,8 @@ def require_extra(*, plots: bool) -> None:
         script()
 
 
-def _escaped(html: str) -> Markup:
-    """Return HTML, whose texts are escaped, so that the template does not escape them again."""
+def _mark_safe(html: str) -> Markup:
+    """Return escaped HTML for the template, which does not escape it again."""
     from markupsafe import Markup
 
     return Markup(html)  # noqa: S704

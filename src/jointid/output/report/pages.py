@@ -1,4 +1,4 @@
-"""What all reports have in common: how they are written, and what it takes to repeat them."""
+"""Base class of reports, and the data to repeat one."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def repetition(
     html: str = "report.html",
     system: Literal["joint", "robot"] = "joint",
 ) -> Repetition:
-    """Return what it takes to repeat a report: files by their names, not by where they lie on this machine.
+    """Return the data to repeat a report; files by their names, without their folders.
 
     Of the command's options None leaves one away; `changes` are keys of the joint file, as ``method.frequency=30``.
 
@@ -158,7 +158,7 @@ class Pages(ABC):
 
     @abstractmethod
     def _contents(self) -> dict[str, Any]:
-        """Return what its JSON has beside the repetition."""
+        """Return its JSON except for the repetition."""
 
     @abstractmethod
     def _blocks(self, *, interactive: bool) -> Iterable[Block]:
@@ -226,7 +226,7 @@ class Pages(ABC):
 def pictures_of(
     charts: Mapping[str, Chart], *, interactive: bool, absent: Callable[[str], str] = "Not available: {}".format
 ) -> Callable[[str], list[Block]]:
-    """Return what gives the blocks of a picture by its name; where it is interactive they are plots, too, for a page.
+    """Return a function from the name of a picture to its blocks; interactive ones have a plot too.
 
     Each is drawn twice then, at the same time: by one library for the screen, by the other for paper.
 

@@ -72,7 +72,7 @@ class RobotReport(Pages):
 
     @property
     def robot(self) -> Robot:
-        """The robot that was begun with."""
+        """The nominal robot."""
         return self.estimate.robot
 
     @property
@@ -113,7 +113,7 @@ class RobotReport(Pages):
             Heading("Sums that the parameters stand for"),
             *_sums(self.diagnosis),
             Heading("Settings and data"),
-            *self._repeated(),
+            *self._settings(),
         )
 
     def _result(self) -> Iterator[Block]:
@@ -136,7 +136,7 @@ class RobotReport(Pages):
             return []
         return [Heading("A record that the estimate has not seen"), *self.validation.document().blocks[1:]]
 
-    def _repeated(self) -> Iterator[Block]:
+    def _settings(self) -> Iterator[Block]:
         estimate, filtering, repeated = self.estimate, self.estimate.filtering, self.repetition
         yield from (b for b in estimate.document().blocks if isinstance(b, Facts))
         yield Facts(

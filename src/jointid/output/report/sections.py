@@ -45,7 +45,7 @@ def report_blocks(
     interactive: bool,
 ) -> tuple[Block, ...]:
     """Return the whole report; where it is interactive its figures are plots, too, for a page."""
-    picture = pictures_of(charts, interactive=interactive, absent=partial(_absent, given))
+    picture = pictures_of(charts, interactive=interactive, absent=partial(_explain_absence, given))
     return (
         *summary_blocks(given, tuned, design, picture),
         Heading("Appendix"),
@@ -65,7 +65,7 @@ def report_blocks(
             if design is None
             else [Heading("The next test in full"), *design.document().blocks[1:], *picture("test")]
         ),
-        *_repeated(given, repetition),
+        *_settings(given, repetition),
     )
 
 
@@ -100,12 +100,12 @@ def _tests(given: ReportData) -> list[Block]:
     every = ((given.validation,) if given.validation is not None else ()) + given.checks
     table = _checks_table(every)
     if table is None:
-        return [Heading("Validation"), Paragraph(_absent(given, "validation"))]
+        return [Heading("Validation"), Paragraph(_explain_absence(given, "validation"))]
     told = [sentence(warning) for check in every for warning in check.warnings]
     return [Heading("Validation"), table, *([Listing(tuple(told))] if told else [])]
 
 
-def _repeated(given: ReportData, repetition: Repetition) -> list[Block]:
+def _settings(given: ReportData, repetition: Repetition) -> list[Block]:
     estimate = given.estimate
     found: list[Block] = [Heading("Settings and data"), settings_facts(estimate), _channels_table(given)]
     hashes = [("Torque, SHA-256 of its samples", estimate.data.fingerprint), *repetition.facts]
@@ -120,7 +120,7 @@ def _tuning(tuned: Tuned, picture: Callable[[str], list[Block]]) -> list[Block]:
 
 
 def _parabolic(given: ReportData) -> list[Block]:
-    """Return of which quantities no profile is followed, since it would be what the table says."""
+    """Return the quantities without a profile, for which the interval of the table holds."""
     if not given.parabolic:
         return []
     symbols = {p.name: p.symbol for p in given.estimate.params.rows} | {"compliance": "1/K12"}
@@ -132,7 +132,7 @@ def _parabolic(given: ReportData) -> list[Block]:
     ]
 
 
-def _absent(given: ReportData, name: str) -> str:
+def _explain_absence(given: ReportData, name: str) -> str:
     """Return why a part is not there."""
     estimate = given.estimate
     refused = any(p.value is None for p in estimate.params.rows)
