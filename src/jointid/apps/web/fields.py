@@ -36,6 +36,7 @@ _DIGITS = r"[+-]?([0-9]+[.,]?[0-9]*|[.,][0-9]+)([eE][+-]?[0-9]+)?"
 _NUMBER = re.compile(_DIGITS)
 _WITH_UNIT = re.compile(rf"({_DIGITS})\s*([^\s0-9.,;_][^;]*)")
 _UNIT = re.compile(r"\[([^\[\]]*)\]$")  # at the end of a description
+_VALUES: dict[str, dict[str, Any]] = {"sign": {"1": 1, "-1": -1}, "flag": {"true": True, "false": False}}
 _BETWEEN = re.compile(r"\s*;\s*|\s*,\s+|\s+")  # numbers of a list, each of which may have a decimal comma
 
 
@@ -82,7 +83,7 @@ class Field:
         A text that is none of its values is left as it is, for the schema to refuse.
         """
         text = draft.get(self.name, self.usual).strip()
-        words = {"sign": {"1": 1, "-1": -1}, "flag": {"true": True, "false": False}}.get(self.form, {})
+        words = _VALUES.get(self.form, {})
         try:
             if text and self.form in ("number", "numbers"):
                 return self._number(text) if self.form == "number" else _decimals(text)
