@@ -9,7 +9,7 @@ from typing import Any
 
 import tomli_w
 
-from jointid.apps.web.fields import EXTRA, EXTRA_LAW, FIELDS, LAWS, LEARN, NAMES, WITHOUT, Draft, Field, usual
+from jointid.apps.web.fields import EXTRA, EXTRA_LAW, FIELDS, LAW, LAWS, LEARN, NAMES, WITHOUT, Draft, Field, usual
 from jointid.apps.web.guesses import find_unit
 from jointid.common.errors import Fault, JointFileError
 from jointid.common.messages import dot_path
@@ -194,7 +194,7 @@ def read_joint_file(text: str) -> dict[str, str]:
     _lay_out_fields(rest)
     deciding = {name: _at(rest, name.split(".")) for name in ("joint.kind", "joint.model", *_FILTER_KINDS)}
     known = {name: str(value or usual(name)) for name, value in deciding.items()} | {_LAW: str(law or WITHOUT)}
-    if not isinstance(law, str) or law not in dict(_find_field(_LAW).choices):
+    if not isinstance(law, str) or law not in dict(LAW.choices):
         known[_LAW] = draft[_LAW] = WITHOUT if law is None else EXTRA_LAW
     _drop(rest, ["record", "file"])
     for one in FIELDS:
@@ -245,10 +245,6 @@ def _lay_out_filters(tables: dict[str, Any]) -> None:
             del one["kind"]
     if controller.get("torque_filters") == []:
         del controller["torque_filters"]
-
-
-def _find_field(key: str) -> Field:
-    return next(one for one in FIELDS if one.key == key)
 
 
 def _has_column(one: Field, draft: Draft) -> bool:

@@ -106,20 +106,13 @@ def guess_roles(columns: Iterable[str]) -> dict[str, str]:
     found: dict[str, str] = {}
     for role in ("time", *CHANNELS):
         free = [name for name in names if name not in found.values()]
-        column = _find_by_usage(role, free)
+        called = (_only(name for name in free if _normalise(name) == usual) for usual in _USUAL.get(role, ()))
+        column = next(filter(None, called), None)
         if column is None and role != "time":
             column = _find_by_profile(role, free) or _find_by_words(role, free)
         if column is not None:
             found[role] = column
     return found
-
-
-def _find_by_usage(role: str, names: list[str]) -> str | None:
-    for usual in _USUAL.get(role, ()):
-        called = [name for name in names if _normalise(name) == usual]
-        if len(called) == 1:
-            return called[0]
-    return None
 
 
 def _find_by_profile(channel: str, names: list[str]) -> str | None:
@@ -138,7 +131,8 @@ def _find_by_words(role: str, names: list[str]) -> str | None:
     if role == "torque":
         torques = [name for name, words in told.items() if _has(_TORQUE, words)]
         commanded = [name for name in torques if _has(_COMMANDED, told[name])]
-        measured = [name for name, words in told.items() if _is_torque(name)]
+        known = {one for kind in _KINDS for one in units_of(TORQUE_UNITS[kind][0], "current")}
+        measured = [name for name in told if find_unit(name, known) is not None]
         return _only(commanded) or _only(torques) or _only(measured) or _only(n for n, w in told.items() if w == "istw")
     positions = {name: words for name, words in told.items() if _has(_POSITION, words) and not _has(_TORQUE, words)}
     loads = {name for name, words in positions.items() if _has(_LOAD, words)}
@@ -148,12 +142,6 @@ def _find_by_words(role: str, names: list[str]) -> str | None:
     if wanted is None:
         return None
     return _only(name for name, words in positions.items() if _has(wanted, words) and name not in loads)
-
-
-def _is_torque(name: str) -> bool:
-    """Return whether a name has a unit of torque, force or current."""
-    units_ = {one for kind in _KINDS for one in units_of(TORQUE_UNITS[kind][0], "current")}
-    return find_unit(name, units_) is not None
 
 
 def _only(names: Iterable[str]) -> str | None:

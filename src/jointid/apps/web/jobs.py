@@ -169,19 +169,14 @@ class Jobs:
             async with asyncio.timeout(seconds):
                 code = await process.wait()
         except TimeoutError:
-            raise FailedError(
-                f"{subject} took longer than {_say_time(seconds)} and was stopped; use a shorter one."
-            ) from None
+            limit = f"{seconds:g} s" if seconds < 120 else f"{seconds / 60:.0f} minutes"
+            raise FailedError(f"{subject} took longer than {limit} and was stopped; use a shorter one.") from None
         finally:
             if process.returncode is None:
                 process.kill()
                 await process.wait()
         if code:
             _raise_fault(code, folder)
-
-
-def _say_time(seconds: float) -> str:
-    return f"{seconds:g} s" if seconds < 120 else f"{seconds / 60:.0f} minutes"
 
 
 def _rename(sentences: str, path: Path, name: str) -> str:

@@ -313,7 +313,10 @@ def _build_rows(answer: Mapping[str, Any]) -> list[dict[str, str]]:
 
     Of a parameter that a fault of the loop moves, it is said by how much; and of one at its bound, that it is.
     """
-    reasons = [Message(one["code"], one["words"], one["values"]) for one in _loop_reasons(answer)]
+    of_loop: list[dict[str, Any]] = next(
+        (one["reasons"] for one in answer["verdicts"] if one["subject"] == Subject.LOOP), []
+    )
+    reasons = [Message(one["code"], one["words"], one["values"]) for one in of_loop]
     moved, when = sum_changes(reasons), "under the other law" if is_another_law(reasons) else "once corrected"
     there = {} if answer["other_side"] is None else answer["other_side"]["parameters"]
     return [
@@ -330,11 +333,6 @@ def _build_rows(answer: Mapping[str, Any]) -> list[dict[str, str]]:
         }
         for name, p in answer["parameters"].items()
     ]
-
-
-def _loop_reasons(answer: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the reasons of the check of controller and log; none where there is no such check."""
-    return next((one["reasons"] for one in answer["verdicts"] if one["subject"] == Subject.LOOP), [])
 
 
 def _tell_value(p: Mapping[str, Any]) -> str:

@@ -70,8 +70,10 @@ def urdf(model: JointModel) -> tuple[str, tuple[str, ...]]:
         )
         mass = Mass(motor.inertia + load.inertia, (forwards, backwards, coulomb, coulomb_back))
         constant += load.shift
+        assert model.spring is not None
+        spring = model.spring.describe({p.name: f"{shown(p.value)} {p.unit}" for p in model.parameters})
         lost.append(
-            f"the spring of {_spring_of(model)} and its damping; inertia and friction are the sums of both sides, "
+            f"the spring of {spring} and its damping; inertia and friction are the sums of both sides, "
             f"which hold below about a fifth of {shown(model.mode)} Hz"
         )
     constant += 0.0 if weight is None else weight.constant
@@ -155,12 +157,6 @@ def mjcf(model: JointModel, *, timestep: float | None = None) -> tuple[str, tupl
         ET.SubElement(sensors, "jointpos", name=f"{name}_position", joint=name)
         ET.SubElement(sensors, "jointvel", name=f"{name}_velocity", joint=name)
     return write_document(root, [*remarks(model, lost), *_how_to_drive(model)]), tuple(lost)
-
-
-def _spring_of(model: JointModel) -> str:
-    """Return a spring in words, its damping left out."""
-    assert model.spring is not None
-    return model.spring.describe({p.name: f"{shown(p.value)} {p.unit}" for p in model.parameters})
 
 
 def _tendons(model: JointModel) -> ET.Element:

@@ -121,8 +121,8 @@ def read_answer(path: str | os.PathLike[str], remedy: str = _REMEDY) -> Json:
             size = max(path.stat().st_size, len(raw))
             raise RecordError(f"{path} has {size} bytes, which no answer has (at most {_LARGEST}); {remedy}.")
         text = raw.decode("utf-8-sig")
-        if text.lstrip()[:1] == "<":
-            text = _embedded(text)
+        if text.lstrip()[:1] == "<":  # the page of a report, which carries its answer along
+            text = text.partition(f'id="{REPORT_ELEMENT}"')[2].partition(">")[2].partition("</script>")[0]
         answer = json.loads(text, parse_constant=_no_number, parse_int=_whole)
     except OSError as error:
         raise RecordError(f"{path} cannot be read ({error.strerror}); {remedy}.") from None
@@ -133,11 +133,6 @@ def read_answer(path: str | os.PathLike[str], remedy: str = _REMEDY) -> Json:
     if not isinstance(answer, dict):
         raise RecordError(f"{path} is no estimate of schema {ESTIMATE_SCHEMA}; {remedy}.")
     return answer
-
-
-def _embedded(page: str) -> str:
-    """Return the answer that a page carries along; whatever else is in it is not looked at."""
-    return page.partition(f'id="{REPORT_ELEMENT}"')[2].partition(">")[2].partition("</script>")[0]
 
 
 def _no_number(name: str) -> float:

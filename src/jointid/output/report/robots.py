@@ -95,6 +95,7 @@ class RobotReport(Pages):
 
     def _blocks(self, *, interactive: bool) -> Iterable[Block]:
         picture = pictures_of(self.charts, interactive=interactive)
+        tests = () if self.validation is None else self.validation.document().blocks[1:]
         return (
             Heading("Result"),
             *self._result(),
@@ -104,7 +105,8 @@ class RobotReport(Pages):
             *_parameters(self.diagnosis),
             Heading("Torque"),
             *picture("torque"),
-            *self._held_out(),
+            *([Heading("A record that the estimate has not seen")] if tests else []),
+            *tests,
             Heading("Appendix"),
             Paragraph("What stands behind that: what is left of the torques, the sums, and how to repeat it."),
             Heading("Residual"),
@@ -130,11 +132,6 @@ class RobotReport(Pages):
             )
         yield from (b for b in estimate.document().blocks if isinstance(b, Paragraph))
         yield Paragraph("Numbers after ± are two standard deviations. All of them are behind the gears.")
-
-    def _held_out(self) -> list[Block]:
-        if self.validation is None:
-            return []
-        return [Heading("A record that the estimate has not seen"), *self.validation.document().blocks[1:]]
 
     def _settings(self) -> Iterator[Block]:
         estimate, filtering, repeated = self.estimate, self.estimate.filtering, self.repetition
