@@ -37,7 +37,7 @@ _TEST = (
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Report(Pages):
     """An estimate, told.
 

@@ -27,7 +27,7 @@ REPORT_OF_ROBOT = "jointid.robot_report/1"
 _BEYOND = 1.2  # times the cut-off frequency, up to which the spectra of filtered signals are drawn
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class RobotReport(Pages):
     """A robot's estimate, told.
 
