@@ -391,7 +391,7 @@ class SearchOfSprings:
         for other, hertz in placed.items():
             w = 2.0 * math.pi * hertz
             rotors[other] = numbers.rotors[other]
-            springs[other] = start.links[other] * w * np.array([w, 2.0 * _DAMPING])
+            springs[other, :2] = start.links[other] * w * np.array([w, 2.0 * _DAMPING])
         run = run_drive_side(problem.prescribed, replace(numbers, rotors=rotors, springs=springs))
         asked = range(rotors.size) if joints is None else joints
         if run.outcome is not RobotOutcome.FINISHED:
