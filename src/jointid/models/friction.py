@@ -42,14 +42,6 @@ _KNOTS = (
     (0.0, 1.0), (0.148, 0.9822), (0.338, 0.8961), (0.575, 0.7206), (0.982, 0.3774), (1.247, 0.207), (1.514, 0.0973),
     (1.836, 0.0308), (2.375, 0.0),
 )  # fmt: skip
-
-
-def low_speed_share(ratio: FloatArray) -> FloatArray:
-    """Return ``exp(-x^2)`` by its straight lines, at speeds over that of Stribeck's law, of any shape."""
-    at, share = np.array(_KNOTS).T
-    return np.asarray(np.interp(np.abs(ratio), at, share))
-
-
 _SLOWEST = 1e-12  # of a Stribeck speed, in the joint's unit
 _SPEEDS = (0.02, 0.08)  # of the largest speed: where a search for a Stribeck speed begins
 _CHANGE = 0.3  # of the Coulomb friction: what a change of it towards standstill begins with
@@ -58,6 +50,12 @@ _DISTANCES = (3e-4, 3e-3)  # of the travel: where a search for that begins
 _MOST = 0.9  # of the torque through the spring: a friction that grows by all of it lets nothing through
 _LOSS = 0.03  # of the torque through the spring: where a search for a friction that grows with it begins
 _WARMED = 0.2  # of the friction, lost at the end: where a search for a change with time begins
+
+
+def low_speed_share(ratio: FloatArray) -> FloatArray:
+    """Return ``exp(-x^2)`` by its straight lines, at speeds over that of Stribeck's law, of any shape."""
+    at, share = np.array(_KNOTS).T
+    return np.asarray(np.interp(np.abs(ratio), at, share))
 
 
 @dataclass(frozen=True, slots=True)

@@ -269,6 +269,7 @@ def identify_flexible_drive_side(
         MethodError: as of `identify_flexible_robot`.
     """
     require_springs(robot, frequencies)
+    robot.require_lines("The drive side of a robot takes")
     stiff = replace(robot, joints=tuple(replace(joint, spring=None) for joint in robot.joints))
     parameters = robot_parameters(robot, offsets=offsets, logarithmic=True)
     problem = drive_side_problem(robot, records, parameters, filtering, delay)

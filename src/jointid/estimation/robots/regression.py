@@ -166,7 +166,6 @@ def motion_of_robot(
 
 def base_rows(robot: Robot, base: BaseParameters, motion: RobotMotion) -> Rows:
     """Return the regression of the base parameters, then of the numbers of the motors' friction."""
-    robot.require_lines("IDIM of a robot takes")
     links = inverse_columns(robot, motion.q, motion.v, motion.a)[:, :, base.chosen]
     W = motion.thinned(np.concatenate([links, friction_columns(robot, motion.v)], axis=2))
     names = (*base.symbols, *(term.symbol for term in friction_terms(robot)))

@@ -318,19 +318,19 @@ class Robot:
         return tuple(joint.spring is not None for joint in self.joints)
 
     def require_lines(self, taker: str) -> None:
-        """Raise a `MethodError` if a law is smooth, or a spring is in pieces.
+        """Raise a `MethodError` if a law is smooth, a spring is in pieces, or one has numbers beside those of lines.
 
         Args:
             taker: who takes laws for lines, as "IDIM of a robot takes".
         """
         for joint in self.joints:
-            laws = [law for law in (joint.law, joint.spring and joint.spring.law) if law]
-            for law in laws:
-                if law.stepped or not (isinstance(law, Friction) or law.linear):
-                    raise MethodError(
-                        f'{taker} friction and springs for lines; received the law "{law.name}" of {joint.name}: leave '
-                        "it out, or simulate the robot with it."
-                    )
+            sprung = joint.spring is not None and not joint.spring.law.linear
+            if sprung or joint.law.stepped or joint.numbers:
+                law = joint.spring.law if joint.spring is not None and sprung else joint.law
+                raise MethodError(
+                    f'{taker} friction and springs for lines; received the law "{law.name}" of {joint.name}: leave it '
+                    "out, or simulate the robot with it."
+                )
 
     def torque_unit(self, number: int) -> str:
         """Return the unit of a joint's torque: N m or N."""
