@@ -117,6 +117,7 @@ def _lost(robot: Robot) -> list[str]:
 
 def _simplify(robot: Robot) -> Robot:
     """Return a robot whose joints are rigid, with the friction of both sides, the same in both directions."""
+    robot.require_lines("An export of a robot takes")
 
     def simple(joint: RobotJoint) -> RobotJoint:
         coulomb, offset = joint.coulomb_both
