@@ -113,7 +113,7 @@ LIMIT = Fault(
 
 INJECTED = Fault("injected", "signal that is not declared")
 
-FAULTS = (OFFSET, INJECTED_GAIN, INJECTED, LIMIT)
+FAULTS = (OFFSET, INJECTED_GAIN, INJECTED)
 
 
 def find_steps(record: Record) -> Message | None:

@@ -6,6 +6,6 @@ from jointid.diagnostics.faults import cogging, forces, friction, loop_gain, num
 
 FAULTS = (
     *record.FAULTS, *loop_gain.FAULTS, *numbers.FAULTS, *other_laws.FAULTS, *forces.FAULTS, *friction.FAULTS,
-    *cogging.FAULTS, *springs.FAULTS,
+    *cogging.FAULTS, *springs.FAULTS, forces.LIMIT,
 )  # fmt: skip
 """To add a fault, write a `Fault` and name it in the `FAULTS` of its file."""
