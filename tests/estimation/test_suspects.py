@@ -29,6 +29,7 @@ from jointid.output.json import dumps, to_dict
 from jointid.paper.twin import twin
 from jointid.records.record import Record, Tap
 from jointid.uncertainty.position_dependent_error import cells
+from jointid.uncertainty.verdict import Reason
 from studies.healthy import drive
 from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
@@ -240,10 +241,34 @@ _TAKEN = " (p < 1e-6); correcting it changes Fv1 by -59.0 N s/m (3.1 sigma)"
             _check("presliding", 6.1, 1.0, shape=5e-3),
             "towards standstill, below some 0.0050 m/s, the friction is 6.10 +- 2.0 N smaller than Coulomb's",
         ),
+        (
+            _check("cubic_spring", 0.2, 0.02),
+            "the spring is not linear: 20.0 +- 4.0 % or more stiffer at the largest torque than near none",
+        ),
+        (
+            _check("second_mode", 0.3, 0.05, shape=45.0),
+            "a part of the load swings on a spring of its own, somewhere about 45 Hz",
+        ),
+        (
+            _check("changing_friction", 0.2, 0.02, shape=0.0),
+            "the Coulomb friction falls over the record, by 20.0 +- 4.0 %",
+        ),
     ],
 )
 def test_every_fault_is_told_in_a_sentence(check: LoopCheck, sentence: str) -> None:
     assert check.sentences == (sentence + _TAKEN,)
+
+
+@pytest.mark.parametrize(
+    ("name", "code"),
+    [
+        ("delay", Reason.LOOP_NOT_AS_DECLARED), ("backlash", Reason.SPRING_NOT_LINEAR),
+        ("cubic_spring", Reason.SPRING_NOT_LINEAR), ("second_mode", Reason.LOAD_NOT_RIGID),
+        ("cogging", Reason.FORCE_FOLLOWS_POSITION), ("winding_friction", Reason.FRICTION_NOT_AS_MODELLED),
+    ],
+)  # fmt: skip
+def test_every_fault_has_the_code_of_its_verdict(name: str, code: Reason) -> None:
+    assert _check(name, 0.2, 0.02, shape=0.1).reasons[0].code is code
 
 
 _CAUSES = "torque, reference, ratio or a gain is wrong by a "
