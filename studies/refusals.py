@@ -17,9 +17,10 @@ import numpy as np
 from jointid.common.messages import silent
 from jointid.common.text import aligned, number
 from jointid.estimation.methods.flexible import refined_least_squares
-from jointid.estimation.methods.flexible_search import frequency_of, on_band
+from jointid.estimation.methods.stiffness_search import on_band
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.stiffness_identifiability import visible
+from jointid.estimation.starts.flexible_joint import frequency_of
 from jointid.paper.twin import Twin, twin
 from jointid.records.signals.filtering import Filtering
 from jointid.uncertainty.position_dependent_error import uncertainty

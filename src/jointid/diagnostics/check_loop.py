@@ -63,8 +63,8 @@ from jointid.diagnostics.other_laws import (
 )
 from jointid.diagnostics.plain_causes import find_too_short
 from jointid.diagnostics.unmodelled_motion import PredictedResidual, predict_residual
+from jointid.estimation.descent import History, least_squares
 from jointid.estimation.methods.force_in_loop import find_force, simulate_with_force
-from jointid.estimation.methods.search import History, least_squares
 from jointid.estimation.problems.base import surrounding
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate

@@ -19,12 +19,12 @@ from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Message, Progress, silent
 from jointid.common.parameters import Parameter, adjusted
 from jointid.diagnostics.law_comparison import JudgedLaw, LawComparison, compare, judge, parts_of, percent
+from jointid.estimation.descent import History, Solved, free_more, least_squares
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.flexible import FlexibleDIDIM, stopping_tolerance
 from jointid.estimation.methods.registry import Task
-from jointid.estimation.methods.search import History, Solved, free_more, least_squares
-from jointid.estimation.methods.search_in_pieces import from_linear_laws
 from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.estimation.starts.nonlinear_laws import from_linear_laws
 from jointid.models.friction import FRICTIONS, Friction, SymmetricFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
 from jointid.records.checks import check_record
@@ -107,7 +107,7 @@ def compare_frictions(
     parts_of(torque_problem(record, plain, chosen, own), "frictions")  # before the search, which takes its time
     solved = _solved(settings, Task(record, simple, plain, own, chosen, progress), history)
     if settings.free:
-        solved = free_more(solved.problem, solved.solution.x, settings.free, tolerance, history)
+        solved = free_more(solved, settings.free, tolerance, history)
     parts = parts_of(solved.problem, "frictions")
     found: list[tuple[JudgedLaw, FloatArray | None]] = []
     lines: tuple[JudgedLaw, FloatArray] | None = None

@@ -29,7 +29,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.common.messages import silent
 from jointid.diagnostics.fault_signature import FaultSignature
-from jointid.estimation.methods.search import History, least_squares
+from jointid.estimation.descent import History, least_squares
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.friction import (
     PARTS,

@@ -28,7 +28,7 @@ from jointid.common.errors import JointidError
 from jointid.common.messages import silent
 from jointid.common.text import number
 from jointid.diagnostics.fault_signature import FaultSignature
-from jointid.estimation.methods.search import History, least_squares
+from jointid.estimation.descent import History, least_squares
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import PD, PID, Cascade, Controller, numbers_of, with_present_sample
 from jointid.models.controllers.servo_base import DiagramController

@@ -18,11 +18,11 @@ from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Message, Progress, silent
 from jointid.common.parameters import Parameter, adjusted
 from jointid.diagnostics.law_comparison import JudgedLaw, LawComparison, compare, judge, parts_of, percent
+from jointid.estimation.descent import History, Solved, free_more, least_squares
 from jointid.estimation.methods.flexible import FlexibleDIDIM, stopping_tolerance
 from jointid.estimation.methods.registry import Task
-from jointid.estimation.methods.search import History, Solved, free_more, least_squares
-from jointid.estimation.methods.search_in_pieces import from_linear_laws
 from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.estimation.starts.nonlinear_laws import from_linear_laws
 from jointid.models.joints import ClosedLoop, FlexibleJoint, of_whole
 from jointid.models.springs import SPRINGS, LinearSpring
 from jointid.records.checks import check_record
@@ -118,7 +118,7 @@ def compare_springs(
     parts_of(before, "springs")  # before the search, which takes its time
     solved, _ = settings.solve(Task(record, plain, linear, own, filtering or Filtering(), progress), history)
     if settings.free:
-        solved = free_more(solved.problem, solved.solution.x, settings.free, tolerance, history)
+        solved = free_more(solved, settings.free, tolerance, history)
     parts = parts_of(solved.problem, "springs")
     laws = sorted((law() for law in SPRINGS.values()), key=lambda law: len(law.parameters))
     found: list[tuple[JudgedLaw, FloatArray | None]] = []

@@ -27,9 +27,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.messages import Message, Progress, silent
-from jointid.estimation.methods.flexible_search import FASTEST, frequency_of
-from jointid.estimation.methods.search import History, least_squares
-from jointid.estimation.methods.search_in_pieces import with_linear_spring
+from jointid.estimation.descent import History, least_squares
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.build_estimate import find_lost
 from jointid.estimation.result.stiffness_bounds import (
@@ -41,6 +39,8 @@ from jointid.estimation.result.stiffness_bounds import (
     profile_modes,
     spring,
 )
+from jointid.estimation.starts.flexible_joint import FASTEST, frequency_of
+from jointid.estimation.starts.nonlinear_laws import with_linear_spring
 from jointid.models.joints import ClosedLoop, FlexibleJoint, of_whole, split_by_mode
 from jointid.simulation.closed_loop import in_threads
 from jointid.solvers.solve import Solution

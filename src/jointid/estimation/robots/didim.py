@@ -32,10 +32,10 @@ from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress
 from jointid.common.parameters import Bounds
-from jointid.estimation.methods.search import command_of, reconstructed_position
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
 from jointid.estimation.robots.problem import RobotLoopProblem, RobotProblem, Run, robot_problem
+from jointid.estimation.starts.inverse_controller import command_of, reconstructed_position
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Channel, Record, Timing

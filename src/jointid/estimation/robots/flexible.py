@@ -31,7 +31,7 @@ from jointid.estimation.robots.didim import RobotFit, identify_rigid_robot, join
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.problem import RobotProblem, robot_problem
 from jointid.estimation.robots.spring_search import CLOSE, FIRST, OFF, ROUGH, Aim, begin_search, least_error, search
-from jointid.estimation.robots.spring_start import STIFFEST, StartOfSprings, bound_springs, frequency_row
+from jointid.estimation.starts.robot_springs import STIFFEST, StartOfSprings, bound_springs, frequency_row
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering

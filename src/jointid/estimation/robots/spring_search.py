@@ -17,7 +17,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.messages import Progress
 from jointid.estimation.robots.didim import RobotFit, conclude, joint_sizes
 from jointid.estimation.robots.problem import RobotProblem
-from jointid.estimation.robots.spring_start import Start, StartOfSprings
+from jointid.estimation.starts.robot_springs import Start, StartOfSprings
 from jointid.simulation.robots import RobotOutcome
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Counted, Solution, Step, solve
