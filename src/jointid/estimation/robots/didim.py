@@ -152,18 +152,14 @@ def fixed_point(
     settled: float = SETTLED,
 ) -> RobotFit:
     """Return where steps by the regressor of the simulated motion lead to, from a start that could be simulated."""
-    bounds, size = (
-        Bounds.of(problem.free),
-        np.linalg.norm(problem.by_joint(problem.decimated(problem.measured)), axis=1),
-    )
-    floor = _EXACT * np.max(size)
+    bounds, size, floor = Bounds.of(problem.free), problem.sizes, problem.floor
     arrived, made = False, 0
     for number in range(iterations):
         error, W = problem.error(run), problem.regressor(run)
         step, std, left = _step(problem, W, error)
         problem = problem.weighted(joint_sizes(problem, left, x.size, floor))
         step, std, left = _step(problem, W, error)
-        share = np.linalg.norm(problem.by_joint(error), axis=1) / size
+        share = problem.norms(error) / size
         progress(f"iteration {number}: torque error {100 * float(np.max(share)):.4f} % on the worst joint")
         after = bounds.clip(x + step)
         arrived = bool(np.all(np.abs(after - x) <= settled * std))
@@ -171,7 +167,7 @@ def fixed_point(
         x, run = _moved(problem, x, after, run)
         if arrived:
             break
-    return conclude(problem, x, run, problem.slopes(run, x), problem.regressor(run), made, arrived, floor)
+    return conclude(problem, x, run, problem.slopes(run, x), problem.regressor(run), made, arrived)
 
 
 def conclude(
@@ -182,26 +178,24 @@ def conclude(
     Z: FloatArray,
     made: int,
     settled: bool,
-    floor: float,
 ) -> RobotFit:
     """Return the fit at an end, with the covariance of instruments Z, (rows, free), beside slopes J; both not weighted.
 
     Of least squares the instruments are the slopes.
     """
     error = problem.error(run)
-    problem = problem.weighted(joint_sizes(problem, error, x.size, floor))
+    problem = problem.weighted(joint_sizes(problem, error, x.size, problem.floor))
     weights = problem.weights(error.size)
     covariance = robust(
         Z * weights[:, np.newaxis], J * weights[:, np.newaxis], error * weights, equations=problem.sigma.size
     )
     of_values = np.where(problem.parameters.logarithmic, problem.parameters.values(x), 1.0)
-    size = np.linalg.norm(problem.by_joint(problem.decimated(problem.measured)), axis=1)
     return RobotFit(
         problem.parameters,
         problem.parameters.values(x),
         replace(covariance, std=covariance.std * of_values),
         problem.sigma,
-        np.linalg.norm(problem.by_joint(error), axis=1) / size,
+        problem.norms(error) / problem.sizes,
         made,
         settled,
         run,

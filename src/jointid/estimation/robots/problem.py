@@ -40,6 +40,7 @@ Run = TypeVar("Run", RobotRun, RobotDriveSideRun)
 """Of one candidate, by whatever simulates it."""
 
 _FEWEST = 16  # parameters whose derivatives are worth a thread
+_EXACT = 1e-6  # of the torques: an error that the simulation itself may have
 _FAILED = 1e3  # times the measured torques: the error of a candidate that cannot be simulated
 
 
@@ -144,6 +145,20 @@ class RobotProblem(ABC, Generic[Run]):
         """Return rows as (n, instants)."""
         return rows.reshape(self.sigma.size, -1)
 
+    def norms(self, rows: FloatArray) -> FloatArray:
+        """Return the norms of the joints' rows, (n,)."""
+        return np.asarray(np.linalg.norm(self.by_joint(rows), axis=1))
+
+    @property
+    def sizes(self) -> FloatArray:
+        """Norms of the joints' filtered torques, (n,)."""
+        return self.norms(self.decimated(self.measured))
+
+    @property
+    def floor(self) -> float:
+        """Norm of an error that the simulation itself may have: no joint's is taken for smaller."""
+        return _EXACT * float(np.max(self.sizes))
+
     def weights(self, rows: int) -> FloatArray:
         """Return one over the size of each row's error, (rows,)."""
         return np.repeat(1.0 / self.sigma, rows // self.sigma.size)
@@ -158,17 +173,13 @@ class RobotProblem(ABC, Generic[Run]):
 
     def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the weighted residual, (rows,), and its derivatives, (rows, free); 0 of what cannot be simulated."""
-        return self.linearised_run(x)[1:]
-
-    def linearised_run(self, x: FloatArray) -> tuple[Run, FloatArray, FloatArray]:
-        """Return the run that `linearised` makes, and what that returns."""
         run = self.run(x)
         if run.outcome is not RobotOutcome.FINISHED:
             error = self._failed()
-            return run, error, np.zeros((error.size, x.size))
+            return error, np.zeros((error.size, x.size))
         error = self.error(run)
         weights = self.weights(error.size)
-        return run, error * weights, -self.slopes(run, x) * weights[:, np.newaxis]
+        return error * weights, -self.slopes(run, x) * weights[:, np.newaxis]
 
     def _failed(self) -> FloatArray:
         seen = self.decimated(self.measured)
