@@ -25,7 +25,7 @@ from jointid.common.settings import documented, setting
 from jointid.estimation.descent import History, Solved, free_more, least_squares
 from jointid.estimation.methods.force_in_loop import widened_for_force
 from jointid.estimation.methods.registry import SURROUNDINGS, Method, Task
-from jointid.estimation.methods.stiffness_search import search_by_simplex, search_stiffness
+from jointid.estimation.methods.stiffness_search import StiffnessSearch, search_by_simplex
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
 from jointid.estimation.result.build_estimate import build_closed_loop_estimate
@@ -166,7 +166,8 @@ class FlexibleDIDIM(Method):
             return search_by_simplex(problem, task, self.frequency, self.rigid_cutoff, solver, history)
         linear = with_linear_laws(problem)
         own = replace(task, loop=linear.loop, joint=linear.joint)
-        solved, simulations = search_stiffness(linear, own, self.frequency, self.rigid_cutoff, tolerance, history)
+        search = StiffnessSearch(linear, own, self.frequency, self.rigid_cutoff, tolerance, history)
+        solved, simulations = search.search()
         if linear is not problem:
             solved = from_linear_laws(problem, solved, tolerance, history)
         return solved, simulations

@@ -16,8 +16,8 @@ Nelder-Mead begins as the paper does, by halves (13) at a known frequency.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,7 +42,6 @@ from jointid.estimation.starts.flexible_joint import (
 )
 from jointid.estimation.starts.rigid_joint import regular_start
 from jointid.models.joints import ClosedLoop, FlexibleJoint
-from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import in_threads
 from jointid.solvers.nelder_mead import NelderMead, sizes_of
@@ -68,100 +67,129 @@ _REST = 1e-4  # of the torque: what remains of a record without noise, and is no
 _MODES = 2.0  # the cut-off is that many free-free frequencies, or more
 
 
-def search_stiffness(
-    problem: ClosedLoopProblem,
-    task: Task,
-    frequency: float | None,
-    cutoff: float | None,
-    tolerance: float,
-    history: History,
-) -> tuple[Solved, int]:
-    """Search by least squares; return the end, and the number of simulations of rigid joints.
+@dataclass(frozen=True, slots=True, eq=False)
+class StiffnessSearch:
+    """The search by least squares, see the module.
 
     Where no filter's cut-off is asked for, it follows the mode: the exploration sees the whole band of the log, a rough
     descent twice the frequency it starts from; the last descent is on the band of the mode that was found.
 
-    Args:
-        problem: of a joint with linear laws.
-        task: that it is a part of.
+    Attributes:
+        problem: of a joint with linear laws. task: that it is a part of.
         frequency: free-free, Hz; a grid is tried when None.
         cutoff: of the rough rigid joint, Hz; chosen when None.
         tolerance: of the parameters and the criterion.
         history: of the search.
-
-    Raises:
-        MethodError: the loop cannot be simulated at any start, or no joint explains the torque.
     """
-    assert task.loop is not None
-    filtering, wide = task.filtering, _on_band_of(problem, task.filtering, math.inf)
 
-    def refine(candidates: Sequence[Candidate]) -> Solved:
-        return _refine(problem, filtering, candidates, tolerance, history)
+    problem: ClosedLoopProblem
+    task: Task
+    frequency: float | None
+    cutoff: float | None
+    tolerance: float
+    history: History
 
-    def search_from(rigid: Estimate) -> Solved:
-        found = refine(explore(wide, rigid.values, frequency, history))
-        return _or_moving(found, rigid, least_squares(found.problem, tolerance), history)
+    def search(self) -> tuple[Solved, int]:
+        """Return the end, and the number of simulations of rigid joints.
 
-    try:
-        rigid = rough_rigid_joint(task.record, task.loop, cutoff, history.progress)
-    except MethodError as error:
-        # A mode inside the loop's bandwidth makes the joint look like no rigid one at any frequency.
-        history.progress(f"without a rigid joint to begin with: {error}")
-        return _search_without_rigid_joint(wide, task, frequency, refine, history), 0
-    try:
-        solved = search_from(rigid)
-    except MethodError as error:
-        if frequency is not None:
-            raise
-        history.progress(f"with other inertias than that joint's: {error}")
-        solved = refine(explore_widely(wide, rigid.values, history))
-    assert rigid.settings.filtering.cutoff is not None
-    edge, simulations = rigid.settings.filtering.cutoff, rigid.fit.simulations
-    for lower in () if cutoff else _LOWER_AGAIN:
-        left = history.counted(solved.problem).residual(solved.x)
-        if np.linalg.norm(left) <= _NOTHING * solved.problem.size:
-            break
-        # A mode near the cut-off of the rigid start makes it a poor one, and all that is explored from it.
-        history.progress("the search ended where the model explains little; beginning again, below a lower frequency")
+        Raises:
+            MethodError: the loop cannot be simulated at any start, or no joint explains the torque.
+        """
+        tell = self.history.progress
         try:
-            rigid = rough_rigid_joint(task.record, task.loop, edge / lower, history.progress)
-        except MethodError as error:  # a short record shows too little there
-            history.progress(f"not below {edge / lower:.3g} Hz: {error}")
+            rigid = rough_rigid_joint(self.task, self.cutoff, tell)
+        except MethodError as error:
+            # A mode inside the loop's bandwidth makes the joint look like no rigid one at any frequency.
+            tell(f"without a rigid joint to begin with: {error}")
+            return self._without_rigid_joint(), 0
+        try:
+            solved = self._from_rigid_joint(rigid)
+        except MethodError as error:
+            if self.frequency is not None:
+                raise
+            tell(f"with other inertias than that joint's: {error}")
+            solved = self._refine(explore_widely(self._on_band(math.inf), rigid.values, self.history))
+        assert rigid.settings.filtering.cutoff is not None
+        edge, simulations = rigid.settings.filtering.cutoff, rigid.fit.simulations
+        for lower in () if self.cutoff else _LOWER_AGAIN:
+            left = self.history.counted(solved.problem).residual(solved.x)
+            if np.linalg.norm(left) <= _NOTHING * solved.problem.size:
+                break
+            # A mode near the cut-off of the rigid start makes it a poor one, and all that is explored from it.
+            tell("the search ended where the model explains little; beginning again, below a lower frequency")
+            try:
+                rigid = rough_rigid_joint(self.task, edge / lower, tell)
+            except MethodError as error:  # a short record shows too little there
+                tell(f"not below {edge / lower:.3g} Hz: {error}")
+                break
+            simulations += rigid.fit.simulations
+            solved = self._from_rigid_joint(rigid)
+        return solved, simulations
+
+    def _from_rigid_joint(self, rigid: Estimate) -> Solved:
+        found = self._refine(explore(self._on_band(math.inf), rigid.values, self.frequency, self.history))
+        return _or_moving(found, rigid, least_squares(found.problem, self.tolerance), self.history)
+
+    def _without_rigid_joint(self) -> Solved:
+        """Search from antiresonances; from the joint that would follow its reference if that fails.
+
+        Where noise moves the axis as much as its reference does, what the controller must have seen tells no joint at
+        all.
+        """
+        wide, history = self._on_band(math.inf), self.history
+        try:
+            return self._refine(explore(wide, None, self.frequency, history))
+        except MethodError as error:
+            history.progress(f"with the joint that would follow its reference to begin with: {error}")
+        filtering = Filtering(cutoff=RIGID_CUTOFF / self.problem.sample_time)
+        loop = _rigid_loop(self.task)
+        follows = regular_start(torque_problem(self.task.record, loop, filtering, loop.joint.parameters)).values
+        try:
+            solved = self._refine(explore(wide, follows, self.frequency, history))
+        except MethodError:
+            solved = self._refine(explore_widely(wide, follows, history))
+        if solved.norm > _NOTHING * solved.problem.size:
+            raise MethodError(
+                "No joint, rigid or flexible, explains half of this torque; check the sign and the unit of torque and "
+                "reference, and the controller's gains and delay."
+            )
+        return solved
+
+    def _refine(self, candidates: Sequence[Candidate]) -> Solved:
+        """Descend from candidates until two ends agree, look beside the best, and go on to the full tolerance."""
+        wide, rough, history = self._on_band(math.inf), roughly(self.problem), self.history
+        ends, together = list[tuple[float, float, FloatArray]](), 0
+        for candidate in candidates[:_REFINED]:
+            on = self._on_band(candidate.frequency)
+            x = history.solve(on, rough, on.vector(candidate.values)).x
+            history.tally.evaluations += 1
+            ends.append((float(np.linalg.norm(wide.residual(x))), frequency_of(on.values(x)), x))
+            cost, mode, x = min(ends, key=lambda end: end[0])
+            together = sum(_agree((c, f), (cost, mode), wide.size) for c, f, _ in ends)
+            if together > 1:
+                break
+        on, tried = self._on_band(mode), len(ends)
+        divided = divide_coulomb_friction(on, x, history) if together > 1 else None
+        if divided is not None:
+            x, together = divided, 1
+        found = history.solve(on, rough if together < 2 else least_squares(on, self.tolerance), x)
+        # An end that no second start leads to is refused, as is a mode too fast for the log: neither is worth a step.
+        followed = frequency_of(found.values) <= FASTEST / on.experiment.sample_time
+        for _ in range(_BESIDE if together < 2 and followed else 0):
+            beside, tried = _from_beside(found, history), tried + 1
+            left, other = found.norm, float(np.linalg.norm(beside.residual))
+            if other < (1 - _BETTER) * left - _REST * on.size:  # the way back led further down
+                found = history.solve(on, rough, beside.x)
+                continue
+            if _agree((other, frequency_of(on.values(beside.x))), (left, frequency_of(found.values)), on.size):
+                found, together = history.finish(found, self.tolerance), 2
             break
-        simulations += rigid.fit.simulations
-        solved = search_from(rigid)
-    return solved, simulations
+        message = f"{found.solution.message}; {together} of {tried} starts led there"
+        return found._replace(solution=replace(found.solution, message=message, starts=(together, tried)))
 
-
-def _search_without_rigid_joint(
-    wide: ClosedLoopProblem,
-    task: Task,
-    frequency: float | None,
-    refine: Callable[[Sequence[Candidate]], Solved],
-    history: History,
-) -> Solved:
-    """Search from antiresonances; from the joint that would follow its reference if that fails.
-
-    Where noise moves the axis as much as its reference does, what the controller must have seen tells no joint at all.
-    """
-    try:
-        return refine(explore(wide, None, frequency, history))
-    except MethodError as error:
-        history.progress(f"with the joint that would follow its reference to begin with: {error}")
-    assert task.record.torque is not None and task.loop is not None and isinstance(task.loop.joint, FlexibleJoint)
-    joint, filtering = task.loop.joint.rigid, Filtering(cutoff=RIGID_CUTOFF / task.record.torque.sample_time)
-    rigid = torque_problem(task.record, ClosedLoop(joint, task.loop.controller), filtering, joint.parameters)
-    follows = regular_start(rigid).values
-    try:
-        solved = refine(explore(wide, follows, frequency, history))
-    except MethodError:
-        solved = refine(explore_widely(wide, follows, history))
-    if solved.norm > _NOTHING * solved.problem.size:
-        raise MethodError(
-            "No joint, rigid or flexible, explains half of this torque; check the sign and the unit of torque and "
-            "reference, and the controller's gains and delay."
-        )
-    return solved
+    def _on_band(self, mode: float) -> ClosedLoopProblem:
+        """Return the problem on the cut-off that is asked for, or on one for a mode at that frequency."""
+        return self.problem if self.task.filtering.cutoff else on_band(self.problem, self.task.filtering, mode)
 
 
 def search_by_simplex(
@@ -172,12 +200,11 @@ def search_by_simplex(
     solver: NelderMead,
     history: History,
 ) -> tuple[Solved, int]:
-    """Search as the paper does, by a simplex from (13) at its frequency; see `search_stiffness`.
+    """Search as the paper does, by a simplex from (13) at its frequency; see `StiffnessSearch`.
 
     Where that loop is unstable, or no frequency is given, it begins at the best of the grid.
     """
-    assert task.loop is not None
-    rigid = rough_rigid_joint(task.record, task.loop, cutoff, history.progress)
+    rigid = rough_rigid_joint(task, cutoff, history.progress)
     start = None
     if frequency is not None:
         start = problem.vector(start_with_mode(problem, rigid.values, frequency, 0.5))
@@ -191,25 +218,21 @@ def search_by_simplex(
     return found, rigid.fit.simulations
 
 
-def rough_rigid_joint(record: Record, loop: ClosedLoop, cutoff: float | None, progress: Progress) -> Estimate:
+def rough_rigid_joint(task: Task, cutoff: float | None, progress: Progress) -> Estimate:
     """Return a rough identification of a flexible joint as rigid, below its resonance.
 
-    Args:
-        record: as for the flexible joint.
-        loop: of the flexible joint.
-        cutoff: Hz; where None, 0.5 % of the sampling frequency, or less for a loop that is slow for its log.
-        progress: is told.
+    Its cut-off, Hz, where None: 0.5 % of the sampling frequency, or less for a loop that is slow for its log.
     """
-    assert isinstance(loop.joint, FlexibleJoint)
-    record.require(loop.channels, "DIDIM")
+    record, rigid = task.record, _rigid_loop(task)
+    record.require(rigid.channels, "DIDIM")
     assert record.torque is not None
     sample_time = record.torque.sample_time
-    joint = loop.joint.rigid
-    rigid = ClosedLoop(joint, loop.controller)
 
     def identified(edge: float) -> Estimate:
         progress(f"identifying the joint as rigid, below {edge:.3g} Hz")
-        return _ROUGH.identify(Task(record, joint, rigid, joint.parameters, Filtering(cutoff=edge), progress))
+        return _ROUGH.identify(
+            Task(record, rigid.joint, rigid, rigid.joint.parameters, Filtering(cutoff=edge), progress)
+        )
 
     least = _SWINGS / (record.torque.values.size * sample_time)
     edge = cutoff or max(RIGID_CUTOFF / sample_time, least)
@@ -222,12 +245,18 @@ def rough_rigid_joint(record: Record, loop: ClosedLoop, cutoff: float | None, pr
             progress(f"not below {edge:.3g} Hz: {error}")
             edge /= lower
     found = found or identified(edge)
-    law = loop.controller.law(sample_time)
+    law = rigid.controller.law(sample_time)
     slow = max(_RIGID_BELOW * crossover(law, found.values["inertia"]), least)
     if cutoff is None and slow < 0.7 * edge:
         first, found = found, identified(slow)
         found = found.amended(fit={"simulations": first.fit.simulations + found.fit.simulations})
     return found
+
+
+def _rigid_loop(task: Task) -> ClosedLoop:
+    """Return the loop of a task with its joint taken for rigid."""
+    assert task.loop is not None and isinstance(task.loop.joint, FlexibleJoint)
+    return replace(task.loop, joint=task.loop.joint.rigid)
 
 
 def on_band(problem: ClosedLoopProblem, filtering: Filtering, mode: float) -> ClosedLoopProblem:
@@ -242,50 +271,6 @@ def on_band(problem: ClosedLoopProblem, filtering: Filtering, mode: float) -> Cl
     assert default is not None
     cutoff = min(max(default, _MODES * mode), _WIDE / sample_time)
     return replace(problem, filtering=replace(filtering, cutoff=cutoff).resolved(sample_time, "flexible"))
-
-
-def _on_band_of(problem: ClosedLoopProblem, filtering: Filtering, mode: float) -> ClosedLoopProblem:
-    """Return the problem on the cut-off that is asked for, or on one for a mode at that frequency."""
-    return problem if filtering.cutoff else on_band(problem, filtering, mode)
-
-
-def _refine(
-    problem: ClosedLoopProblem,
-    filtering: Filtering,
-    candidates: Sequence[Candidate],
-    tolerance: float,
-    history: History,
-) -> Solved:
-    """Descend from candidates until two ends agree, look beside the best one, and go on to the full tolerance."""
-    wide, rough = _on_band_of(problem, filtering, math.inf), roughly(problem)
-    ends, together = list[tuple[float, float, FloatArray]](), 0
-    for candidate in candidates[:_REFINED]:
-        on = _on_band_of(problem, filtering, candidate.frequency)
-        x = history.solve(on, rough, on.vector(candidate.values)).x
-        history.tally.evaluations += 1
-        ends.append((float(np.linalg.norm(wide.residual(x))), frequency_of(problem.values(x)), x))
-        cost, mode, x = min(ends, key=lambda end: end[0])
-        together = sum(_agree((c, f), (cost, mode), wide.size) for c, f, _ in ends)
-        if together > 1:
-            break
-    on, tried = _on_band_of(problem, filtering, mode), len(ends)
-    divided = divide_coulomb_friction(on, x, history) if together > 1 else None
-    if divided is not None:
-        x, together = divided, 1
-    found = history.solve(on, rough, x) if together < 2 else history.solve(on, least_squares(on, tolerance), x)
-    # An end that no second start leads to is refused, as is a mode too fast for the log: neither is worth another step.
-    followed = frequency_of(found.values) <= FASTEST / on.experiment.sample_time
-    for _ in range(_BESIDE if together < 2 and followed else 0):
-        beside, tried = _from_beside(found, history), tried + 1
-        left, other = found.norm, float(np.linalg.norm(beside.residual))
-        if other < (1 - _BETTER) * left - _REST * on.size:  # the way back led further down
-            found = history.solve(on, rough, beside.x)
-            continue
-        if _agree((other, frequency_of(on.values(beside.x))), (left, frequency_of(found.values)), on.size):
-            found, together = history.finish(found, tolerance), 2
-        break
-    message = f"{found.solution.message}; {together} of {tried} starts led there"
-    return found._replace(solution=replace(found.solution, message=message)).with_starts((together, tried))
 
 
 def _agree(end: tuple[float, float], best: tuple[float, float], size: float) -> bool:
