@@ -16,7 +16,7 @@ import numpy as np
 
 from jointid.common.messages import silent
 from jointid.common.text import aligned, number
-from jointid.estimation.methods.flexible import refined_least_squares
+from jointid.estimation.descent import descend
 from jointid.estimation.methods.stiffness_search import on_band
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.stiffness_identifiability import visible
@@ -134,7 +134,8 @@ def judge(seed: int, factor: float, noise: Noise) -> StiffnessRun:
     at, truth = names.index("stiffness"), problem.vector({**axis.truth, "initial_position": 0.0})
     error, J = problem.linearised(truth)
     predicted = uncertainty(J, J, error, problem.cells(problem.simulate(truth)), names).robust.std[at] / truth[at]
-    x, J = refined_least_squares(problem, truth, _EXACTLY)
+    end = descend(problem, truth, _EXACTLY)
+    x, J = end.x, -end.jacobian
     known = uncertainty(J, J, problem.residual(x), problem.cells(problem.simulate(x)), names)
     spring = visible(problem, x, J, known, (2, 2), silent, (_SHARE,))
     value, std = (float(x[at]), float(known.covariance.std[at])) if spring.shown else (None, None)

@@ -63,7 +63,7 @@ from jointid.diagnostics.other_laws import (
 )
 from jointid.diagnostics.plain_causes import find_too_short
 from jointid.diagnostics.unmodelled_motion import PredictedResidual, predict_residual
-from jointid.estimation.descent import History, least_squares
+from jointid.estimation.descent import descend
 from jointid.estimation.methods.force_in_loop import find_force, simulate_with_force
 from jointid.estimation.problems.base import surrounding
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
@@ -307,7 +307,7 @@ def _find(
         if told is None and (not found.tests or found.tests[0].p_value > settings.level):
             break
         if not findings:  # a rigid joint's DIDIM ends near the least squares, not on them
-            state = replace(state, x=_solve(problem, state.x))
+            state = replace(state, x=descend(problem, state.x, _TOLERANCE).x)
         if told is not None:
             first_law = first_law or told
             alike = [one for one in laws if one is not told and one.possible and one.as_likely([told])]
@@ -321,10 +321,10 @@ def _find(
         state = after
     open_ones: list[Finding] = []
     if possible := [one for one in others if one.possible and one.test.name == PRESENT_SAMPLE]:
-        solved = state if findings else replace(state, x=_solve(problem, state.x))
+        solved = state if findings else replace(state, x=descend(problem, state.x, _TOLERANCE).x)
         open_ones += [_find_other_law(solved, one, found, settings.level, known) for one in possible]
     if first is not None and (rates := _list_rates_left_open(faster, first, findings, first_law)):
-        solved = replace(beginning, x=_solve(problem, beginning.x))
+        solved = replace(beginning, x=descend(problem, beginning.x, _TOLERANCE).x)
         open_ones += [_find_other_law(solved, one, first, settings.level, known) for one in rates]
     moving = [one for one in open_ones if any(map(_is_out, one.changes.values()))]
     undecided = max(moving, key=_size_of_change, default=None)
@@ -617,14 +617,14 @@ def _accept_fault(state: _State, found: _TestResults) -> _State:
     if suspect.name in MECHANICS and (end := solve_with_fault(problem, state.x, suspect.name)):
         problem = replace(problem, measured=problem.measured - end.change)
         corrected = (*state.corrected, signature)
-        return _State(problem, _solve(problem, state.x), corrected, named, end.values)
+        return _State(problem, descend(problem, state.x, _TOLERANCE).x, corrected, named, end.values)
     if signature.raw is not None:
         problem = replace(problem, measured=problem.measured - suspect.size * signature.raw)
-        return _State(problem, _solve(problem, state.x), (*state.corrected, signature), named)
+        return _State(problem, descend(problem, state.x, _TOLERANCE).x, (*state.corrected, signature), named)
     wider, start = _free_parameter(problem, suspect)
     held = _State(problem, state.x, (*state.corrected, signature), named)
     try:
-        x = _solve(wider, wider.vector(problem.values(state.x) | {suspect.name: start}))
+        x = descend(wider, wider.vector(problem.values(state.x) | {suspect.name: start}), _TOLERANCE).x
         wider.linearised(x)
     except MethodError:  # the number goes to where its part of the law vanishes
         return held
@@ -634,11 +634,6 @@ def _accept_fault(state: _State, found: _TestResults) -> _State:
         # A bound or another fault prevents the fit: the test stands, the joint stays as it is.
         return held
     return _State(wider, x, state.corrected, named)
-
-
-def _solve(problem: ClosedLoopProblem, start: FloatArray) -> FloatArray:
-    """Return the least-squares parameters near a start."""
-    return History(silent).solve(problem, least_squares(problem, _TOLERANCE), start).solution.x
 
 
 def _free_parameter(problem: ClosedLoopProblem, suspect: FaultTest) -> tuple[ClosedLoopProblem, float]:

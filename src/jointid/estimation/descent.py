@@ -128,6 +128,11 @@ class History:
         return number
 
 
+def descend(problem: ClosedLoopProblem, start: FloatArray, tolerance: float) -> Solution:
+    """Descend by least squares, neither traced nor counted."""
+    return solve(problem, least_squares(problem, tolerance), start)
+
+
 def least_squares(problem: ClosedLoopProblem, tolerance: float) -> TrustRegion:
     """Return the solver of a closed loop, in units of the torque and of the start."""
     return TrustRegion(tolerance, size=problem.size)

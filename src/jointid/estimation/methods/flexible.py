@@ -22,7 +22,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.parameters import ADDED, Parameter
 from jointid.common.settings import documented, setting
-from jointid.estimation.descent import History, Solved, free_more, least_squares
+from jointid.estimation.descent import History, Solved, free_more
 from jointid.estimation.methods.force_in_loop import widened_for_force
 from jointid.estimation.methods.registry import SURROUNDINGS, Method, Task
 from jointid.estimation.methods.stiffness_search import StiffnessSearch, search_by_simplex
@@ -35,7 +35,6 @@ from jointid.estimation.starts.nonlinear_laws import from_linear_laws, with_line
 from jointid.models.joints import ClosedLoop, FlexibleJoint, acts_on_whole
 from jointid.records.record import Record
 from jointid.solvers.nelder_mead import NelderMead
-from jointid.solvers.solve import solve
 from jointid.uncertainty.covariance import Covariance
 from jointid.uncertainty.identifiability import Combination, Kind, Known
 from jointid.uncertainty.position_dependent_error import uncertainty
@@ -257,11 +256,3 @@ def inverse_model_covariance(problem: ClosedLoopProblem, x: FloatArray, error: F
     inverse = np.linalg.inv((W / norms).T @ (W / norms))
     roots = np.sqrt(np.diag(inverse))
     return Covariance(np.sqrt(variance) * roots / norms, inverse / np.outer(roots, roots), 0)
-
-
-def refined_least_squares(
-    problem: ClosedLoopProblem, start: FloatArray, tolerance: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return the least-squares parameters near a start, and the sensitivities there, filtered (rows, parameters)."""
-    solution = solve(problem, least_squares(problem, tolerance), start)
-    return solution.x, -solution.jacobian

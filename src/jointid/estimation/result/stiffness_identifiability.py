@@ -26,8 +26,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.messages import Message, Progress, silent
-from jointid.estimation.descent import History, least_squares
+from jointid.common.messages import Message, Progress
+from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.build_estimate import find_lost
 from jointid.estimation.result.stiffness_bounds import (
@@ -234,7 +234,7 @@ def _fit_rigid(problem: ClosedLoopProblem, values: Mapping[str, float]) -> tuple
     rigid = replace(problem, loop=loop, parameters=(*joint.parameters, *surroundings))
     start = {p.name: values[p.name] for p in surroundings}
     start |= {p.name: of_whole(p, values) for p in joint.parameters}
-    return rigid, History(silent).solve(rigid, least_squares(rigid, 1e-8), rigid.vector(start)).solution
+    return rigid, descend(rigid, rigid.vector(start), 1e-8)
 
 
 def _springs(problem: ClosedLoopProblem, rigid: Mapping[str, float], error: FloatArray) -> list[FloatArray]:

@@ -32,7 +32,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, no_choice
-from jointid.estimation.robots.didim import RobotFit, conclude, identify_rigid_robot, joint_sizes
+from jointid.estimation.robots.didim import RobotFit, conclude, identify_rigid_robot
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.problem import RobotProblem, robot_problem
 from jointid.estimation.starts.robot_springs import STIFFEST, StartOfSprings, bound_springs, frequency_row
@@ -198,7 +198,7 @@ def search_springs(
         MethodError: nothing can be simulated at the start, or a robot of rigid joints explains the torques better.
     """
     error = problem.error(rigid.run)
-    problem = problem.weighted(joint_sizes(problem, error, rigid.values.size, problem.floor))
+    problem = problem.reweighted(error, rigid.values.size)
     start = StartOfSprings.of(problem.roughly(), rigid, robot.names)
     hertz = look(start)
     problem = bound_springs(problem, start)
@@ -280,7 +280,7 @@ class _End:
     def reweighted(self) -> RobotProblem[Any]:
         """Return the problem with the sizes of the errors that are left."""
         error, slopes = self.linearised()
-        return self.problem.weighted(joint_sizes(self.problem, error, slopes.shape[1], self.problem.floor))
+        return self.problem.reweighted(error, slopes.shape[1])
 
     @property
     def norm(self) -> float:
