@@ -108,15 +108,10 @@ class History:
         *,
         alone: bool = False,
     ) -> int:
-        """Add a step to the trace and return its number.
+        """Add a step to the trace, with the norm of its residual, and return its number.
 
-        Args:
-            problem: the problem that is being solved.
-            x: (free,) the parameters after the step.
-            norm: of the residual there.
-            scales: what changes of the first parameters are measured against; those of the others do not count.
-            gain_scale: see `Iteration`.
-            alone: whether the change from the step before means nothing.
+        Changes of the first parameters are measured against the scales; those of the others do not count. A step that
+        stands `alone` has no change.
         """
         change = step = None
         if self.trace and not alone:

@@ -114,7 +114,8 @@ class DIDIM(Method):
         starts = rigid_starts(problem, self.start, task.progress)
         solved, how = self._search(problem, list(starts.values()), history)
         if problem is not declared:
-            solved = self._with_nonlinear_laws(declared, solved, history)
+            solved = history.finish(solved, self.tolerance)
+            solved = from_linear_laws(declared, solved, self.tolerance, history)
         if self.free:
             aside = history if problem is not declared else History(task.progress)  # which keeps the trace of the steps
             solved = free_more(solved, self.free, self.tolerance, aside)
@@ -221,17 +222,7 @@ class DIDIM(Method):
             raise MethodError(describe_unstable(problem, begun[0]))
         return begun
 
-    def _with_nonlinear_laws(self, declared: ClosedLoopProblem, solved: Solved, history: History) -> Solved:
-        return from_linear_laws(declared, history.finish(solved, self.tolerance), self.tolerance, history)
-
     def _steps(self, problem: ClosedLoopProblem, history: History) -> RegressorSteps:
         """Return the steps by the regressor that these settings ask for."""
-        return RegressorSteps(
-            self.form,
-            self.tolerance,
-            self.step_tolerance,
-            self.iterations,
-            self.scaled_iterations,
-            problem.size,
-            history,
-        )
+        tolerances = self.tolerance, self.step_tolerance
+        return RegressorSteps(self.form, *tolerances, self.iterations, self.scaled_iterations, problem.size, history)

@@ -139,16 +139,7 @@ def widened_for_force(
     history: History,
     taps: FloatArray = EVEN,
 ) -> Uncertainty:
-    """Return what is known of a least torque error, wide enough for the force in its loop (see the module).
-
-    Args:
-        known: without it.
-        problem: that was solved.
-        x: (free,) where.
-        J: (rows, free) the derivatives of the simulated torque there, filtered, and through the taps.
-        history: counts the simulations.
-        taps: of the filter that the rows of the criterion went through.
-    """
+    """Return an uncertainty widened for the force in the loop; arguments as of `uncertainty_of_least_error`."""
     found = allow_for_force(problem, x, J, known.covariance.std, history, taps)
     if found is None:
         return known
@@ -177,15 +168,9 @@ def allow_for_force(
     history: History,
     taps: FloatArray = EVEN,
 ) -> tuple[FloatArray, RandomForce] | None:
-    """Return where least squares would end if the force were simulated, and that force; None where that is no news.
+    """Return the end of least squares with the force simulated, and the force; None if the shift is insignificant.
 
-    Args:
-        problem: that was solved.
-        x: (free,) where.
-        J: (rows, free) the derivatives of the simulated torque there, filtered, and through the taps.
-        std: (free,) deviations without the force; a shift of less than a quarter of them does not matter.
-        history: counts the simulations.
-        taps: of the filter that the rows of the criterion went through.
+    A shift of less than a quarter of the deviations without the force, `std`, does not matter.
     """
     run, at = problem.simulate(x), x
     history.tally.evaluations += 1
@@ -216,20 +201,13 @@ def allow_for_force(
 def _find_large_force(
     problem: ClosedLoopProblem, x: FloatArray, run: Simulation, error: FloatArray
 ) -> RandomForce | None:
-    """Return what `find_force` does; None where it is too small to move a parameter, too."""
+    """Return the force that a residual shows, if it is large enough to move a parameter."""
     found = find_force(problem, x, run, error)
     return found if found is not None and found.rms > _LEAST * float(np.std(problem.measured)) else None
 
 
 def find_force(problem: ClosedLoopProblem, x: FloatArray, run: Simulation, error: FloatArray) -> RandomForce | None:
-    """Return the force that a residual shows; None where it shows none, or too little of the motion.
-
-    Args:
-        problem: that was solved.
-        x: (free,) parameters.
-        run: of the loop with them.
-        error: (samples,) the raw residual.
-    """
+    """Return the force that a raw residual, (samples,), shows; None if it shows none, or too little of the motion."""
     from scipy.optimize import nnls
 
     speed = np.abs(run.motor_velocity)

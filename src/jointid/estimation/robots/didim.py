@@ -10,11 +10,10 @@ identification of robot dynamics, IEEE Transactions on Control Systems Technolog
 does not reach W, which so acts as instruments for the derivatives J of the torques; the covariance is theirs, robust to
 autocorrelation (`uncertainty.covariance`), with J by variation.
 
-The search begins at what the inverse model finds on the motion that the controllers must have seen to put out the
-logged torques. Where one of them cannot be turned round, on the commanded motion. A start of regular inertias is not
-tried: M(q) of one may not be positive definite in a pose. The column of Coulomb friction is that of the direction of
-sliding, but of the velocity's sign where it is now 0 or less: a mass without it never rests, and a fixed point with a
-negative one would stay. Viscous and Coulomb friction are not let below 0.
+The search begins at what the inverse model finds on a motion that the records imply (`starts.rigid_robot`). The column
+of Coulomb friction is that of the direction of sliding, but of the velocity's sign where it is now 0 or less: a mass
+without it never rests, and a fixed point with a negative one would stay. Viscous and Coulomb friction are not let below
+0.
 
 Valid for rigid joints, or below about a fifth of the first resonance; the robot at rest at the first sample, or moving
 as its references do.

@@ -80,10 +80,7 @@ def _resample(motions: FloatArray, sample_time: float) -> tuple[FloatArray, floa
 def _solve_row(seen: FloatArray, step: float, band: float) -> Iterator[dict[str, float]]:
     """Yield the values that explain the torque best, by least squares and by instruments in turn.
 
-    Args:
-        seen: (samples, 3) motor position, reference and torque.
-        step: sample time, s.
-        band: of the motions, Hz.
+    The motions are (samples, 3) motor position, reference and torque, below a band in Hz.
     """
     ends = max(round(_ENDS / (band * step)), 2)
     inside, torque = slice(ends, -ends), seen[ends:-ends, 2]

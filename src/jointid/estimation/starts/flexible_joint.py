@@ -148,12 +148,9 @@ def start_with_mode(
 
 
 def pseudo_regular(rigid: Mapping[str, float], frequency: float, share: float = _HALF) -> dict[str, float]:
-    """Return the start (13): the rigid values divided between the sides, the spring from the frequency.
+    """Return the start (13): rigid values divided between the sides, the spring from the free-free frequency, Hz.
 
-    Args:
-        rigid: values of a rigid estimate of the joint.
-        frequency: free-free, Hz.
-        share: of the load in the inertia; the frictions are halved.
+    The load has a share of the inertia; the frictions are halved.
     """
     start = {}
     for name, value in rigid.items():

@@ -60,14 +60,7 @@ def _with_joint(problem: ClosedLoopProblem, joint: Joint) -> ClosedLoopProblem:
 
 
 def from_linear_laws(problem: ClosedLoopProblem, found: Solved, tolerance: float, history: History) -> Solved:
-    """Search for a joint with nonlinear laws from the end with linear ones.
-
-    Args:
-        problem: of that joint.
-        found: with linear laws, see `with_linear_laws`; or with a linear spring.
-        tolerance: of the parameters and the criterion.
-        history: of the search.
-    """
+    """Search for a joint with nonlinear laws from the end with linear ones, or with a linear spring."""
     joint, linear = problem.joint, found.problem
     surroundings = linear.parameters[len(linear.joint.parameters) :]  # the search may have let the motor begin moving
     own = problem.parameters[: len(joint.parameters)]
@@ -92,13 +85,9 @@ def from_linear_laws(problem: ClosedLoopProblem, found: Solved, tolerance: float
 
 
 def _starts(joint: Joint, found: Joint, values: Mapping[str, float], run: Simulation) -> Iterator[dict[str, float]]:
-    """Yield each start of the spring with each of the friction.
+    """Yield each start of the spring with each of the friction, where the joint that was found has lines.
 
-    Args:
-        joint: that is looked for.
-        found: one with lines in the place of some laws, or all; what it has of the others is kept.
-        values: its parameters.
-        run: of the loop with it.
+    The values are its parameters, and the run is of the loop with it.
     """
     springs: list[dict[str, float]] = [{}]
     if isinstance(joint, FlexibleJoint) and isinstance(found, FlexibleJoint) and joint.spring != found.spring:

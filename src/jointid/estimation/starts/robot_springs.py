@@ -187,15 +187,8 @@ def _split(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the parameters that move as the rigid robot does with stiff springs, and their rotors, (n,).
 
-    Least squares of what the rigid robot's parameters say, each as well as it is known, and of the wanted rotors.
-
-    Args:
-        parameters: of the flexible robot.
-        rigid: what was found of the rigid one.
-        numbers: of the flexible robot.
-        wanted: (n,) rotors.
-        spread: (n,) of these.
-        lightest: (n,) rotors that are not gone below.
+    Least squares of what the rigid robot's parameters say, each as well as it is known, and of the wanted rotors with
+    their spread, (n,) each; no rotor is lighter than the lightest.
     """
     rotors = wanted.copy()
     known = dict(zip(rigid.parameters.places, rigid.values, strict=True))
