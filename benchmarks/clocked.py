@@ -7,8 +7,7 @@ import time
 from collections import defaultdict
 from pathlib import Path
 
-from jointid.campaigns.cases import Case
-from jointid.campaigns.rows import Row
+from jointid.campaigns.cases import Case, Row
 from jointid.campaigns.run_case import run_case
 
 

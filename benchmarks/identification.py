@@ -20,8 +20,8 @@ from benchmarks.results import Rigid, Solver, spread
 from benchmarks.searching import Search, summed, timed
 from benchmarks.startup import HERE, emps
 from jointid.config import load
+from jointid.diagnostics.identify import identify
 from jointid.estimation.descent import least_squares as least_squares_of
-from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM, stopping_tolerance
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
@@ -118,7 +118,7 @@ def _verb(axis: Twin, best: float) -> Solver:
     runs = []
     for _ in range(_TIMES):
         begin = time.perf_counter()
-        estimate = identify(axis.record, axis.loop, filtering=FILTERING)
+        estimate = identify(axis.record, axis.loop, filtering=FILTERING, checks=False)
         runs.append((time.perf_counter() - begin, estimate.fit.simulations, estimate.fit.filtered_error))
     return summed("`identify`, which needs no start", runs, best, "with its exploration, intervals and verdicts")
 
@@ -136,6 +136,8 @@ def rigid(times: int = _RIGID_TIMES) -> Rigid | None:
     seconds = []
     for _ in range(times + 1):
         begin = time.perf_counter()
-        estimate = identify(record, file.loop, file.method, filtering=file.filtering, parameters=file.parameters)
+        estimate = identify(
+            record, file.loop, file.method, filtering=file.filtering, parameters=file.parameters, checks=False
+        )
         seconds.append(time.perf_counter() - begin)
     return Rigid(estimate.fit.measured.size, spread(seconds[1:]), estimate.fit.simulations, estimate.fit.filtered_error)

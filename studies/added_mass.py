@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from jointid.estimation.identify import identify
+from jointid.diagnostics.identify import identify
 from jointid.estimation.identify_several import SOLVER, by_itself, whitened
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.problems.base import INITIAL_STATE

@@ -28,7 +28,7 @@ from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.paper.twin import SAMPLE_TIME, twin
 from jointid.planning.design import plan_from_estimate
-from jointid.planning.limits import passed, reached
+from jointid.planning.limits import find_excess, find_maxima
 from jointid.simulation.loop_input import prepare
 from studies.seeds import judge_seeds
 
@@ -69,7 +69,7 @@ def propose(loop: LoopName, noise: NoiseName, goal: str, seconds: float) -> Prop
     """Return the test that is designed from the twin's first record."""
     axis = twin(loop, noise=noise)
     record = axis.record.without("motor_position", "load_position")
-    estimate = ji.identify(record, axis.loop, filtering=ji.Filtering(cutoff=60.0), loop_check=False)
+    estimate = ji.identify(record, axis.loop, filtering=ji.Filtering(cutoff=60.0), checks=False)
     known = ji.Noise(log=axis.noise) if noise == "white" else ji.Noise(force=axis.noise)
     design = plan_from_estimate(estimate, record, noise=known, goal=goal, seconds=seconds)
     assert design.present is not None
@@ -149,8 +149,8 @@ def judge(seed: int, loop: LoopName, noise: NoiseName, test: str, sha256: str) -
     )  # fmt: skip
     assert record.torque is not None
     run = ji.simulate(axis.loop, prepare(axis.loop, record), truth)
-    found = reached(run, reference, record.torque.values, SAMPLE_TIME)
-    over = max(passed(ji.AxisLimits(**asked.limits), found).values(), default=0.0)
+    found = find_maxima(run, reference, record.torque.values, SAMPLE_TIME)
+    over = max(find_excess(ji.AxisLimits(**asked.limits), found).values(), default=0.0)
     problem = torque_problem(record, axis.loop, ji.Filtering(cutoff=60.0), axis.loop.joint.parameters)
     problem = problem.keeping({"initial_velocity": 0.0})
     start = problem.vector({**truth, "initial_position": float(reference[0])})

@@ -1,7 +1,7 @@
 """Foretold intervals beside the scatter of estimates: does a planned test tell what was foretold of it?
 
 The paper's twin is run many times with new noise, each record identified by least squares from the truth, and the
-errors set against the deviations that `jointid.planning.foretell` says of the test beforehand.
+errors set against the deviations that `jointid.planning.predict` says of the test beforehand.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from jointid.common.arrays import FloatArray
 from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.paper.twin import SAMPLE_TIME, Twin, twin
-from jointid.planning.foretell import Foretold, Noise, foretell, planned_record
+from jointid.planning.predict import Noise, PredictedTest, planned_record, predict_test
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.synthesis import simulated_record
 
@@ -35,10 +35,10 @@ def _test(loop: Literal["L19", "L30"], noise: NoiseName) -> tuple[Twin, FloatArr
 
 
 @cache
-def _foretold(loop: Literal["L19", "L30"], noise: NoiseName, tap: str) -> Foretold:
+def _foretold(loop: Literal["L19", "L30"], noise: NoiseName, tap: str) -> PredictedTest:
     axis, reference, injected = _test(loop, noise)
     of = Noise(log=axis.noise) if noise == "white" else Noise(force=axis.noise)
-    return foretell(axis.loop, axis.truth, planned_record(axis.loop, reference, SAMPLE_TIME, injected, tap=tap), of)
+    return predict_test(axis.loop, axis.truth, planned_record(axis.loop, reference, SAMPLE_TIME, injected, tap=tap), of)
 
 
 def judge(seed: int, loop: Literal["L19", "L30"], noise: NoiseName, tap: str) -> dict[str, float]:

@@ -132,7 +132,7 @@ def judge(seed: int, factor: float, noise: Noise) -> StiffnessRun:
     problem = _problem(axis)
     names = [p.name for p in problem.free]
     at, truth = names.index("stiffness"), problem.vector({**axis.truth, "initial_position": 0.0})
-    error, J = problem.linearised(truth)
+    error, J = problem.linearise(truth)
     predicted = uncertainty(J, J, error, problem.cells(problem.simulate(truth)), names).robust.std[at] / truth[at]
     end = descend(problem, truth, _EXACTLY)
     x, J = end.x, -end.jacobian

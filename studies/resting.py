@@ -31,7 +31,7 @@ def judge(seed: int, moving: bool) -> RestingRun:
     """Identify a servo from either start; one that moves from the first alone."""
     case = servo(seed, moving)
     found = [
-        ji.identify(case.record, case.loop, ji.DIDIM("least-squares", start), loop_check=False)  # type: ignore[arg-type]
+        ji.identify(case.record, case.loop, ji.DIDIM("least-squares", start), checks=False)  # type: ignore[arg-type]
         for start in (STARTS[:1] if moving else STARTS)
     ]
     errors = [estimate.fit.filtered_error for estimate in found]

@@ -14,10 +14,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from jointid.campaigns.cases import Case, Simulated, canonical
+from jointid.campaigns.cases import Case, Outcome, Row, Simulated, canonical
 from jointid.campaigns.engines import LocalProcesses
 from jointid.campaigns.folder import read_results
-from jointid.campaigns.rows import Outcome, Row
 from jointid.campaigns.run import run_cases
 from jointid.campaigns.store import open_database
 

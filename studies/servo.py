@@ -27,7 +27,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import simulate_torque
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.loop_input import prepare
-from jointid.simulation.simulated import require_finished
+from jointid.simulation.simulated import require_success
 
 LOG = 2e-3
 """Seconds between the samples of the log, and between the commands."""
@@ -74,7 +74,7 @@ def servo_twin(*, residual: float = RESIDUAL, seed: int = 1) -> Twin:
         )
 
     driven = logged(np.zeros(reference.size))
-    clean = require_finished(simulate_torque(loop, prepare(loop, driven), TABLE_2)).torque
+    clean = require_success(simulate_torque(loop, prepare(loop, driven), TABLE_2)).torque
     white = np.random.default_rng(seed).standard_normal(reference.size)
     sd = residual * float(np.linalg.norm(_seen(clean)) / np.linalg.norm(_seen(white)))
     return Twin(logged(clean + sd * white), loop, dict(TABLE_2), sd)
@@ -93,7 +93,7 @@ def _foretold() -> FloatArray:
     """Return the deviations of the joint's parameters under the twin's white noise, and rounding, on the log."""
     axis = servo_twin()
     problem = _problem(axis)
-    J = problem.linearised(_truth(problem))[1]
+    J = problem.linearise(_truth(problem))[1]
     whole = float(np.hypot(axis.noise, RATED / 1000 / np.sqrt(12)))
     draws = np.random.default_rng(0).standard_normal((problem.measured.size, _DRAWS))
     answers = np.linalg.pinv(J) @ problem.filtered(whole * draws)
@@ -111,4 +111,4 @@ def _truth(problem: ClosedLoopProblem) -> FloatArray:
 
 
 def _seen(force: FloatArray) -> FloatArray:
-    return FILTERING.resolved(LOG, "flexible").decimate(force, LOG)
+    return FILTERING.resolve(LOG, "flexible").decimate(force, LOG)

@@ -107,8 +107,8 @@ def identified() -> Callable[..., Estimate]:
 
     The method comes second, what else makes the twin by name; an estimate is never changed by a test.
     """
-    from jointid.estimation.identify import identify
     from jointid.paper.twin import twin
+    from tests.estimates import identify
 
     @cache
     def estimate(loop: str = "L19", method: Method | None = None, **made: object) -> Estimate:
@@ -123,11 +123,11 @@ def stiff_axis() -> tuple[Record, Estimate]:
     """Eight seconds of an axis that is as good as rigid, and its estimate as a flexible one: no spring is told."""
     import numpy as np
 
-    from jointid.estimation.identify import identify
     from jointid.models.joints import ClosedLoop, FlexibleJoint
     from jointid.paper.twin import CONTROLLERS, SAMPLE_TIME, TABLE_2
     from jointid.simulation.excitation import trapezoids
     from jointid.simulation.synthesis import simulated_record
+    from tests.estimates import identify
 
     loop = ClosedLoop(FlexibleJoint(), CONTROLLERS["L19"])
     truth = {**TABLE_2, "motor_inertia": 70.0, "load_inertia": 35.0, "stiffness": 1e9, "damping": 1e4}

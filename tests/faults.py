@@ -22,7 +22,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Simulation, simulate
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.loop_input import LoopInput, prepare
-from jointid.simulation.simulated import require_finished
+from jointid.simulation.simulated import require_success
 from jointid.simulation.synthesis import simulated_record
 
 Loop = Literal["L19", "L30"]
@@ -182,7 +182,7 @@ def _run(where: Setting, fault: Fault, force: FloatArray) -> Simulation:
 
 def _pushed(loop: ClosedLoop, experiment: LoopInput, truth: dict[str, float], force: FloatArray) -> Simulation:
     acted = replace(experiment, after_limit=experiment.after_limit + force)
-    return require_finished(simulate(loop, acted, truth))
+    return require_success(simulate(loop, acted, truth))
 
 
 def _with_stribeck(loop: ClosedLoop, experiment: LoopInput, truth: dict[str, float], force: FloatArray) -> Simulation:

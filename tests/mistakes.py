@@ -15,13 +15,12 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
+import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.common.messages import Message
 from jointid.common.transmission import Transmission
-from jointid.diagnostics.check_loop import add_loop_verdict
 from jointid.diagnostics.find_causes import explain_failure, find_causes
-from jointid.estimation.identify import identify
 from jointid.models.controllers import PD, PID, Cascade, Controller, FirstOrder
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.records.record import Record
@@ -621,7 +620,7 @@ _OF_SENSITIVITIES = {
 def tell(record: Record, loop: ClosedLoop) -> tuple[tuple[str, ...], str]:
     """What `jointid identify` says is wrong: the causes that its first sentence names, and that sentence."""
     try:
-        estimate = add_loop_verdict(identify(record, loop), record)
+        estimate = ji.identify(record, loop)
     except JointidError as error:
         causes = find_causes(record, loop)
         if causes.nearest or not causes.found:

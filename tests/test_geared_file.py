@@ -14,7 +14,6 @@ from jointid.apps.cli import main
 from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.common.transmission import Transmission
 from jointid.config import JointFile, dumps, loads, save
-from jointid.estimation.identify import identify
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.output.json import read_identified, to_dict, write
@@ -23,6 +22,7 @@ from jointid.records.reading import read
 from jointid.records.record import Record
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
+from tests.estimates import identify
 from tests.geared import LAW, RATE, RIGID, TURNED_SCREW
 from tests.joint_files import faults
 
@@ -302,7 +302,7 @@ def test_a_limit_that_the_torque_does_not_keep_is_told_with_its_side(folder: Pat
     number = r"[0-9.]+"
     with pytest.raises(RecordError) as beyond:
         file_of(folder, GEARED.replace("limit = 3.0", "limit = 0.1"), side).record()
-    expected = f"reaches {number} {unit} on the {side} side, beyond the controller's limit of {number} {unit} there;"
+    expected = f"reaches {number} {unit} on the {side} side, above the controller's limit of {number} {unit} there;"
     assert re.search(expected, str(beyond.value))
     measured = GEARED.replace('"tau [mN m]"', '"tau [mN m]", tap = "measured"').replace("limit = 3.0", "limit = 0.1")
     with pytest.raises(RecordError, match=f"stands at its limit of {number} {unit} on the {side} side in "):

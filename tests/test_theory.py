@@ -12,7 +12,6 @@ from scipy.linalg import expm
 from scipy.stats import norm
 
 from jointid.common.arrays import FloatArray
-from jointid.estimation.identify import identify
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.problems.base import INITIAL_STATE
@@ -28,6 +27,7 @@ from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from jointid.solvers.regression import least_squares
 from jointid.uncertainty.covariance import bandwidth, sandwich
+from tests.estimates import identify
 
 T = 1e-3
 RIGID = {"inertia": 105.0, "viscous": 202.0, "coulomb": 20.4, "offset": -3.16}
@@ -171,7 +171,7 @@ def test_the_chord_bound(hertz: float) -> None:
 
 
 def test_the_gain_of_the_decimation_and_the_weights_of_the_window() -> None:
-    constant = Filtering(cutoff=60.0).resolved(T).decimate(np.ones(3000), T)
+    constant = Filtering(cutoff=60.0).resolve(T).decimate(np.ones(3000), T)
     assert constant[100] == pytest.approx(10 ** (-0.05 / 10), rel=1e-9)
     assert 1 / constant[100] - 1 == pytest.approx(0.0116, abs=5e-5)
     pulse = np.zeros(20)

@@ -51,8 +51,8 @@ from .output.report import Report
 from .output.report.robots import RobotReport
 from .paper.twin import twin
 from .planning.design import design_test
-from .planning.foretell import Noise, foretell, planned_record
 from .planning.limits import AxisLimits
+from .planning.predict import Noise, planned_record, predict_test
 from .planning.robots.design import design_robot_test
 from .planning.robots.motions import JointLimits
 from .records.chunks import Log
@@ -148,7 +148,6 @@ __all__ = [
     "export",
     "figures",
     "filters",
-    "foretell",
     "identify",
     "identify_drive_gains",
     "identify_payload",
@@ -162,6 +161,7 @@ __all__ = [
     "load_robot",
     "load_robot_file",
     "planned_record",
+    "predict_test",
     "prepare",
     "read",
     "read_report",

@@ -19,11 +19,10 @@ import pytest
 import jointid as ji
 from jointid.campaigns import addresses
 from jointid.campaigns.campaign_file import load_campaign
-from jointid.campaigns.cases import Case, Redrawn, Simulated, Started
+from jointid.campaigns.cases import Case, Found, Outcome, Redrawn, Row, Simulated, Started
 from jointid.campaigns.engines import LocalProcesses
 from jointid.campaigns.export import export_rows, table_of
 from jointid.campaigns.folder import read_results
-from jointid.campaigns.rows import Found, Outcome, Row
 from jointid.campaigns.run import _Waiting, run_cases
 from jointid.campaigns.run_case import run_case
 from jointid.campaigns.shards import Shard, open_shard
@@ -259,7 +258,7 @@ def test_a_url_needs_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
         "gs://line/a.csv needs a package more than the extra remote has (Please install gcsfs"
     )
     with pytest.raises(RecordError, match="expected a path, or one of"):
-        addresses.require_known("reference://x")
+        addresses.check_scheme("reference://x")
 
 
 def test_a_shard_has_each_case_once() -> None:
@@ -351,8 +350,8 @@ def test_a_shard_belongs_to_one_process_and_knows_what_others_finished(tmp_path:
         beside = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
         assert "Another process is at work on" in beside.stderr
     with open_shard(tmp_path, Shard(1, 1)) as other:
-        assert other.is_finished(rows[0].content_hash)
-        assert not other.is_finished(rows[1].content_hash)
+        assert other.has_result(rows[0].content_hash)
+        assert not other.has_result(rows[1].content_hash)
     with pytest.raises(RecordError, match="has the results of shards; name another folder"), open_database(tmp_path):
         pass
     (tmp_path / "database").mkdir()

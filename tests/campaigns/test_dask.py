@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from benchmarks.dask_cluster import Cluster
+from jointid.campaigns.cases import Outcome
 from jointid.campaigns.engines import DaskCluster, LocalProcesses
 from jointid.campaigns.folder import read_results
-from jointid.campaigns.rows import Outcome
 from jointid.campaigns.run import run_cases
 from jointid.campaigns.store import open_database
 from jointid.common.errors import MethodError

@@ -10,12 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jointid.campaigns.cases import Case
-from jointid.campaigns.drift import best_change, judge
+from jointid.campaigns.cases import Case, Found, Outcome, Row
+from jointid.campaigns.drift import Series, best_change, judge, series_of
 from jointid.campaigns.folder import Results, Status
 from jointid.campaigns.report import CampaignReport, report_of
-from jointid.campaigns.rows import Found, Outcome, Row
-from jointid.campaigns.series import Series, series_of
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
 
@@ -149,7 +147,7 @@ def test_a_report_names_who_drifted_what_stands_out_and_how_runs_scatter() -> No
 
 
 def test_a_report_while_nothing_is_known_says_so() -> None:
-    assert report([], 7).sentence == "Drift was not looked for: no joint has eight runs."
+    assert report([], 7).sentence == "Drift was not tested: no joint has eight runs."
     assert "0 of 7 cases" in report([], 7).summary()
     assert report(list(fleet(1, 9))).sentence.startswith(
         "No stiffness and no friction drifted by more than its scatter"

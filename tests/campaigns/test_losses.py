@@ -18,9 +18,9 @@ from pathlib import Path
 
 import pytest
 
+from jointid.campaigns.cases import Outcome, Row
 from jointid.campaigns.engines import LocalProcesses, Workers
 from jointid.campaigns.folder import read_results
-from jointid.campaigns.rows import Outcome, Row
 from jointid.campaigns.run import run_cases
 from jointid.campaigns.shards import Shard, open_shard, read_shards
 from jointid.campaigns.store import open_database, require_local_disk

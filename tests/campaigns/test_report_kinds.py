@@ -7,12 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.campaigns.cases import Case, Redrawn, Simulated, Started
-from jointid.campaigns.ends import ends_of
+from jointid.campaigns.cases import Case, Found, Outcome, Redrawn, Row, Simulated, Started
 from jointid.campaigns.folder import Results
-from jointid.campaigns.repeats import repeats_of
 from jointid.campaigns.report import CampaignReport
-from jointid.campaigns.rows import Found, Outcome, Row
+from jointid.campaigns.run_groups import ends_of, repeats_of
 
 
 def made(varied: Simulated | Redrawn | Started | None, value: float, *changes: str, error: float = 8.0) -> Row:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from jointid.campaigns.campaign_file import load_campaign
-from jointid.campaigns.rows import Outcome
+from jointid.campaigns.cases import Outcome
 from jointid.campaigns.run_case import run_case
 from jointid.common.errors import JointFileError
 from tests.apps.cli.test_robots_from_torques import logged, run, write_files

@@ -17,10 +17,9 @@ from pathlib import Path
 
 import pytest
 
-from jointid.campaigns.cases import Case
+from jointid.campaigns.cases import Case, Outcome, Row
 from jointid.campaigns.engines import LocalProcesses
 from jointid.campaigns.folder import read_results
-from jointid.campaigns.rows import Outcome, Row
 from jointid.campaigns.run import run_cases
 from jointid.campaigns.slurm import SlurmJobs
 from jointid.campaigns.store import open_database

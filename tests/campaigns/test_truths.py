@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jointid.campaigns.cases import Case, Simulated
+from jointid.campaigns.cases import Case, Found, Outcome, Row, Simulated
 from jointid.campaigns.export import table_of
 from jointid.campaigns.folder import Results
 from jointid.campaigns.report import CampaignReport
-from jointid.campaigns.rows import Found, Outcome, Row
 from jointid.campaigns.run_case import run_case
 from jointid.campaigns.truths import truth_csv
 from jointid.common.errors import RecordError

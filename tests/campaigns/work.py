@@ -9,9 +9,8 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from jointid.campaigns.cases import Case
+from jointid.campaigns.cases import Case, Found, Outcome, Row
 from jointid.campaigns.engines import LocalProcesses
-from jointid.campaigns.rows import Found, Outcome, Row
 from jointid.campaigns.run import run_cases
 from jointid.campaigns.shards import Shard, open_shard
 from jointid.campaigns.store import open_database

@@ -363,8 +363,8 @@ def test_the_method_of_a_flexible_joint(text: str, expected: object) -> None:
     [
         ('preset = "default"', Filtering()),
         ('preset = "published"', Filtering.published()),
-        ('preset = "as-printed"', Filtering.as_printed()),
-        ('cutoff = 60.0\ndecimation = 12\naliasing = "warned"', Filtering.as_printed()),
+        ('preset = "as-printed"', Filtering.as_in_paper()),
+        ('cutoff = 60.0\ndecimation = 12\naliasing = "warned"', Filtering.as_in_paper()),
         ('aliasing = "warned"', Filtering(aliasing="warned")),
     ],
 )

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from jointid.config import learned_text, load_to_learn, loads
-from jointid.controller_id.in_drive import numbers_in_drive
 from jointid.controller_id.intervals import LearnedNumber
-from jointid.controller_id.learned_loop import LearnedLoop
+from jointid.controller_id.learned_loop import LearnedLoop, numbers_in_drive
 from jointid.controller_id.limitations import LimitationCode
 from jointid.controller_id.structures import Structure
 from jointid.models.controllers import PD, PID, Cascade, Controller, FirstOrder

@@ -55,7 +55,7 @@ def test_keys_are_set_after_the_choices() -> None:
     assert loads(text, changes=["method.frequency=42.0"]).method == FlexibleDIDIM.paper(42.0)
     changed = loads(text, changes=["method.frequency=20.0"], filtering="as-printed")
     assert changed.method == FlexibleDIDIM.paper(20.0)
-    assert changed.filtering == Filtering.as_printed()
+    assert changed.filtering == Filtering.as_in_paper()
     whole = ['method={name="didim", minimiser="least-squares", frequency=20.0}']  # in place of the preset, too
     assert loads(text, changes=whole).method == FlexibleDIDIM(minimiser="least-squares", frequency=20.0)
     assert loads(text, method="idim").method == IDIM()

@@ -65,7 +65,7 @@ def test_the_page_has_the_defaults_that_depend_on_the_model() -> None:
     said = [float(word) for word in re.findall(r"else (1e-\d+)", rows["method.tolerance"])]
     assert said == [DIDIM().tolerance, least, simplex]
     for key in ("position_cutoff", "cutoff"):
-        rigid, flexible = (getattr(Filtering().resolved(1e-3, model), key) for model in ("rigid", "flexible"))
+        rigid, flexible = (getattr(Filtering().resolve(1e-3, model), key) for model in ("rigid", "flexible"))
         said = f"else {rigid / 10:g} % of the sampling frequency, for a flexible joint {flexible / 10:g} %"
         assert said in rows[f"filtering.{key}"]
 

@@ -14,10 +14,10 @@ from jointid.config import (
     load,
     loads,
 )
-from jointid.estimation.identify import identify
 from jointid.models.controllers import (
     Cascade,
 )
+from tests.estimates import identify
 from tests.joint_files import (
     CASCADE,
     EXAMPLE,
@@ -75,7 +75,7 @@ def test_an_injected_signal_may_be_absent_only_if_it_is_optional(run: Path) -> N
 
 def test_a_torque_beyond_the_limit_is_refused(run: Path) -> None:
     limited = loads(SMALLEST + "gain = 2.0\nlimit = 100.0")
-    with pytest.raises(RecordError, match=r"The torque reaches .* beyond the controller's limit of 200 N"):
+    with pytest.raises(RecordError, match=r"The torque reaches .* above the controller's limit of 200 N"):
         limited.record(run)
     assert loads(SMALLEST + "gain = 2.0\nlimit = 160.0").record(run).torque is not None
 

@@ -197,7 +197,7 @@ def joint_files(draw: st.DrawFn) -> JointFile:
         method=draw(st.builds(IDIM, estimators, effects) | (flexible if joint.model == "flexible" else rigid)),
         controller=draw(controllers(ratio)),
         filtering=draw(
-            st.sampled_from((Filtering.published(), Filtering.as_printed()))
+            st.sampled_from((Filtering.published(), Filtering.as_in_paper()))
             | st.builds(
                 Filtering,
                 st.none() | positive,

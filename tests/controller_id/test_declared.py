@@ -7,7 +7,7 @@ import pytest
 
 from jointid.config.contents import JointFile
 from jointid.controller_id import learn
-from jointid.controller_id.limitations import keep_declared
+from jointid.controller_id.limitations import fill_from_declaration
 from jointid.models.controllers import Cascade, Controller
 
 MOTOR = Cascade(position_gain=1.0, velocity_gain=1.0, gain=0.5, ratio=10.0, limit=40.0)  # 40 A, 20 N m, 200 on the load
@@ -27,6 +27,6 @@ def test_a_unit_of_the_drive_is_the_same_on_the_load(
 
 
 def test_a_declared_limit_stays_the_torque_that_it_is() -> None:
-    amperes, _ = keep_declared(Cascade(position_gain=1.0, velocity_gain=1.0, gain=5.0), MOTOR)
-    newtons, _ = keep_declared(Cascade(position_gain=1.0, velocity_gain=1.0), MOTOR)
+    amperes, _ = fill_from_declaration(Cascade(position_gain=1.0, velocity_gain=1.0, gain=5.0), MOTOR)
+    newtons, _ = fill_from_declaration(Cascade(position_gain=1.0, velocity_gain=1.0), MOTOR)
     assert (amperes.limit, newtons.limit) == (40.0, 200.0)  # type: ignore[attr-defined]

@@ -25,13 +25,13 @@ from jointid.controller_id.ranking import Rival
 from jointid.controller_id.regression import regression
 from jointid.controller_id.structure_moves import canonical
 from jointid.controller_id.structures import INTEGRAL, Structure
-from jointid.estimation.identify import identify
 from jointid.models.controllers import Cascade, Controller, FirstOrder
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Injection, InjectionPoint, Record, Timing
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from studies.learned import LoopTwin, loop_twin
+from tests.estimates import identify
 
 EMPS = load(Path(__file__).resolve().parents[2] / "examples" / "emps" / "joint.toml")
 T = 1e-3

@@ -16,12 +16,12 @@ from jointid.controller_id.learned_loop import LearnedLoop
 from jointid.controller_id.limitations import LimitationCode
 from jointid.controller_id.loop_record import prepare_loop_record
 from jointid.controller_id.noise import Noise
-from jointid.controller_id.plain_regression import compare_with_regression
 from jointid.controller_id.ranking import Rival, much_simpler
 from jointid.controller_id.regression import (
     Regression,
     RegressionFit,
     Weighting,
+    compare_with_regression,
     initial_weighting,
     law_numbers,
     regression,

@@ -10,10 +10,10 @@ import pytest
 import jointid as ji
 from jointid.diagnostics.check_loop import LoopTests, check_loop
 from jointid.diagnostics.mechanics_faults import COGGING
-from jointid.estimation.identify import identify
 from jointid.models.ripple import PositionHarmonics
 from jointid.uncertainty.verdict import Reason
 from studies.mechanics import spoiled
+from tests.estimates import identify
 
 
 @pytest.mark.parametrize("seed", [100, pytest.param(102, marks=pytest.mark.slow), 103])

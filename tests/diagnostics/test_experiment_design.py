@@ -25,7 +25,6 @@ from jointid.diagnostics.other_experiments import (
     double_acceleration,
     subtract_driven_motion,
 )
-from jointid.estimation.identify import identify
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import invert
@@ -36,6 +35,7 @@ from jointid.paper.twin import CONTROLLERS, SAMPLE_TIME, Twin, twin
 from jointid.records.checks import find_encoder_step
 from jointid.records.record import Channel, Record, Tap
 from jointid.simulation.synthesis import simulated_record
+from tests.estimates import amended, identify
 
 STEP = 2.5e-7  # m, of an encoder as coarse as many
 
@@ -127,7 +127,7 @@ def test_and_does_what_is_predicted_of_it(logged: tuple[Twin, Estimate]) -> None
     axis, estimate = logged
     problem, _ = rebuild_declared_problem(estimate, axis.record)
     truth = problem.vector({**axis.truth, "initial_position": 0.0})
-    error, J = problem.linearised(truth)
+    error, J = problem.linearise(truth)
     variance = float(error @ error) / error.size
     spread = np.linalg.inv(J.T @ J) * variance
     added, _ = compute_encoder_information(problem, truth, "log", STEP, STEP)
@@ -216,7 +216,7 @@ def test_what_cannot_be_advised_on(disturbed: tuple[Twin, Estimate], logged: tup
         advise(estimate, axis.record, encoder_step=-1.0)
     with pytest.raises(MethodError, match="identifies its stiffness"):
         design_stiffness_test(estimate, axis.record)
-    joint_only = estimate.amended(params={"correlation": estimate.params.correlation[:-1, :-1]})
+    joint_only = amended(estimate, params={"correlation": estimate.params.correlation[:-1, :-1]})
     with pytest.raises(MethodError, match='statistics = "sensitivities"'):
         advise(joint_only, axis.record)
 

@@ -7,18 +7,19 @@ from typing import Any
 
 import pytest
 
+import jointid as ji
 from jointid.diagnostics import check_loop as checking
 from jointid.diagnostics import find_causes as searching
-from jointid.diagnostics.check_loop import LoopTests, add_loop_verdict, check_loop
+from jointid.diagnostics.check_loop import LoopTests, check_loop
 from jointid.diagnostics.find_causes import find_causes
 from jointid.diagnostics.hypotheses import Cause
 from jointid.diagnostics.loop_findings import LoopCheck
 from jointid.diagnostics.other_laws import PERIOD
-from jointid.estimation.identify import identify
 from jointid.models.controllers import PD, Cascade
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.uncertainty.verdict import Reason, Status
+from tests.estimates import identify
 from tests.faster_drives import CASCADE, FLEXIBLE, LOG, RIGID, SERVO, drive
 
 
@@ -90,7 +91,7 @@ def test_no_other_cause_is_looked_for_where_the_period_is_all_that_is_wrong(monk
 
     monkeypatch.setattr(searching, "find_causes", fails)
     record, loop = drive(CASCADE, 8, noise=0.05)
-    verdict = add_loop_verdict(identify(record, loop), record).checks.verdicts[-1]
+    verdict = ji.identify(record, loop).checks.verdicts[-1]
     assert verdict.reasons[0].code is Reason.LOOP_NOT_AS_DECLARED
     assert verdict.reasons[0].values["suspect"] == PERIOD
 
@@ -110,7 +111,7 @@ def test_a_stiffness_of_a_faster_drive_is_not_relied_on() -> None:
     assert abs(value - FLEXIBLE["stiffness"]) > 1.5 * spread
     assert check.findings[0].test.name == PERIOD
     assert corrected == pytest.approx(FLEXIBLE["stiffness"], rel=0.02)
-    answer = add_loop_verdict(identify(record, loop), record).answer
+    answer = ji.identify(record, loop).answer
     assert not answer.reliable
     assert "the controller runs faster than the log, at 8 kHz" in str(answer)
     assert "declare its period" in str(answer)
@@ -119,7 +120,7 @@ def test_a_stiffness_of_a_faster_drive_is_not_relied_on() -> None:
 @pytest.mark.parametrize("times", [pytest.param(4, marks=pytest.mark.slow), 8])
 def test_pulses_blame_the_period_and_no_gain(times: int) -> None:
     record, loop = drive(CASCADE, times, flexible=True, pulsed=True)
-    estimate = add_loop_verdict(identify(record, loop), record)
+    estimate = ji.identify(record, loop)
     verdict = estimate.checks.verdicts[-1]
     assert verdict.reasons[0].values["suspect"] == PERIOD
     assert f"at {times} kHz" in str(estimate.answer)
@@ -131,11 +132,11 @@ def test_what_a_record_does_not_exclude_speaks_against_the_stiffness() -> None:
     record, loop = drive(CASCADE, 8, flexible=True, noise=1.0)
     found = identify(record, loop)
     if found["stiffness"].value is None:  # under a law that is not the drive's another spring explains as much
-        assert not add_loop_verdict(found, record).answer.reliable
+        assert not ji.identify(record, loop).answer.reliable
         return
     check, value, spread, _ = _checked(record, loop, "stiffness")
     told = check.findings[:1] or ([check.undecided] if check.undecided else [])
-    answer = add_loop_verdict(identify(record, loop), record).answer
+    answer = ji.identify(record, loop).answer
     if abs(value - FLEXIBLE["stiffness"]) > spread:
         assert [one.test.name for one in told] == [PERIOD]
         assert not answer.reliable

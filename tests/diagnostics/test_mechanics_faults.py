@@ -26,13 +26,13 @@ from jointid.diagnostics.mechanics_faults import (
     solve_with_fault,
     vary_mechanics,
 )
-from jointid.estimation.identify import identify
 from jointid.estimation.result.answer import Trust
 from jointid.simulation.closed_loop import simulate as simulate_exactly
 from jointid.simulation.loop_input import prepare
 from jointid.uncertainty.verdict import Reason
 from studies.healthy import drive
 from studies.mechanics import simulate, spoiled
+from tests.estimates import identify
 from tests.faults import problem, setting
 
 
@@ -197,7 +197,7 @@ def test_a_residual_that_follows_the_motion_widens_alike_in_any_unit() -> None:
     where = setting("L19", brief=True)
     made = problem(where, None, None)
     x = made.vector(where.truth)
-    slopes = made.linearised(x)[1]
+    slopes = made.linearise(x)[1]
     sizes = np.linalg.norm(slopes, axis=0)
     exact = np.sqrt(np.diag(np.linalg.inv((slopes / sizes).T @ (slopes / sizes)))) / sizes
     assert worst_shift(made, x, 1.0) == pytest.approx(

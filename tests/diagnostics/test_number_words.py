@@ -9,13 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import jointid as ji
 from jointid.config import loads
 from jointid.config.contents import JointFile
-from jointid.diagnostics.check_loop import add_loop_verdict
 from jointid.diagnostics.fault_tests import FaultTest
 from jointid.diagnostics.loop_findings import Finding, LoopCheck
 from jointid.diagnostics.number_words import tell_difference_in_drive
-from jointid.estimation.identify import identify
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import ClosedLoop
@@ -92,7 +91,7 @@ def test_a_loop_that_is_not_as_declared_is_told_in_the_file_s_own_quantities(
     file = loads(text)
     assert file.loop is not None
     record = logged(file, text, changed)
-    estimate = add_loop_verdict(identify(record, file.loop), record, shown=file.declared_numbers)
+    estimate = ji.identify(record, file.loop)
     verdict, [(name, by)] = estimate.checks.verdicts[-1], changed.items()
     there = next(one for one in file.declared_numbers if one.number == name)
     assert there.declared is not None

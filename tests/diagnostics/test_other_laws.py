@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.diagnostics.check_loop import LoopTests, add_loop_verdict, check_loop
+import jointid as ji
+from jointid.diagnostics.check_loop import LoopTests, check_loop
 from jointid.diagnostics.fault_tests import FaultTest
 from jointid.diagnostics.loop_findings import Finding, LoopCheck, ParameterShift
 from jointid.diagnostics.other_laws import MEASURED_VELOCITY, PERIOD, PRESENT_SAMPLE, OtherLaw, list_other_laws
-from jointid.estimation.identify import identify
 from jointid.estimation.result.answer import Trust, moved_by_loop
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import (
@@ -28,6 +28,7 @@ from jointid.models.controllers import (
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.uncertainty.verdict import Reason, Status, Subject, Verdict
+from tests.estimates import amended, identify
 from tests.mistakes import Axis, axis, run
 
 T = 1e-3
@@ -143,7 +144,8 @@ def test_an_integral_that_takes_in_the_present_sample_is_named() -> None:
     corrected = inertia.value + found.changes["inertia"].by
     assert abs(corrected - truth) < abs(inertia.value - truth)
     assert corrected == pytest.approx(truth, rel=0.01)
-    verdict = add_loop_verdict(estimate, record).checks.verdicts[-1]
+    made = _quiet()
+    verdict = ji.identify(record, ClosedLoop(made.joint, made.controller)).checks.verdicts[-1]
     assert verdict.reasons[0].values["suspect"] == PRESENT_SAMPLE
 
 
@@ -168,7 +170,7 @@ def test_what_the_record_does_not_exclude_speaks_against_the_value_where_it_woul
         assert reason.code is Reason.LAW_UNDECIDED
         assert "declare velocity_gain 6.0 % larger" in reason.words
         verdict = Verdict(Subject.LOOP, open_.status, open_.reasons)
-        answer = estimate.amended(checks={"verdicts": (*estimate.checks.verdicts, verdict)}).answer
+        answer = amended(estimate, checks={"verdicts": (*estimate.checks.verdicts[:-1], verdict)}).answer
         if sigmas == -5.0:
             assert answer.trust.code is Trust.NOT_YET
             moved = inertia.value + changes["inertia"].by
@@ -196,7 +198,7 @@ def test_beside_a_fault_that_moves_nothing_the_other_law_still_speaks_against_th
     assert both.status is Status.FAILED
     assert [one.code for one in both.reasons] == [Reason.LOOP_NOT_AS_DECLARED, Reason.LAW_UNDECIDED]
     verdict = Verdict(Subject.LOOP, both.status, both.reasons)
-    answer = estimate.amended(checks={"verdicts": (*estimate.checks.verdicts, verdict)}).answer
+    answer = amended(estimate, checks={"verdicts": (*estimate.checks.verdicts[:-1], verdict)}).answer
     assert answer.trust.code is Trust.NOT_YET
     assert answer.trust.values["reasons"] == [Reason.LAW_UNDECIDED]
-    assert moved_by_loop(estimate.amended(checks={"verdicts": (verdict,)})) == {}
+    assert moved_by_loop(amended(estimate, checks={"verdicts": (verdict,)})) == {}

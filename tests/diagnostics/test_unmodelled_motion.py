@@ -9,16 +9,19 @@ import pytest
 
 import jointid as ji
 from jointid.common.messages import Message
-from jointid.diagnostics import check_loop
+from jointid.diagnostics import run_checks
+from jointid.diagnostics.check_loop import SearchState
 from jointid.diagnostics.intervals import rebuild_problem
 from jointid.diagnostics.loop_findings import LoopCheck
 from jointid.diagnostics.unmodelled_motion import PredictedResidual, _responses, predict_residual
-from jointid.estimation.identify import identify
+from jointid.estimation.identify import fit as fit_records
 from jointid.estimation.result.answer import Trust
+from jointid.estimation.result.assemble import assemble
 from jointid.estimation.result.consequence import consequence, spares_answer
 from jointid.models.springs import LinearSpring
 from jointid.records.record import Record
 from jointid.uncertainty.verdict import Reason, Status, Subject, Verdict
+from tests.estimates import amended, identify
 from tests.plants import Case, gapped_axis, prismatic, with_spring
 
 
@@ -63,7 +66,7 @@ def test_a_value_is_not_to_be_relied_on_then(of_a_gap: PredictedResidual) -> Non
     follows = of_a_gap.verdict
     assert (follows.subject, follows.status) == (Subject.REPEATABLE, Status.FAILED)
     verdicts = tuple(follows if one.subject is follows.subject else one for one in estimate.checks.verdicts)
-    doubted = estimate.amended(checks={"verdicts": verdicts})
+    doubted = amended(estimate, checks={"verdicts": verdicts})
     assert doubted.answer.trust.code == Trust.NOT_YET
     assert str(Reason.RESIDUAL_FOLLOWS_MOTION) in doubted.answer.trust.values["reasons"]
     assert "of the torque follows the motion and is not in the model" in doubted.sentence
@@ -74,22 +77,24 @@ def test_a_value_is_not_to_be_relied_on_then(of_a_gap: PredictedResidual) -> Non
 def test_it_is_said_where_loop_and_log_pass_their_check(monkeypatch: pytest.MonkeyPatch) -> None:
     case, record = gapped_axis(16_000)
     loop = with_spring(case.loop, LinearSpring())
-    estimate = identify(record, loop, ji.FlexibleDIDIM(frequency=case.mode))
+    fit = fit_records(record, loop, ji.FlexibleDIDIM(frequency=case.mode))
     repeats = Message(Reason.RESIDUAL_REPEATS, "it repeats")
     before = Verdict(Subject.REPEATABLE, Status.FAILED, (repeats,))
-    verdicts = tuple(before if one.subject is before.subject else one for one in estimate.checks.verdicts)
-    estimate = estimate.amended(checks={"verdicts": verdicts})
+    verdicts = tuple(before if one.subject is before.subject else one for one in fit.checks.verdicts)
+    fit = amended(fit, checks={"verdicts": verdicts})
     nothing_found = LoopCheck((), (), 0.05, {}, {}, None, None, {})
-    state = check_loop._State(*rebuild_problem(estimate, record, ""))
-    monkeypatch.setattr(check_loop, "_check", lambda *_, **__: (nothing_found, state))
-    monkeypatch.setattr(check_loop, "explain_misfit", lambda *_: None)
-    checked = check_loop.add_loop_verdict(estimate, record)
+    assert fit.problem is not None
+    assert fit.x is not None
+    state = SearchState(fit.problem, fit.x)
+    monkeypatch.setattr(run_checks, "search_faults", lambda *_, **__: (nothing_found, state))
+    monkeypatch.setattr(run_checks, "explain_misfit", lambda *_: None)
+    checked = assemble(fit, run_checks.run_checks(fit))
     (said,) = (one for one in checked.checks.verdicts if one.subject is Subject.REPEATABLE)
     assert said.status is Status.FAILED
     assert said.reasons[0].code == Reason.RESIDUAL_FOLLOWS_MOTION
     assert said.reasons[1:] == (repeats,)  # what was said before stays
     assert checked.checks.verdicts[-1].subject is Subject.LOOP
-    assert len(checked.checks.verdicts) == len(estimate.checks.verdicts) + 1
+    assert len(checked.checks.verdicts) == len(fit.checks.verdicts) + 1
     assert checked.answer.trust.code == Trust.NOT_YET
 
 

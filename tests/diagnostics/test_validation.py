@@ -26,7 +26,7 @@ def made(speed: float, seed: int, **other: float) -> ji.Record:
 @cache
 def identified() -> tuple[ji.Estimate, ji.Record]:
     record = made(0.1, 1)
-    return ji.identify(record, LOOP, loop_check=False), record
+    return ji.identify(record, LOOP, checks=False), record
 
 
 def answer(record: ji.Record) -> tuple[str, str]:

@@ -40,7 +40,7 @@ class Toy:
         self.asked.append(1)
         return self.measured - self.model(x)
 
-    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the residual and its derivatives."""
         return self.residual(x), -self.derivatives(x)
 

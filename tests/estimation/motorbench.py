@@ -54,7 +54,7 @@ class Bench:
 
         The current's delay is the one that leaves least of both rows.
         """
-        resolved = filtering.resolved(PERIOD, "flexible")
+        resolved = filtering.resolve(PERIOD, "flexible")
 
         def regression(delay: float) -> tuple[float, np.ndarray]:
             model = inverse_model(JOINT, self.torque(current), (self.motor, self.load), resolved, delay)

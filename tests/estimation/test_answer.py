@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,18 +20,19 @@ from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.checks import EncoderLag
 from jointid.uncertainty.identifiability import Identifiability, Known, physical
 from jointid.uncertainty.verdict import Reason, Status, StiffnessBound, Subject, Verdict
-from tests.apps.cli.test_commands import run
+from tests.estimates import amended
 from tests.estimation.test_estimate import CONTROLLER, ESTIMATE, parameter
 from tests.text import unwrapped
 
-RIGID = ESTIMATE.amended(
+RIGID = amended(
+    ESTIMATE,
     params={
         "rows": (
             parameter("inertia", "ZZ", "kg", 94.9034, 0.46),
             parameter("viscous", "Fv", "N s/m", 207.534, 13.0),
             parameter("coulomb", "Fc", "N", 20.1, 0.3),
         )
-    }
+    },
 )
 
 
@@ -43,7 +43,7 @@ def judged(estimate: Estimate, **changes: float) -> Estimate:
     if not changes:
         reason = Message(Reason.LOOP_AS_DECLARED, "as declared")
     verdict = Verdict(Subject.LOOP, Status.of(not changes), (reason,))
-    return estimate.amended(checks={"verdicts": (verdict,)})
+    return amended(estimate, checks={"verdicts": (verdict,)})
 
 
 def flexible(stiffness: float | None, stderr: float | None = None, **more: float) -> Estimate:
@@ -54,7 +54,7 @@ def flexible(stiffness: float | None, stderr: float | None = None, **more: float
     )
     found = replace(ESTIMATE, params=Params(rows, ("motor_inertia",), np.zeros((0, 0)), ""))
     joint = FlexibleJoint(kind="revolute")
-    return found.amended(settings={"joint": joint, "loop": ClosedLoop(joint, CONTROLLER)})
+    return amended(found, settings={"joint": joint, "loop": ClosedLoop(joint, CONTROLLER)})
 
 
 def test_an_estimate_that_nothing_speaks_against() -> None:
@@ -88,22 +88,22 @@ def test_a_fault_that_moves_other_parameters_leaves_the_value() -> None:
 
 def test_a_fault_without_known_effect_speaks_against_everything() -> None:
     reason = Message(Reason.LOOP_NOT_AS_DECLARED, "torque and reference are swapped")
-    wrong = RIGID.amended(checks={"verdicts": (Verdict(Subject.LOOP, Status.FAILED, (reason,)),)})
+    wrong = amended(RIGID, checks={"verdicts": (Verdict(Subject.LOOP, Status.FAILED, (reason,)),)})
     assert str(wrong.answer.trust) == "Do not rely on it yet: torque and reference are swapped"
 
 
 def test_a_cause_comes_before_its_effects() -> None:
-    answer = judged(RIGID, viscous=1.0).amended(fit={"filtered_error": 0.4, "converged": False}).answer
+    answer = amended(judged(RIGID, viscous=1.0), fit={"filtered_error": 0.4, "converged": False}).answer
     assert str(answer.trust) == ("Do not rely on it yet: velocity_gain is 25 % smaller; the search did not converge")
     assert answer.trust.values["reasons"] == ["loop_not_as_declared", "not_converged", "torque_unexplained"]
-    assert str(judged(RIGID).amended(fit={"filtered_error": 0.4}).answer.trust).endswith(
+    assert str(amended(judged(RIGID), fit={"filtered_error": 0.4}).answer.trust).endswith(
         "40 % of the torque is not explained"
     )
 
 
 def test_a_refused_stiffness_has_a_bound_and_no_value() -> None:
     bounds = (StiffnessBound(0.1, 4.1e5, 30.0), StiffnessBound(0.2, 3.1e5, 22.0), StiffnessBound(0.5, None, None))
-    answer = judged(flexible(None)).amended(checks={"bounds": bounds}).answer
+    answer = amended(judged(flexible(None)), checks={"bounds": bounds}).answer
     least = "Stiffness not determined by this record: at least 310000 N m/rad, mode above 22 Hz"
     assert str(answer.found) == f"{least}, for a load of 10 to 20 % of the inertia"
     assert answer.found.values["lower_bound"] == 3.1e5
@@ -111,9 +111,9 @@ def test_a_refused_stiffness_has_a_bound_and_no_value() -> None:
     whole = physical(FlexibleJoint().parameters, dict.fromkeys((p.name for p in FlexibleJoint().parameters), "kg"))
     total = next(Known(one, 95.24, 0.455, 0.005) for one in whole if one.quantity == "inertia")
     known = Identifiability((), (total,), (), 1.0, ())
-    told = (
-        judged(flexible(None)).amended(checks={"bounds": bounds[:2], "known": known}, fit={"converged": False}).answer
-    )
+    told = amended(
+        judged(flexible(None)), checks={"bounds": bounds[:2], "known": known}, fit={"converged": False}
+    ).answer
     assert str(told).startswith(f"{least}. Identify the joint as rigid")
     assert str(told).endswith("; the whole inertia is 95.24 ± 0.91 kg.")
     assert (answer.found.code, answer.trust.code) == (Found.LOWER_BOUND, Trust.REFUSED)
@@ -129,14 +129,14 @@ def test_a_value_at_its_bound_and_one_that_is_wide_are_not_relied_on() -> None:
 
 def test_what_was_not_checked_says_so() -> None:
     assert RIGID.answer.trust.code is Trust.NOT_CHECKED
-    assert "not checked" in str(judged(RIGID).amended(checks={"verdicts": (_white(),)}).answer.trust)
+    assert "not checked" in str(amended(judged(RIGID), checks={"verdicts": (_white(),)}).answer.trust)
 
 
 def coloured(estimate: Estimate, asked: str) -> None:
     """The line on the checks of an estimate whose residual is coloured, and that of a verdict with three reasons."""
     reasons = tuple(Message(Reason.RESIDUAL_COLOURED, f"reason {k}") for k in (1, 2, 3))
     verdicts = (*judged(estimate).checks.verdicts, Verdict(Subject.WHITENESS, Status.FAILED, reasons))
-    text = unwrapped(str(estimate.amended(checks={"verdicts": verdicts})))
+    text = unwrapped(str(amended(estimate, checks={"verdicts": verdicts})))
     assert "reason 1 (and 2 more in the report)" in text
     assert "You can rely on it. symbol" in text
     assert f"1 of 2 passed; whiteness does not speak against the {asked}" in text
@@ -159,7 +159,7 @@ def test_symbols_and_remarks_are_explained_below_the_table_on_a_screen() -> None
     assert "loop:" not in str(judged(estimate)).partition("method")[0]
     values = {"changes": {"damping": 1.0}, "condition": "it is so"}
     undecided = Verdict(Subject.LOOP, Status.UNKNOWN, (Message(Reason.LAW_UNDECIDED, "it may be", values),))
-    text = str(estimate.amended(checks={"verdicts": (undecided,)}))
+    text = str(amended(estimate, checks={"verdicts": (undecided,)}))
     assert "loop: how much the value changes if the drive runs the other law" in text.splitlines()
     first = parameter("initial_torque", "u(0)", "N m", 1.0, 0.1)
     begun = replace(estimate, params=Params((*rows, first), ("motor_inertia",), np.zeros((0, 0)), ""))
@@ -179,10 +179,10 @@ def test_an_estimate_can_be_printed_where_there_is_no_plus_minus_sign(monkeypatc
 
 def test_bounds_are_written_in_one_way() -> None:
     bounds = (StiffnessBound(0.1, 152982.0, 30.0), StiffnessBound(0.2, 1.2e6, 22.0), StiffnessBound(0.5, None, None))
-    table = bounds_table(flexible(None).amended(checks={"bounds": bounds}))
+    table = bounds_table(amended(flexible(None), checks={"bounds": bounds}))
     assert table is not None
     assert [row[1] for row in table.rows] == ["1.53e+05", "1.20e+06", "not bounded"]
-    table = bounds_table(flexible(None).amended(checks={"bounds": bounds[:1]}))
+    table = bounds_table(amended(flexible(None), checks={"bounds": bounds[:1]}))
     assert table is not None
     assert table.rows[0][1] == "153000"
 
@@ -194,7 +194,7 @@ def _white() -> Verdict:
 def test_the_table_marks_what_a_fault_changes_and_what_is_only_known_with_another() -> None:
     pair = Message("inseparable", "", {"parameters": ["viscous", "coulomb"]})  # type: ignore[arg-type]
     known = Identifiability((), (), (), 1.0, (pair,))
-    text = str(judged(RIGID, inertia=0.1, coulomb=1.19).amended(checks={"known": known}))
+    text = str(amended(judged(RIGID, inertia=0.1, coulomb=1.19), checks={"known": known}))
     lines = {line.split()[0]: line for line in text.splitlines() if line}
     assert lines["symbol"].endswith("remark")
     assert lines["Fc"].endswith("N      loop: +1.19, only with Fv")
@@ -210,7 +210,7 @@ def test_a_parameter_at_its_bound_reads_it_and_the_verdict_says_so() -> None:
     loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0))
     reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
     truth = {"inertia": 30.0, "viscous": -20.0, "coulomb": 15.0, "offset": 2.0}
-    estimate = ji.identify(ji.simulated_record(loop, reference, truth, sample_time=1e-3), loop, loop_check=False)
+    estimate = ji.identify(ji.simulated_record(loop, reference, truth, sample_time=1e-3), loop, checks=False)
     row = next(line for line in str(estimate).splitlines() if line.startswith("Fv"))
     assert row.split()[:10] == ["Fv", "viscous", "0", "-", "-", "N", "s/m", "at", "its", "bound"]
     (bounds,) = (v for v in estimate.checks.verdicts if v.subject is Subject.BOUNDS)
@@ -223,7 +223,8 @@ def test_a_parameter_at_its_bound_reads_it_and_the_verdict_says_so() -> None:
 
 def test_no_line_is_longer_than_80_characters() -> None:
     pair = Message("inseparable", "", {"parameters": ["viscous", "coulomb"]})  # type: ignore[arg-type]
-    long = judged(RIGID, coulomb=1.19).amended(
+    long = amended(
+        judged(RIGID, coulomb=1.19),
         checks={"known": Identifiability((), (), (), 1.0, (pair,)), "warnings": ("word " * 60,)},
         settings={"joint": RigidJoint(transmission=Transmission(load="prismatic", lead=0.01))},
     )
@@ -243,30 +244,6 @@ def test_a_name_that_there_is_not_is_answered_by_the_nearest() -> None:
     assert isinstance(caught.value, ji.MethodError)
 
 
-def test_the_same_checks_in_python_and_by_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0))
-    reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
-    truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
-    noise = 0.5 * np.random.default_rng(0).standard_normal(reference.size)
-    record = ji.simulated_record(loop, reference, truth, sample_time=1e-3, torque_noise=noise)
-    here = ji.identify(record, loop)
-    assert [v.subject for v in here.checks.verdicts][-1] is Subject.LOOP
-    assert len(ji.identify(record, loop, loop_check=False).checks.verdicts) == len(here.checks.verdicts) - 1
-    joint = tmp_path / "joint.toml"
-    joint.write_text(
-        '[joint]\nkind = "prismatic"\n[record]\ntime = "t"\n[record.channels]\n'
-        'torque = { column = "f", unit = "N" }\nreference = { column = "r", unit = "m" }\n'
-        '[controller]\nlaw = "cascade"\nposition_gain = 100.0\nvelocity_gain = 2000.0\n',
-        encoding="utf-8",
-    )
-    file = ji.load(joint)
-    file.write(record, tmp_path / "run.csv")
-    assert run("identify", joint, "--record", tmp_path / "run.csv", "-q") == 0
-    first = capsys.readouterr().out.splitlines()[0]
-    assert first == str(ji.identify(file.record(tmp_path / "run.csv"), file.loop).answer)
-    assert first == "Inertia 29.983 ± 0.016 kg. You can rely on it."
-
-
 @pytest.mark.parametrize(("encoding", "shown"), [("utf-8", "94.90 ± 0.92"), ("ascii", "94.90 +- 0.92")])
 def test_a_terminal_without_the_sign_gets_plus_and_minus(encoding: str, shown: str) -> None:
     assert encodable("94.90 ± 0.92", encoding) == shown
@@ -284,34 +261,34 @@ def test_a_value_of_zero_that_may_have_either_sign_is_not_relied_on() -> None:
 
 def test_a_stiffness_behind_a_late_encoder_is_not_relied_on_but_an_inertia_is() -> None:
     lag = {"encoder_lag": EncoderLag("load_position", "motor_position", 0.0031, 0.97)}
-    answer = judged(flexible(1000.0, 10.0)).amended(checks=lag).answer
+    answer = amended(judged(flexible(1000.0, 10.0)), checks=lag).answer
     assert (answer.trust.code, answer.trust.values["reasons"]) == (Trust.NOT_YET, ["encoder_lag"])
     assert str(answer.trust) == "Do not rely on it yet: load_position seems 3.1 ms late, which hides the spring"
-    assert judged(RIGID).amended(checks=lag).answer.reliable
+    assert amended(judged(RIGID), checks=lag).answer.reliable
 
 
 def test_a_value_that_is_only_known_with_others_is_not_relied_on() -> None:
     found = judged(flexible(1000.0, 10.0))
     rows = tuple(replace(p, identifiable=False) if p.name == "stiffness" else p for p in found.params)
-    answer = found.amended(params={"rows": rows}).answer
+    answer = amended(found, params={"rows": rows}).answer
     assert (answer.trust.code, answer.trust.values["reasons"]) == (Trust.NOT_YET, ["only_together"])
 
 
 def test_an_error_that_is_no_number_is_not_relied_on() -> None:
-    answer = judged(RIGID).amended(fit={"filtered_error": np.nan}).answer
+    answer = amended(judged(RIGID), fit={"filtered_error": np.nan}).answer
     assert answer.trust.code is Trust.NOT_YET
 
 
 def test_a_value_that_was_declared_is_not_said_to_be_found() -> None:
     rows = tuple(replace(p, free=False, stderr=None) for p in RIGID.params)
-    answer = judged(RIGID.amended(params={"rows": rows})).answer
+    answer = judged(amended(RIGID, params={"rows": rows})).answer
     assert str(answer) == "Inertia 94.903 kg (fixed). It was declared, not identified."
     assert not answer.reliable
 
 
 def test_a_rigid_joint_is_not_advised_to_be_identified_as_rigid() -> None:
     refused = replace(RIGID.params["inertia"], value=None, stderr=None)
-    answer = judged(RIGID.amended(params={"rows": (refused,)})).answer
+    answer = judged(amended(RIGID, params={"rows": (refused,)})).answer
     assert str(answer.trust) == "Record a motion that shows it"
 
 
@@ -331,7 +308,7 @@ def test_parameters_at_a_bound_make_up_for_a_fault_of_the_loop() -> None:
     assert sound.reliable
     rows = flexible(800000.0, 4000.0)
     held = replace(rows.params.rows[2], stderr=None, free=False, at_bound=0.0)
-    bound = rows.amended(params={"rows": (*rows.params.rows[:2], held)})
+    bound = amended(rows, params={"rows": (*rows.params.rows[:2], held)})
     answer = judged(bound, damping=1.0).answer
     assert not answer.reliable
     assert "velocity_gain is 25 % smaller; ZZ2 ends at a bound" in str(answer)

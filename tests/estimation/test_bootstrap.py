@@ -11,7 +11,7 @@ from jointid.common.errors import MethodError
 from jointid.uncertainty.covariance import sandwich, white
 from jointid.uncertainty.identifiability import Combination
 from jointid.uncertainty.position_dependent_error import by_place, cells
-from jointid.uncertainty.profile import refit_weighted
+from jointid.uncertainty.profile import refit_with_weights
 from jointid.uncertainty.resampling import Bootstrapping, bootstrap_estimate
 from tests.estimation.linear import linear, parameters, solved
 from tests.estimation.motions import NAMES, TRUTH, columns, field, motion
@@ -66,7 +66,7 @@ def test_a_refit_of_a_linear_problem_is_one_step() -> None:
     settings = Bootstrapping(draws=5, seed=7)
     toy = linear(FREE, W, W @ TRUTH + np.random.default_rng(4).standard_normal(len(W)))
     one = bootstrap_estimate(FREE, x, residual, -W, settings=settings)
-    full = bootstrap_estimate(FREE, x, residual, -W, settings=settings, refit=partial(refit_weighted, toy, x))
+    full = bootstrap_estimate(FREE, x, residual, -W, settings=settings, refit=partial(refit_with_weights, toy, x))
     assert full.draws == pytest.approx(one.draws, rel=1e-6)
     assert "refitted each" in str(full)
 

@@ -145,10 +145,10 @@ def of_record(record: Record, controller: Cascade, start: dict[str, float]) -> B
     problem = torque_problem(record, rigid, filtering, rigid.joint.parameters)
     x = problem.vector(start)
     for _ in range(8):
-        residual, J = problem.linearised(x)
+        residual, J = problem.linearise(x)
         scale = np.linalg.norm(J, axis=0)
         x = x - solved(J / scale, residual) / scale
-    residual, J = problem.linearised(x)
+    residual, J = problem.linearise(x)
     values, run = problem.values(x), problem.simulate(x)
     larger = torque_problem(record, flexible, filtering, flexible.joint.parameters)
     none = dict.fromkeys((p.name for p in larger.parameters), 0.0)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.estimation.identify_record import coupling_warnings
+from jointid.estimation.record_warnings import coupling_warnings
 from jointid.records.drives import Drive
 from jointid.records.formats import Table, write_table
 from jointid.records.reading import find_other_axes, read

@@ -102,7 +102,7 @@ def test_the_slopes_of_the_residual_are_those_of_differences(tap: Tap) -> None:
     problem = problem_of(record, current_lag=None)
     around = {"log_delay": 3.3e-4, "current_lag": 4e-4, "initial_load_position": 1e-5, "initial_load_velocity": 1e-3}
     x = problem.vector(TABLE_2 | around)
-    _, J = problem.linearised(x)
+    _, J = problem.linearise(x)
     for i, p in enumerate(problem.free):
         step = np.zeros(x.size)
         step[i] = 1e-5 * abs(x[i]) or 1e-7
@@ -245,7 +245,7 @@ def coloured(pulses: bool, seed: int) -> Record:
     known = ji.excitation.pulses(reference.size, 1e-3, height=150.0, width=0.02, every=0.4, seed=0) if pulses else None
     white = np.random.default_rng(seed).standard_normal(reference.size)
     band = sosfiltfilt(butter(2, [15, 25], btype="band", fs=1000, output="sos"), white)
-    seen = FILTERING.resolved(1e-3)
+    seen = FILTERING.resolve(1e-3)
 
     def run(size: float) -> Record:
         return ji.simulated_record(

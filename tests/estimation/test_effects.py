@@ -10,7 +10,6 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.diagnostics.validation import validate
-from jointid.estimation.identify import identify
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.disturbances import Drift, effect_columns
 from jointid.models.friction import AsymmetricFriction
@@ -22,6 +21,7 @@ from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
+from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
 
 T = 1e-3

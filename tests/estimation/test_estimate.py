@@ -20,6 +20,7 @@ from jointid.output import json as answers
 from jointid.output.figures import save, torque
 from jointid.records.signals.filtering import Filtering
 from jointid.solvers.regression import Conditioning, least_squares
+from tests.estimates import amended
 from tests.estimation.conftest import CONTROLLER
 
 LOOP = ClosedLoop(RigidJoint(), CONTROLLER)
@@ -75,7 +76,7 @@ ESTIMATE = Estimate(
         variant="DIDIM in residual form from an inversion start",
         joint=LOOP.joint,
         loop=LOOP,
-        filtering=Filtering().resolved(1e-3),
+        filtering=Filtering().resolve(1e-3),
     ),
 )
 
@@ -111,7 +112,7 @@ def test_the_table_to_the_letter() -> None:
 
 
 def test_a_notebook_shows_the_table_and_no_tag_of_a_name() -> None:
-    html = ESTIMATE.amended(data={"record": "<script>alert(1)</script>"})._repr_html_()
+    html = amended(ESTIMATE, data={"record": "<script>alert(1)</script>"})._repr_html_()
     assert "<script" not in html
     assert '<th scope="row">ZZ</th><td class=text>inertia</td><td>94.903</td>' in html
 
@@ -140,7 +141,7 @@ def test_without_pandas_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_the_figure_of_the_torque_is_at_hand() -> None:
-    assert [axes.get_ylabel() for axes in ESTIMATE.plot.torque().axes] == ["force [N]", "force [N]"]
+    assert [axes.get_ylabel() for axes in ESTIMATE.plot.torque().axes] == ["force [N]", "force [N]", "error [N]"]
     assert ESTIMATE.plot.torque()._repr_png_().startswith(b"\x89PNG"), "what a notebook shows, also without pyplot"
 
 
@@ -151,12 +152,15 @@ def test_the_residual_and_the_report_are_a_word_away() -> None:
     record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
     estimate = ji.identify(record, loop)
     assert [axes.get_xlabel() for axes in estimate.plot.residual(record).axes][:2] == ["velocity [m/s]", "position [m]"]
+    assert [axes.get_xlabel() for axes in estimate.plot.spectrum().axes] == ["frequency [Hz]"]
+    assert estimate.plot.response().axes[1].get_ylabel() == "phase [°]"
+    assert estimate.plot.profile(record, ["inertia"]).axes[0].get_xlabel().startswith("ZZ")
     report = estimate.report(record, name="axis 1", profiles=())
     assert isinstance(report, ji.Report)
 
 
 def test_conditioning_is_printed_three_ways() -> None:
-    regressed = ESTIMATE.amended(fit={"conditioning": Conditioning(25.98830347, 4.33, 12.294)})
+    regressed = amended(ESTIMATE, fit={"conditioning": Conditioning(25.98830347, 4.33, 12.294)})
     assert "conditioning  25.9883 raw, 4.33 normalised, 12.29 scaled by the parameters" in regressed.summary(
         details=True
     )
@@ -170,7 +174,7 @@ def test_a_parameter_is_found_by_name_or_symbol() -> None:
 
 
 def test_json_says_null_and_never_nan(tmp_path: Path) -> None:
-    answer = answers.to_dict(ESTIMATE.amended(fit={"relative_error": float("nan")}))
+    answer = answers.to_dict(amended(ESTIMATE, fit={"relative_error": float("nan")}))
     answers.write(answer, tmp_path / "out.json")
     text = (tmp_path / "out.json").read_text(encoding="utf-8")
     read = json.loads(text)
@@ -191,8 +195,9 @@ def test_every_key_of_the_json_is_documented() -> None:
 
 
 def test_an_estimate_is_read_back(tmp_path: Path) -> None:
-    whole = ESTIMATE.amended(
-        params={"rows": (*ESTIMATE.params[:2], parameter("coulomb", "Fc", "N", 20.1, 0.1), *ESTIMATE.params[3:])}
+    whole = amended(
+        ESTIMATE,
+        params={"rows": (*ESTIMATE.params[:2], parameter("coulomb", "Fc", "N", 20.1, 0.1), *ESTIMATE.params[3:])},
     )
     answers.write(answers.to_dict(whole), tmp_path / "out.json")
     assert answers.read_identified(tmp_path / "out.json", LOOP.joint, LOOP) == whole.identified
@@ -228,9 +233,8 @@ def test_figures_are_saved_in_the_format_of_their_suffix(tmp_path: Path) -> None
     figure = torque(ESTIMATE)
     assert save(figure, tmp_path / "t.png").read_bytes().startswith(b"\x89PNG")
     assert b"<svg" in save(figure, tmp_path / "t.svg").read_bytes()
-    labels = [axes.get_ylabel() for axes in figure.axes]
-    assert labels == ["force [N]", "force [N]"]
-    assert [text.get_text() for text in figure.axes[0].get_legend().get_texts()] == ["measured", "simulated", "error"]  # type: ignore[union-attr]
+    legends = [[text.get_text() for text in axes.get_legend().get_texts()] for axes in figure.axes]  # type: ignore[union-attr]
+    assert legends == [["measured", "simulated"], ["measured", "simulated"], ["error"]]
     with pytest.raises(RecordError, match=r'received "t.gif"'):
         save(figure, tmp_path / "t.gif")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from jointid.estimation.result.build_estimate import ask_of_gains
+from jointid.estimation.result.build_result import ask_of_gains
 from jointid.models.controllers import PD, Cascade
 from jointid.models.joints import FlexibleJoint, RigidJoint
 

@@ -12,7 +12,6 @@ from jointid.common.errors import MethodError, RecordError
 from jointid.common.messages import silent
 from jointid.diagnostics.validation import validate
 from jointid.estimation.descent import History
-from jointid.estimation.identify import identify
 from jointid.estimation.methods import flexible, stiffness_search
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
@@ -26,6 +25,7 @@ from jointid.records.record import Injection, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.synthesis import simulated_record
 from studies import healthy
+from tests.estimates import identify
 
 
 def deviations(estimate: Estimate, truth: dict[str, float]) -> dict[str, float]:
@@ -294,7 +294,7 @@ def test_ten_kilograms_on_the_load_are_found_there(method: IDIM | FlexibleDIDIM)
 
 def test_the_filter_as_printed_warns() -> None:
     axis = twin(noise="white")
-    estimate = identify(torque_only(axis), axis.loop, FlexibleDIDIM(frequency=30.0), filtering=Filtering.as_printed())
+    estimate = identify(torque_only(axis), axis.loop, FlexibleDIDIM(frequency=30.0), filtering=Filtering.as_in_paper())
     assert any(
         "one sample in 12 has its Nyquist frequency at 41.7 Hz" in warning for warning in estimate.checks.warnings
     )

@@ -31,7 +31,7 @@ def solved(axis: Servo) -> tuple[ClosedLoopProblem, Solution]:
     """Return where plain least squares ends on a servo that begins at rest."""
     problem = torque_problem(axis.record, axis.loop, Filtering(), axis.loop.joint.parameters)
     problem = problem.keeping({"initial_velocity": 0.0})
-    found = ji.identify(axis.record, axis.loop, loop_check=False)
+    found = ji.identify(axis.record, axis.loop, checks=False)
     start = problem.vector({row.name: row.value or 0.0 for row in found.params})
     return problem, solve(problem, least_squares(problem, 1e-7), start)
 
@@ -39,7 +39,7 @@ def solved(axis: Servo) -> tuple[ClosedLoopProblem, Solution]:
 @pytest.mark.parametrize("seed", RESTING)
 def test_intervals_hold_what_a_force_moves(seed: int) -> None:
     axis = servo(seed)
-    found = ji.identify(axis.record, axis.loop, loop_check=False)
+    found = ji.identify(axis.record, axis.loop, checks=False)
     coulomb, viscous = found["coulomb"], found["viscous"]
     for row in (coulomb, viscous):
         assert row.value is not None and row.stderr is not None
@@ -81,14 +81,14 @@ def test_an_axis_that_never_rests_is_not_moved(noise: str) -> None:
     problem = torque_problem(axis.record, axis.loop, Filtering(cutoff=60.0), axis.loop.joint.parameters)
     problem = problem.keeping({"initial_velocity": 0.0})
     x = problem.vector({**axis.truth, "initial_position": 0.0})
-    error, slopes = problem.linearised(x)
+    error, slopes = problem.linearise(x)
     std = uncertainty(slopes, slopes, error, problem.cells(problem.simulate(x)), [p.name for p in problem.free])
     assert allow_for_force(problem, x, -slopes, std.covariance.std, History(silent)) is None
 
 
 def test_intervals_hold_what_a_force_moves_where_a_gain_is_free_too() -> None:
     axis = servo(25)
-    found = ji.identify(axis.record, axis.loop, ji.DIDIM(free=("velocity_gain",)), loop_check=False)
+    found = ji.identify(axis.record, axis.loop, ji.DIDIM(free=("velocity_gain",)), checks=False)
     for name in ("coulomb", "viscous"):
         row = found[name]
         assert row.value is not None and row.stderr is not None
@@ -109,7 +109,7 @@ def test_intervals_of_several_records_hold_what_their_forces_move() -> None:
         forces = {"disturbance": 0.15 * force / force.std(), "torque_noise": noise}
         whole = simulated_record(loop, reference, truth, sample_time=period, **forces)
         records.append(whole.without("motor_position"))
-    found = ji.identify(records, loop, loop_check=False)
+    found = ji.identify(records, loop, checks=False)
     for name in ("viscous", "coulomb"):
         row = found[name]
         assert row.value is not None and row.stderr is not None

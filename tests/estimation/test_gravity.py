@@ -10,11 +10,10 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.diagnostics.method_comparison import compare_methods
-from jointid.estimation.identify import identify
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit, OpenLoopFit
 from jointid.estimation.problems.closed_loop import beginning_position, torque_problem
-from jointid.estimation.result.build_estimate import find_lost
+from jointid.estimation.result.build_result import find_lost
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Cascade
 from jointid.models.friction import AsymmetricFriction
@@ -25,6 +24,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Initial
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.synthesis import simulated_record
+from tests.estimates import identify
 
 ARM = ClosedLoop(RigidJoint(kind="revolute", gravity=Gravity("link")), Cascade(position_gain=20.0, velocity_gain=150.0))
 ARM_TRUTH = {

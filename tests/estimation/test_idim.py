@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError, RecordError
-from jointid.estimation.identify import identify
 from jointid.estimation.methods import linear
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.linear import Rows, instrumental, ordinary, robust
@@ -22,6 +21,7 @@ from jointid.records.record import Record
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from jointid.uncertainty.model_tests import durbin_wu_hausman
+from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
 from tests.text import unwrapped
 

@@ -6,12 +6,12 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.diagnostics.intervals import intervals, require_quantities
-from jointid.estimation.identify import identify
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import twin
 from jointid.records.record import Record
+from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
 
 AXIS = twin(noise="white", seed=4)

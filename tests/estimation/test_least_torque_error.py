@@ -17,7 +17,7 @@ STARTS: tuple[Literal["inversion", "regular"], ...] = ("inversion", "regular")
 
 def identified(case: Servo, start: Literal["inversion", "regular", "given"]) -> ji.Estimate:
     settings = ji.DIDIM("least-squares", start)
-    return ji.identify(case.record, case.loop, settings, loop_check=False)
+    return ji.identify(case.record, case.loop, settings, checks=False)
 
 
 @pytest.mark.parametrize("seed", [8, 14])  # from the one start the fixed point begins to move, from the other not
@@ -50,4 +50,4 @@ def test_a_direction_that_is_never_taken_is_refused() -> None:
     noise = 0.02 * np.random.default_rng(0).standard_normal(speeds.size)
     whole = simulated_record(loop, np.cumsum(speeds) * period, truth, sample_time=period, torque_noise=noise)
     with pytest.raises(ji.MethodError, match="excites viscous_backwards, coulomb_backwards"):
-        ji.identify(whole.without("motor_position"), loop, loop_check=False)
+        ji.identify(whole.without("motor_position"), loop, checks=False)

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError, RecordError
-from jointid.estimation.identify import identify
 from jointid.estimation.identify_log import StreamingGaussNewton
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.flexible import FlexibleDIDIM
@@ -41,6 +40,7 @@ from jointid.simulation.synthesis import simulated_record
 from jointid.solvers.bounded_least_squares import TrustRegion
 from jointid.solvers.solve import solve
 from jointid.uncertainty.resampling import Sums
+from tests.estimates import identify
 from tests.text import unwrapped
 
 PERIOD = 1e-3
@@ -109,7 +109,7 @@ def test_a_log_is_a_problem_that_any_solver_solves() -> None:
     window = window_problem(record, LOOP, filtering, joint.parameters, ())
     problem = LogProblem(InMemory(record), window, 5000, 250, Places.of(*motion(window)))
     start = window.vector(TRUTH | {"inertia": 33.0, "coulomb": 12.0})
-    error, J = problem.linearised(start)
+    error, J = problem.linearise(start)
     sums = problem.pass_over(start).sums
     np.testing.assert_allclose(J.T @ J, sums.A, rtol=1e-9)
     np.testing.assert_allclose(J.T @ error, sums.b, rtol=1e-6)

@@ -33,7 +33,7 @@ class Line(RecordProblem):
         values = self.values(x)
         return self.measured - values["a"] - values["b"] * TIME
 
-    def linearised(self, x: Array) -> tuple[Array, Array]:
+    def linearise(self, x: Array) -> tuple[Array, Array]:
         columns = {"a": np.ones_like(TIME), "b": TIME}
         return self.residual(x), -np.column_stack([columns[p.name] for p in self.free])
 

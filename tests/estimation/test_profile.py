@@ -75,13 +75,13 @@ def decay(seed: int) -> Toy:
 def minimum(toy: Toy, start: np.ndarray) -> np.ndarray:
     from scipy.optimize import least_squares
 
-    return np.asarray(least_squares(toy.residual, start, lambda x: toy.linearised(x)[1], xtol=1e-14, ftol=1e-14).x)
+    return np.asarray(least_squares(toy.residual, start, lambda x: toy.linearise(x)[1], xtol=1e-14, ftol=1e-14).x)
 
 
 def test_a_bent_problem_is_profiled_as_by_hand() -> None:
     toy = decay(2)
     x = minimum(toy, np.array([5.0, 0.8]))
-    residual, J = toy.linearised(x)
+    residual, J = toy.linearise(x)
     toy.asked.clear()
     found = profile(toy, x, single(toy.free[1], "1/s"), white(J, residual))
     assert found.evaluations == len(toy.asked)
@@ -187,9 +187,9 @@ def test_a_stiffness_that_is_seen_is_bounded_by_its_compliance() -> None:
     by = ByCompliance(toy, 1e-4)
     assert [p.name for p in by.free] == ["a", "compliance"]
     assert by.free[1].symbol == "1/K12"
-    there = by.exchanged(x)
-    assert by.exchanged(there) == pytest.approx(x)
-    residual, J = by.linearised(there)
+    there = by.exchange(x)
+    assert by.exchange(there) == pytest.approx(x)
+    residual, J = by.linearise(there)
     step = 1e-6 * np.eye(2)[1]
     slope = (by.residual(there + step) - by.residual(there - step)) / 2e-6
     assert J[:, 1] == pytest.approx(slope, abs=1e-7)
@@ -221,10 +221,10 @@ def test_on_the_twin_the_compliance_is_bounded_and_the_sum_of_the_frictions_know
     problem = replace(problem, parameters=still)
     x = problem.vector({**axis.truth, "initial_position": 0.0})
     for _ in range(4):
-        residual, J = problem.linearised(x)
+        residual, J = problem.linearise(x)
         x = x - np.linalg.lstsq(J, residual, rcond=None)[0]
     by = ByCompliance(problem, 1e-3 / axis.truth["stiffness"])
-    there = by.exchanged(x)
+    there = by.exchange(x)
     stiff = [p.name for p in by.free].index("compliance")
     found = profile(by, there, single(by.free[stiff], "m/N"), settings=Profiling(tolerance=1e-6))
     assert found.bounded
@@ -234,6 +234,6 @@ def test_on_the_twin_the_compliance_is_bounded_and_the_sum_of_the_frictions_know
     assert found.interval[1] - found.interval[0] < 0.04 * there[stiff]
     total = Combination("total viscous", "Fv1 + Fv2", "N s/m", {"motor_viscous": 1.0, "load_viscous": 1.0})
     both = profile(by, there, total, settings=Profiling(tolerance=1e-6))
-    J = by.linearised(there)[1]
+    J = by.linearise(there)[1]
     std = sandwich(J, J, by.residual(there)).std_of(total.vector(by.free))
     assert both.interval == pytest.approx((both.estimate - 2 * std, both.estimate + 2 * std), abs=0.4 * std)

@@ -10,7 +10,6 @@ import pytest
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.parameters import Parameter, Quantity
 from jointid.diagnostics.validation import validate
-from jointid.estimation.identify import identify
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.controllers import PD, Cascade
@@ -22,6 +21,7 @@ from jointid.simulation.closed_loop import Initial, simulate
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.synthesis import simulated_record
+from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
 
 T = 1e-3
@@ -321,7 +321,7 @@ def test_what_cannot_be_identified_is_refused_in_a_sentence() -> None:
     made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
     asymmetric = RigidJoint(friction=AsymmetricFriction())
     free_offset = {"offset": Parameter("offset", "offset", Quantity.FORCE)}
-    with pytest.raises(MethodError, match=r"offset.*cannot be told apart"):
+    with pytest.raises(MethodError, match=r"offset.*cannot be distinguished"):
         identify(made, asymmetric, parameters=free_offset)
     with pytest.raises(RecordError, match=r"IDIM needs motor_position; this record has torque, reference\."):
         identify(made.without("motor_position"), RigidJoint())

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.estimation.identify import identify
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.models.joints import ClosedLoop, RigidJoint
@@ -16,6 +15,7 @@ from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.uncertainty.covariance import sandwich
 from jointid.uncertainty.position_dependent_error import Cells, Uncertainty, by_place, cells, repeatable, uncertainty
+from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
 from tests.estimation.motions import NAMES, columns, field, motion
 
@@ -152,7 +152,7 @@ def emps_fit(record: Record) -> tuple[ClosedLoopProblem, np.ndarray, np.ndarray,
     values = {p.name: p.value for p in estimate.params}
     problem = torque_problem(record, LOOP, Filtering(), LOOP.joint.parameters)
     x = problem.vector({name: value or 0.0 for name, value in values.items()})
-    residual, J = problem.linearised(x)
+    residual, J = problem.linearise(x)
     return problem, residual, J[:, :4], cells(*at_rows(problem, x))
 
 
@@ -202,7 +202,7 @@ def test_on_the_twin_the_intervals_hold_the_truth_and_nothing_repeats() -> None:
     still = tuple(p.fixed(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
     problem = replace(problem, parameters=still)
     x = problem.vector({**axis.truth, "initial_position": 0.0})
-    _, J = problem.linearised(x)
+    _, J = problem.linearise(x)
     where = cells(*at_rows(problem, x))
     inside, repeats = np.zeros(x.size), 0
     for seed in range(100):

@@ -7,12 +7,12 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.records.signals.filtering import Filtering
-from jointid.uncertainty.covariance import different, robust, white
+from jointid.uncertainty.covariance import compare_deviations, robust, white
 from jointid.uncertainty.position_dependent_error import Repeatable
 from jointid.uncertainty.residual_tests import residual_report, whiteness
 from jointid.uncertainty.verdict import residual_verdicts
 
-FILTERING = Filtering(cutoff=60.0).resolved(1e-3)
+FILTERING = Filtering(cutoff=60.0).resolve(1e-3)
 STEP = 6e-3
 SAMPLES = 24_000
 
@@ -35,11 +35,11 @@ def test_white_noise_through_the_filter_is_white(loud: bool) -> None:
 
 def test_white_in_the_band_and_robust_deviations_far_from_white_ones_are_two_answers() -> None:
     """Rows four times as close as the pass band needs are correlated, of noise that is white in the band."""
-    close = Filtering(cutoff=60.0, decimation=2).resolved(1e-3)
+    close = Filtering(cutoff=60.0, decimation=2).resolve(1e-3)
     error = close.decimate(np.random.default_rng(6).standard_normal(SAMPLES), 1e-3)
     test = whiteness(error, 2e-3, 60.0)
     level = np.ones((error.size, 1))
-    message = different(("offset",), white(level, error), robust(level, level, error))
+    message = compare_deviations(("offset",), white(level, error), robust(level, level, error))
     assert test is not None
     assert test.white
     assert message is not None

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.estimation.identify import identify
 from jointid.estimation.identify_several import by_itself, starts, whitened
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.problems.base import INITIAL_STATE
@@ -23,6 +22,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.synthesis import simulated_record
 from studies.added_mass import FRICTION, KILOGRAMS, QUICK, Noise, heavier, twins
+from tests.estimates import amended, identify
 from tests.estimation.conftest import CONTROLLER
 from tests.text import unwrapped
 
@@ -194,8 +194,8 @@ def test_a_record_that_is_much_noisier_does_no_harm() -> None:
 def test_what_one_record_refuses_another_may_tell() -> None:
     truth = {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": -3.0}
     estimate = identify(logged(RIGID, truth), RIGID)
-    refusing = estimate.amended(
-        params={"rows": tuple(replace(p, value=None) if p.name == "coulomb" else p for p in estimate.params)}
+    refusing = amended(
+        estimate, params={"rows": tuple(replace(p, value=None) if p.name == "coulomb" else p for p in estimate.params)}
     )
     first, second = starts([refusing, estimate])
     assert first == second

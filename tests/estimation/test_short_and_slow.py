@@ -28,7 +28,7 @@ def cut(record: ji.Record, first: int, count: int) -> ji.Record:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_two_seconds_of_an_axis_that_moves_are_enough(seed: int) -> None:
     axis = twin("L19", noise="white", seed=seed)
-    estimate = ji.identify(cut(axis.record, 3000, 2000), axis.loop, loop_check=False)
+    estimate = ji.identify(cut(axis.record, 3000, 2000), axis.loop, checks=False)
     line = estimate["stiffness"]
     assert line.value is not None
     assert line.stderr is not None
@@ -42,7 +42,7 @@ def test_steps_that_lead_to_no_joint_give_way_to_least_squares() -> None:
     rigid = ji.ClosedLoop(axis.loop.joint.rigid, axis.loop.controller)  # type: ignore[union-attr]
     said: list[str] = []
     estimate = ji.identify(
-        cut(axis.record, 3000, 4000), rigid, ji.DIDIM("residual"), loop_check=False, progress=said.append
+        cut(axis.record, 3000, 4000), rigid, ji.DIDIM("residual"), checks=False, progress=said.append
     )
     assert any("by least squares instead" in line for line in said)
     assert "by least squares" in estimate.settings.variant
@@ -51,7 +51,7 @@ def test_steps_that_lead_to_no_joint_give_way_to_least_squares() -> None:
         assert value is not None
         assert value >= 0.0
     with pytest.raises(ji.MethodError, match="DIDIM cannot go on"):
-        ji.identify(cut(axis.record, 3000, 4000), rigid, ji.DIDIM("paper"), loop_check=False)
+        ji.identify(cut(axis.record, 3000, 4000), rigid, ji.DIDIM("paper"), checks=False)
 
 
 def test_a_loop_of_a_third_of_a_hertz_is_identified() -> None:
@@ -66,7 +66,7 @@ def test_a_loop_of_a_third_of_a_hertz_is_identified() -> None:
     loop = ji.ClosedLoop(ji.FlexibleJoint("revolute"), law)
     reference = ji.excitation.trapezoids((1.0, 2.0), 2.0, 2.0, 1e-3, duration=40.0)
     record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)
-    found = ji.identify(record.without("motor_position", "load_position"), loop, loop_check=False)
+    found = ji.identify(record.without("motor_position", "load_position"), loop, checks=False)
     assert found["stiffness"].value == pytest.approx(truth["stiffness"], rel=1e-6)
 
 
@@ -75,7 +75,7 @@ def test_a_mode_inside_the_bandwidth_is_found_though_the_rigid_joint_is_none() -
     """The load is 84 % of the inertia: no flexible joint of the inertia that a rigid one shows can be simulated."""
     axis = drive(9247, 12.0)
     said: list[str] = []
-    estimate = ji.identify(axis.record, axis.loop, loop_check=False, progress=said.append)
+    estimate = ji.identify(axis.record, axis.loop, checks=False, progress=said.append)
     assert any("with other inertias than that joint's" in line for line in said)
     stiffness = estimate["stiffness"]
     assert stiffness.interval is not None

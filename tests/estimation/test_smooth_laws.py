@@ -6,10 +6,10 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.diagnostics.friction_comparison import compare_frictions
-from jointid.estimation.identify import identify
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import FlexibleJoint
+from tests.estimates import identify
 from tests.estimation.test_stribeck import noisy
 from tests.plants import prismatic
 from tests.smooth_laws import LAWS, with_law

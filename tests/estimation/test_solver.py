@@ -8,7 +8,6 @@ from typing import Literal
 
 import pytest
 
-from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Cascade
@@ -16,6 +15,7 @@ from jointid.models.joints import FlexibleJoint
 from jointid.paper.twin import twin
 from jointid.records.record import Channel
 from studies.random_plants import NOISE, judge
+from tests.estimates import identify
 from tests.plants import rotary
 
 

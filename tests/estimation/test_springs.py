@@ -7,13 +7,13 @@ import pytest
 import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.config import dumps, loads
-from jointid.estimation.identify import identify
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.summary import settings_facts
 from jointid.models.joints import FlexibleJoint
 from jointid.models.springs import SPRINGS, Backlash, Spring, ThreePieceSpring, TwoPieceSpring
 from jointid.simulation.prescribed import DriveSide
 from studies.mechanics import Spoiled, spoiled
+from tests.estimates import identify
 from tests.joint_files import FLEXIBLE, SMALLEST, faults
 from tests.plants import gapped_axis, prismatic, with_spring
 

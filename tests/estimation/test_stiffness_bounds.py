@@ -62,7 +62,7 @@ def test_a_problem_s_derivatives_are_those_of_its_residual() -> None:
     known |= {"share": 0.3, "mode": 50.0} | {name: plant.truth[name] for name in names}
     x = np.array([known[p.name] for p in at.free])
     assert at.described(x) == pytest.approx(known)
-    _, J = at.linearised(x)
+    _, J = at.linearise(x)
     for i, p in enumerate(at.free):
         step = np.zeros(x.size)
         step[i] = 1e-6 * abs(x[i])

@@ -11,13 +11,13 @@ import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.diagnostics.friction_comparison import compare_frictions
 from jointid.diagnostics.validation import validate
-from jointid.estimation.identify import identify
 from jointid.models.friction import FRICTIONS, AsymmetricStribeckFriction, StribeckFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.records.record import Record
 from jointid.simulation.closed_loop import simulate
 from jointid.simulation.loop_input import prepare
 from jointid.uncertainty.verdict import Subject
+from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
 from tests.plants import Case, prismatic
 from tests.simulation.test_friction_in_pieces import FALLS, RISES, rigid, slow

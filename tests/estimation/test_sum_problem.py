@@ -105,7 +105,7 @@ def test_derivatives_against_central_differences(axis: Twin) -> None:
     x = at(criterion, values | {"drive_gain": 1.02, "position_gain@1": 160.18, "position_gain@2": 121.0})
     names = [p.name for p in criterion.free]
     assert {"drive_gain", "position_gain@1", "position_gain@2", "load_coulomb@2", "initial_position@2"} <= set(names)
-    residual, J = criterion.linearised(x)
+    residual, J = criterion.linearise(x)
     assert residual == pytest.approx(criterion.residual(x), rel=1e-9, abs=1e-9)
     for i, name in enumerate(names):
         step = 1e-6 * (abs(x[i]) or 1e-3)

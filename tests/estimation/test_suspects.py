@@ -9,9 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.diagnostics.check_loop import LoopTests, add_loop_verdict, check_loop, find_faults
+from jointid.diagnostics.check_loop import LoopTests, check_loop, search_faults
 from jointid.diagnostics.check_loop import _solve as solve_as_ever
 from jointid.diagnostics.fault_tests import (
     FaultSignature,
@@ -22,7 +23,6 @@ from jointid.diagnostics.fault_tests import (
     score_signatures,
 )
 from jointid.diagnostics.loop_findings import Finding, LoopCheck, ParameterShift
-from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
@@ -33,6 +33,7 @@ from jointid.paper.twin import twin
 from jointid.records.record import Record, Tap
 from jointid.uncertainty.position_dependent_error import cells
 from studies.healthy import drive
+from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
 from tests.faults import FAULTS, Fault, line_7, on, problem, setting, solved
 from tests.text import unwrapped
@@ -50,7 +51,7 @@ SIZES = {
 def test_one_fault_is_named_and_measured(fault: str) -> None:
     where = setting("L19", brief=fault != "limit")  # which a long record measures to a thousandth
     made = problem(where, FAULTS[fault], "disturbance", 1)
-    check = find_faults(made, solved(made, where), LoopTests(most=1))
+    check = search_faults(made, solved(made, where), LoopTests(most=1))[0]
     first = check.findings[0]
     assert first.test.name == fault
     assert not check.as_declared
@@ -63,7 +64,7 @@ def test_one_fault_is_named_and_measured(fault: str) -> None:
 def test_a_torque_channel_that_is_late_is_no_late_torque() -> None:
     where = setting("L19")
     made = problem(where, FAULTS["log_delay"], "white", 1)
-    first = find_faults(made, solved(made, where), LoopTests(most=1)).findings[0]
+    first = search_faults(made, solved(made, where), LoopTests(most=1))[0].findings[0]
     assert first.test.name == "log_delay"
     assert first.test.size == pytest.approx(1e-3, abs=6e-5)
     assert first.changes["motor_inertia"].sigmas < -3
@@ -72,14 +73,14 @@ def test_a_torque_channel_that_is_late_is_no_late_torque() -> None:
 def test_several_faults_are_named_one_after_another() -> None:
     where = setting("L19", brief=True)
     made = problem(where, replace(FAULTS["offset"], law=line_7), "disturbance", 1)
-    check = find_faults(made, solved(made, where), LoopTests(most=2))
+    check = search_faults(made, solved(made, where), LoopTests(most=2))[0]
     assert {"offset", "delay"} == {f.test.name for f in check.findings}
 
 
 def test_a_clean_record_is_as_declared() -> None:
     where = setting("L19", brief=True)
     made = problem(where, None, "disturbance", 1)
-    check = find_faults(made, solved(made, where))
+    check = search_faults(made, solved(made, where))[0]
     assert check.as_declared
     assert check.sentences[0].startswith("loop and log are as declared as far as this record shows (")
     alike = next(s for s in check.tests if s.name == "velocity_gain")
@@ -127,13 +128,13 @@ def test_a_measured_torque_that_holds_its_disturbance_does_not_hold_a_friction()
 def test_a_record_without_noise_has_no_statistics() -> None:
     where = setting("L19", brief=True)
     made = problem(where, None, None)
-    assert find_faults(made, made.vector(where.truth)).as_declared
+    assert search_faults(made, made.vector(where.truth))[0].as_declared
 
 
 def test_what_is_free_is_not_suspected() -> None:
     where = setting("L19", brief=True)
     made = problem(where, FAULTS["delay"], "white", 2).freeing("delay")
-    check = find_faults(made, solved(made, where))
+    check = search_faults(made, solved(made, where))[0]
     assert check.as_declared
     assert "delay" not in {s.name for s in check.tests}
 
@@ -283,21 +284,22 @@ def test_a_number_whose_part_of_the_law_vanishes_ends_no_check(monkeypatch: pyte
         return solve_as_ever(problem, start)
 
     monkeypatch.setattr("jointid.diagnostics.check_loop._solve", vanishes)
-    check = find_faults(made, x, LoopTests(most=1))
+    check = search_faults(made, x, LoopTests(most=1))[0]
     assert check.findings[0].test.name == "position_gain"
     assert check.findings[0].value is None
 
 
 @pytest.mark.parametrize("failure", [MethodError, np.linalg.LinAlgError])
 def test_a_check_that_is_not_possible_ends_no_identification(
-    failure: type[Exception], identified: Callable[..., Estimate], monkeypatch: pytest.MonkeyPatch
+    failure: type[Exception], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(*_: object) -> None:
+    def refuse(*_: object, **__: object) -> None:
         raise failure("There is no derivative.")
 
-    monkeypatch.setattr("jointid.diagnostics.check_loop._find", refuse)
-    record = twin(noise="white").record.without("motor_position", "load_position")
-    estimate = add_loop_verdict(identified("L19", FlexibleDIDIM(frequency=30.0), noise="white"), record)
+    monkeypatch.setattr("jointid.diagnostics.run_checks.search_faults", refuse)
+    axis = twin(noise="white")
+    record = axis.record.without("motor_position", "load_position")
+    estimate = ji.identify(record, axis.loop, FlexibleDIDIM(frequency=30.0))
     assert estimate.checks.verdicts[-1].said == "not checked: There is no derivative."
     assert estimate.answer.trust.code == "not_checked"
 
@@ -312,9 +314,9 @@ def test_changes_are_measured_by_the_deviations_of_the_table() -> None:
     where = setting("L19", brief=True)
     made = problem(where, FAULTS["position_gain"], "disturbance", 1)
     x = solved(made, where)
-    own = find_faults(made, x, LoopTests(most=1)).findings[0].changes
+    own = search_faults(made, x, LoopTests(most=1))[0].findings[0].changes
     wider = dict.fromkeys(own, 10.0)
-    measured = find_faults(made, x, LoopTests(most=1), wider).findings[0].changes
+    measured = search_faults(made, x, LoopTests(most=1), wider)[0].findings[0].changes
     assert all(change.sigmas == pytest.approx(change.by / 10.0) for change in measured.values())
 
 

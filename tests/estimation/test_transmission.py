@@ -14,7 +14,6 @@ import pytest
 
 from jointid.common.transmission import OtherSide, Side, Transmission
 from jointid.diagnostics.check_loop import check_loop
-from jointid.estimation.identify import identify
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit, OpenLoopFit
@@ -34,6 +33,7 @@ from jointid.simulation.prescribed import DriveSide, OpenLoop
 from jointid.simulation.synthesis import simulated_record
 from jointid.uncertainty.identifiability import Combination, Known
 from jointid.uncertainty.verdict import StiffnessBound
+from tests.estimates import identify
 from tests.geared import FLEXIBLE, RATE, RIGID, SCREW
 from tests.geared import LAW as UNFILTERED
 from tests.text import unwrapped

@@ -12,8 +12,8 @@ from jointid.uncertainty.covariance import (
     Covariance,
     bandwidth,
     by_spectrum,
+    compare_deviations,
     covariance_of,
-    different,
     larger,
     residual_left_out,
     robust,
@@ -115,13 +115,13 @@ def test_where_the_white_and_the_robust_deviations_differ_is_said() -> None:
     random = np.random.default_rng(5)
     W = np.column_stack([np.ones(2000), random.standard_normal(2000)])
     error = low_passed(random, 2000)
-    message = different(("mean", "quick"), white(W, error), sandwich(W, W, error))
+    message = compare_deviations(("mean", "quick"), white(W, error), sandwich(W, W, error))
     assert message is not None
     assert "mean 2." in message.words
     assert "quick" not in message.words
     assert "row by row" in message.words
     noise = random.standard_normal(2000)
-    assert different(("mean", "quick"), white(W, noise), sandwich(W, W, noise)) is None
+    assert compare_deviations(("mean", "quick"), white(W, noise), sandwich(W, W, noise)) is None
 
 
 def test_the_larger_of_two_is_above_both_and_no_larger_than_needed() -> None:

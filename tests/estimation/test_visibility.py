@@ -13,7 +13,6 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import silent
 from jointid.common.parameters import Parameter
 from jointid.diagnostics.validation import validate
-from jointid.estimation.identify import identify
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.stiffness_identifiability import visible
@@ -25,6 +24,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.synthesis import simulated_record
 from jointid.uncertainty.position_dependent_error import uncertainty
 from jointid.uncertainty.verdict import POOR_FIT
+from tests.estimates import identify
 from tests.estimation.conftest import CONTROLLER
 from tests.faster_drives import CASCADE, drive
 
@@ -123,7 +123,7 @@ def test_a_load_that_its_friction_holds_tells_no_inertia() -> None:
     problem = torque_problem(record, axis.loop, Filtering(), axis.loop.joint.parameters)
     problem = problem.keeping({"initial_velocity": 0.0})
     x = problem.vector({"initial_position": 0.0, "initial_torque": 0.0} | truth)
-    error, J = problem.linearised(x)
+    error, J = problem.linearise(x)
     names = [p.name for p in problem.free]
     assert not J[:, names.index("load_inertia")].any()
     known = uncertainty(J, J, error, problem.cells(problem.simulate(x)), names)

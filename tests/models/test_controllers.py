@@ -18,7 +18,7 @@ from jointid.models.controllers import (
     StateSpaceController,
     invert,
     run,
-    scaled,
+    scale,
 )
 
 T = 1e-3
@@ -121,11 +121,11 @@ def test_memory_is_what_uniform_motion_leaves(name: str) -> None:
 
 @pytest.mark.parametrize("name", LAWS)
 def test_scaling_multiplies_the_output(name: str) -> None:
-    law = LAWS[name].law(T).limited(7.0)
+    law = LAWS[name].law(T).with_limit(7.0)
     r, q = REFERENCE_SIGNAL, POSITION_SIGNAL
     start = at_rest(LAWS[name], r, q)
-    assert np.allclose(run(scaled(law, 3.0), inputs(r, q), start).output, 3.0 * run(law, inputs(r, q), start).output)
-    assert scaled(law, 3.0).limit == 21.0
+    assert np.allclose(run(scale(law, 3.0), inputs(r, q), start).output, 3.0 * run(law, inputs(r, q), start).output)
+    assert scale(law, 3.0).limit == 21.0
 
 
 def test_the_excess_is_fed_back_in_controller_units() -> None:
@@ -133,7 +133,7 @@ def test_the_excess_is_fed_back_in_controller_units() -> None:
     lowered = law.law(T)
     assert lowered.limit == 30.0
     assert lowered.F[0, 0, 0] * 10.0 == 0.5
-    assert scaled(lowered, 4.0).F[0, 0, 0] * 40.0 == 0.5
+    assert scale(lowered, 4.0).F[0, 0, 0] * 40.0 == 0.5
 
 
 def test_the_period_is_the_log_s_unless_the_law_has_its_own() -> None:

@@ -10,7 +10,6 @@ import pytest
 
 from jointid.config import dumps, loads
 from jointid.config.contents import JointFile
-from jointid.estimation.identify import identify
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.controllers import Cascade
 from jointid.models.friction import DIRECTIONS, FRICTIONS, PARTS, Friction, friction_named
@@ -21,6 +20,7 @@ from jointid.records.columns import Column
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from jointid.tuning.proposals import lumped_parameters
+from tests.estimates import identify
 
 LAWS = [law() for law in FRICTIONS.values()]
 EVERY_LAW = pytest.mark.parametrize("law", LAWS, ids=list(FRICTIONS))

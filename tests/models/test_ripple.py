@@ -17,7 +17,7 @@ from jointid.models.ripple import PositionHarmonics
 from jointid.models.springs import ElasticLoad, spring_named
 from jointid.output import json as answers
 from jointid.paper.twin import TABLE_2
-from jointid.planning.foretell import _holding_torque
+from jointid.planning.predict import _holding_torque
 from jointid.simulation.prescribed import DriveSide, prescribed_motion, simulate_drive_side
 
 RIGID = {"inertia": 100.0, "viscous": 200.0, "coulomb": 20.0, "offset": -3.0}

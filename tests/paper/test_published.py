@@ -28,7 +28,7 @@ from jointid.paper.recomputed import (
     find_largest_decimation,
     find_misprints,
     find_wrong_entries,
-    format_printed,
+    format_as_print,
     recompute_cells,
     stops,
     sum_sides,
@@ -71,7 +71,7 @@ def by_symbol(column: dict[str, Decimal]) -> dict[str, float]:
 )
 def test_rows_are_as_printed_to_the_last_zero(table: int, symbol: str, printed: str) -> None:
     (name,) = [name for name in TABLES[table].rows if SYMBOLS[name] == symbol]
-    assert " ".join(map(format_printed, TABLES[table].rows[name])) == printed
+    assert " ".join(map(format_as_print, TABLES[table].rows[name])) == printed
 
 
 def test_every_table_is_whole() -> None:
@@ -260,7 +260,7 @@ def test_the_regressor_is_that_of_the_joint_and_print_has_two_other_entries() ->
 
 @pytest.mark.parametrize("text", ["8.0e5", "3.0e3", "0.1e5", "-0.1e5", "0.80", "20.00", "106", "0", "-0.4"])
 def test_a_printed_number_is_shown_as_printed(text: str) -> None:
-    assert format_printed(Decimal(text)) == text
+    assert format_as_print(Decimal(text)) == text
 
 
 @pytest.mark.parametrize("table", TABLES.values(), ids=lambda table: f"table {table.number}")
@@ -269,7 +269,7 @@ def test_a_comparison_has_every_printed_number_and_a_text_per_heading(table: Pub
     rows = {row.name: row for row in found.rows}
     assert len(rows) == len(found.rows)
     for name, numbers in table.rows.items():
-        assert rows[name].printed == tuple(map(format_printed, numbers))
+        assert rows[name].printed == tuple(map(format_as_print, numbers))
     for row in found.rows:
         assert (len(row.printed), len(row.recomputed)) == (len(found.printed), len(found.recomputed))
     assert sum(cell != "-" for row in found.rows for cell in row.recomputed) == sum(

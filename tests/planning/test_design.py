@@ -24,9 +24,8 @@ from jointid.planning import design as design_module
 from jointid.planning import search as search_module
 from jointid.planning.bound import least_deviation
 from jointid.planning.design import Design, design_test
-from jointid.planning.foretell import Noise, foretell, planned_record
-from jointid.planning.goals import goal_named
-from jointid.planning.limits import AxisLimits, passed, reached
+from jointid.planning.goals import parse_goal
+from jointid.planning.limits import AxisLimits, find_excess, find_maxima
 from jointid.planning.plans import (
     Family,
     Plan,
@@ -39,6 +38,7 @@ from jointid.planning.plans import (
     families_in,
     room_of,
 )
+from jointid.planning.predict import Noise, planned_record, predict_test
 from jointid.planning.search import Asked, Purpose, search, try_plan
 from jointid.records.record import Tap
 from jointid.records.signals.filtering import Filtering
@@ -85,8 +85,8 @@ def test_it_tells_more_than_the_one_there_is_and_keeps_the_limits(designed: Desi
     assert not designed.passed
     assert set(designed.limits) == {"stroke", "torque", "rms_torque"}
     told = designed.proposed
-    found = reached(told.motion, told.reference, told.motion.torque, told.sample_time)
-    assert not passed(AxisLimits(**designed.limits), found)
+    found = find_maxima(told.motion, told.reference, told.motion.torque, told.sample_time)
+    assert not find_excess(AxisLimits(**designed.limits), found)
     assert designed.longer is not None and designed.with_encoder is not None
     assert designed.longer.std["stiffness"] < told.std["stiffness"]
     assert designed.with_encoder.std["stiffness"] < told.std["stiffness"]
@@ -161,7 +161,7 @@ def test_no_plan_comes_below_the_floor() -> None:
     """Of tests that keep the axis moving, as the floor has it."""
     limits, hertz = AxisLimits(stroke=0.2, rms_torque=50.0), 60.0
     for name in ("stiffness", "motor_viscous - load_viscous", "motor_inertia"):
-        goal = goal_named(name, {p.name: AXIS.loop.joint.unit(p) for p in AXIS.loop.joint.parameters})
+        goal = parse_goal(name, {p.name: AXIS.loop.joint.unit(p) for p in AXIS.loop.joint.parameters})
         floor = least_deviation(
             AXIS.loop, AXIS.truth, NOISE, goal, limits, samples=SHORT, sample_time=SAMPLE_TIME, cutoff=hertz
         )
@@ -172,14 +172,14 @@ def test_no_plan_comes_below_the_floor() -> None:
         ):
             reference, injected = Plan(motion, added).play(SHORT, SAMPLE_TIME)
             test = planned_record(AXIS.loop, reference, SAMPLE_TIME, injected)
-            told = foretell(AXIS.loop, AXIS.truth, test, NOISE, filtering=Filtering(cutoff=hertz), runs=60)
+            told = predict_test(AXIS.loop, AXIS.truth, test, NOISE, filtering=Filtering(cutoff=hertz), runs=60)
             size = math.sqrt(float(np.mean(told.motion.torque**2)))
             assert told.std_of(goal.weights) * max(size / 50.0, 1.0) > floor.deviation, (name, motion, added)
 
 
 def test_the_floor_falls_with_time_and_noise() -> None:
     limits = AxisLimits(stroke=0.2, rms_torque=50.0)
-    goal = goal_named("stiffness", {"stiffness": "N/m"})
+    goal = parse_goal("stiffness", {"stiffness": "N/m"})
 
     def floor(samples: int, noise: Noise) -> float:
         return least_deviation(
@@ -198,7 +198,7 @@ def test_the_floor_falls_with_time_and_noise() -> None:
 
 def test_the_lines_of_the_floor_are_the_peaks_of_its_powers() -> None:
     """What is told of the two viscous frictions is told at antiresonance and resonance, not between them."""
-    goal = goal_named("motor_viscous - load_viscous", {"motor_viscous": "N s/m", "load_viscous": "N s/m"})
+    goal = parse_goal("motor_viscous - load_viscous", {"motor_viscous": "N s/m", "load_viscous": "N s/m"})
     floor = least_deviation(
         AXIS.loop, AXIS.truth, Noise(force=AXIS.noise), goal, AxisLimits(stroke=0.2, rms_torque=50.0), samples=SHORT,
         sample_time=SAMPLE_TIME, cutoff=60.0,
@@ -210,7 +210,7 @@ def test_the_lines_of_the_floor_are_the_peaks_of_its_powers() -> None:
 
 def test_the_floor_knows_what_the_sampled_loop_leaves_of_a_force() -> None:
     floor = least_deviation(
-        AXIS.loop, AXIS.truth, NOISE, goal_named("stiffness", {"stiffness": "N/m"}), AxisLimits(rms_torque=50.0),
+        AXIS.loop, AXIS.truth, NOISE, parse_goal("stiffness", {"stiffness": "N/m"}), AxisLimits(rms_torque=50.0),
         samples=SHORT, sample_time=SAMPLE_TIME, cutoff=60.0,
     )  # fmt: skip
     law = AXIS.loop.controller.law(SAMPLE_TIME)
@@ -220,11 +220,11 @@ def test_the_floor_knows_what_the_sampled_loop_leaves_of_a_force() -> None:
 
 
 def test_a_limit_that_is_passed_counts_before_anything_else() -> None:
-    own = foretell(AXIS.loop, AXIS.truth, short_record(), NOISE, runs=5)
-    found = reached(own.motion, own.reference, own.motion.torque, SAMPLE_TIME)
+    own = predict_test(AXIS.loop, AXIS.truth, short_record(), NOISE, runs=5)
+    found = find_maxima(own.motion, own.reference, own.motion.torque, SAMPLE_TIME)
     limits = AxisLimits(stroke=0.1, torque=300.0)
     room = room_of(limits.given, found, 0.1, 60.0, 29.5)
-    goal = goal_named("all", own.units)
+    goal = parse_goal("all", own.units)
     purpose = Purpose(AXIS.loop, (AXIS.truth,), NOISE, goal, SHORT, SAMPLE_TIME, Tap.COMMAND, Filtering(), {})
     asked = Asked(purpose, limits, room)
     wide = try_plan(asked, Plan(Trapezoids((0.1,), 1.0, 0.15), Pulses(150.0, 0.02, 0.4)))
@@ -417,7 +417,7 @@ def test_an_earlier_answer_says_what_is_roughly_known(tmp_path: Path, capsys: py
     assert planned(tmp_path, ROUGH, *words, "--json", str(tmp_path / "told.json")) == 0
     tests = json.loads((tmp_path / "told.json").read_text())["tests"]
     assert tests["present"]["values"]["inertia"] == answer["parameters"]["inertia"]["value"]
-    reported = answer["parameters"]["inertia"]["std"]  # the larger of two, where foretold is what they scatter by
+    reported = answer["parameters"]["inertia"]["std"]  # the larger of two, where predicted is what they scatter by
     assert 0.4 * reported < tests["present"]["std"]["inertia"] < 1.2 * reported
     with pytest.raises(RecordError, match="has no interval of each of stiffness"):
         read_covariance(tmp_path / "answer.json", ["stiffness"])
@@ -428,7 +428,7 @@ def test_an_earlier_answer_says_what_is_roughly_known(tmp_path: Path, capsys: py
 
 
 @pytest.mark.slow
-def test_a_past_record_is_foretold_as_the_joint_file_reads_it(
+def test_a_past_record_is_predicted_as_the_joint_file_reads_it(
     emps_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     joint = Path(__file__).parents[2] / "examples" / "emps" / "joint.toml"
@@ -489,7 +489,7 @@ def test_bad_input_is_refused_in_a_sentence() -> None:
         design_test(AXIS.loop, AXIS.truth, NOISE, present=short_record(), motion=one_way)
 
 
-def test_a_record_of_another_rate_is_foretold_as_it_was_logged(tmp_path: Path) -> None:
+def test_a_record_of_another_rate_is_predicted_as_it_was_logged(tmp_path: Path) -> None:
     """Its reference every 4 ms beside a torque every 1 ms, and beside it the same at 1 ms: nearly one motion."""
     reference = excitation.trapezoids((0.05, 0.1), 1.0, 0.15, 4e-3, duration=6.0)
     fine = np.interp(np.arange(6000) * 1e-3, np.arange(reference.size) * 4e-3, reference)

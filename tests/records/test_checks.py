@@ -100,7 +100,7 @@ def test_jitter_is_told_from_jumps() -> None:
     stamps[700] += 0.08 * RATE
     fault = only(clock_faults(stamps))
     assert "jitters by up to 8.0% of the sample time of 0.001 s (0.3% rms)" in fault
-    assert "first beyond 5.0% after sample 699 (t = 0.699 s)" in fault
+    assert "first above 5.0% after sample 699 (t = 0.699 s)" in fault
     assert clock_faults(stamps, tolerance=0.1) == []
     jump, jitter = clock_faults(np.delete(stamps, 900))
     assert "leaves out 1 sample" in jump
@@ -137,7 +137,7 @@ def test_a_torque_at_its_limit_is_named() -> None:
 
 
 def test_a_command_beyond_its_limit_is_named_but_not_a_measured_torque() -> None:
-    assert "reaches 5 N, beyond the controller's limit of 4.9 N" in only(limit_faults(good(), 4.9))
+    assert "reaches 5 N, above the controller's limit of 4.9 N" in only(limit_faults(good(), 4.9))
     assert "at its limit" in only(limit_faults(good(tap=Tap.MEASURED), 4.9))
 
 
@@ -146,7 +146,7 @@ def test_what_is_added_after_the_limit_does_not_count() -> None:
     torque = channel(TORQUE + pulses.values, "N")
     assert limit_faults(good(torque=torque, injected=Injection(pulses)), 5.5) == []
     before = Injection(pulses, InjectionPoint.BEFORE_LIMIT)
-    assert "beyond" in only(limit_faults(good(torque=torque, injected=before), 5.5))
+    assert "above" in only(limit_faults(good(torque=torque, injected=before), 5.5))
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from jointid.common.errors import RecordError
 from jointid.records.formats import Table, read_table, write_table
-from jointid.records.formats.bag_files import message_types
-from jointid.records.formats.messages import Definition, Field, decode_message
+from jointid.records.formats.messages import Definition, Field, decode_message, message_types
 from tests.records.logged import LOGGED, POSITION, bag
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)

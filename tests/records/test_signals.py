@@ -46,7 +46,7 @@ def test_derivatives_are_central_inside_and_one_sided_at_the_ends() -> None:
 
 
 def test_decimation_passes_a_constant_at_its_ripple_and_keeps_the_last_sample() -> None:
-    filtering = Filtering(cutoff=40.0, decimation=10).resolved(T)
+    filtering = Filtering(cutoff=40.0, decimation=10).resolve(T)
     constant = filtering.decimate(np.ones(3001), T)
     assert np.allclose(constant, 10 ** (-0.05 / 10), rtol=1e-6)  # 0.05 dB, twice
     ramp = filtering.decimate(np.arange(3001.0), T)
@@ -58,7 +58,7 @@ def test_decimation_passes_a_constant_at_its_ripple_and_keeps_the_last_sample() 
 @pytest.mark.parametrize("cutoff", [5.0, 60.0, 200.0])
 def test_the_compiled_filter_is_scipy_s(columns: int, cutoff: float) -> None:
     """On a random walk, whose ends are far apart, with columns of very different sizes."""
-    filtering = Filtering(cutoff=cutoff).resolved(T)
+    filtering = Filtering(cutoff=cutoff).resolve(T)
     assert filtering.cutoff is not None
     rng = np.random.default_rng(3)
     values = np.cumsum(rng.standard_normal((3001, columns)), axis=0) * 10.0 ** rng.uniform(-9, 9, columns)
@@ -77,7 +77,7 @@ def test_the_compiled_filter_is_scipy_s(columns: int, cutoff: float) -> None:
 @pytest.mark.parametrize(("samples", "keep"), [(25, 1), (26, 2), (31, 3), (64, 30), (5131, 10)])
 def test_the_compiled_filter_is_scipy_s_at_any_length(samples: int, keep: int) -> None:
     """Just longer than what is padded; more of it before the first that is kept; and a block and one more."""
-    filtering = Filtering(cutoff=0.3 * 500.0 / keep, decimation=keep).resolved(T)
+    filtering = Filtering(cutoff=0.3 * 500.0 / keep, decimation=keep).resolve(T)
     values = np.random.default_rng(4).standard_normal((samples, 3))
     (found,) = decimate_all([values], filtering, T)
     np.testing.assert_allclose(found, filtering.decimate(values, T), atol=1e-10)
@@ -85,20 +85,20 @@ def test_the_compiled_filter_is_scipy_s_at_any_length(samples: int, keep: int) -
 
 def test_columns_are_decimated_like_the_torque() -> None:
     columns = np.random.default_rng(0).normal(size=(2000, 3))
-    filtering = Filtering().resolved(T)
+    filtering = Filtering().resolve(T)
     both = filtering.decimate(columns, T)
     for i in range(3):
         assert np.array_equal(both[:, i], filtering.decimate(columns[:, i], T))
 
 
 def test_the_default_decimation_leaves_the_cutoff_inside() -> None:
-    assert Filtering(cutoff=60.0).resolved(T).decimation == 6  # not the paper's 12
-    assert Filtering().resolved(T) == Filtering(100.0, 40.0, 10, (50, 50))
-    assert Filtering().resolved(T / 8).cutoff == 320.0
+    assert Filtering(cutoff=60.0).resolve(T).decimation == 6  # not the paper's 12
+    assert Filtering().resolve(T) == Filtering(100.0, 40.0, 10, (50, 50))
+    assert Filtering().resolve(T / 8).cutoff == 320.0
 
 
 def test_the_published_preset() -> None:
-    preset = Filtering.published().resolved(T)
+    preset = Filtering.published().resolve(T)
     assert (preset.position_cutoff, preset.cutoff, preset.decimation, preset.borders) == (100.0, 40.0, 10, (49, 0))
     assert preset.timing == "as_sampled"
 
@@ -119,7 +119,7 @@ def test_wrong_settings_are_refused(settings: dict[str, object], sentence: str) 
 
 def test_a_record_too_short_to_filter_is_refused() -> None:
     with pytest.raises(RecordError, match="20 samples is too short to filter: more than 24"):
-        Filtering().resolved(T).decimate(np.zeros(20), T)
+        Filtering().resolve(T).decimate(np.zeros(20), T)
 
 
 def test_a_held_torque_is_windowed_exactly() -> None:

@@ -18,7 +18,7 @@ from jointid.records.record import Channel, Injection, Record, Tap, Timing
 from jointid.simulation.closed_loop import Initial, Outcome, simulate, simulate_many, simulate_torque
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.loop_input import prepare
-from jointid.simulation.simulated import require_finished
+from jointid.simulation.simulated import require_success
 from jointid.simulation.synthesis import simulated_record
 
 T = 1e-3
@@ -304,7 +304,7 @@ def test_candidates_fail_with_a_status_and_finite_numbers() -> None:
         assert np.all(np.isfinite(run.torque))
         assert np.all(np.isfinite(run.motor.acceleration))
         with pytest.raises(MethodError, match="stopped after"):
-            require_finished(run)
+            require_success(run)
     negative = simulate(loop, experiment, RIGID | {"viscous": -30.0})  # odd, but it can be simulated
     assert negative.outcome is Outcome.FINISHED
 

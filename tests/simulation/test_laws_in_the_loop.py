@@ -11,7 +11,6 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 from scipy.linalg import expm
 
-from jointid.estimation.identify import identify
 from jointid.estimation.methods.didim import DIDIM
 from jointid.models.controllers import PD, PID, REFERENCE, Cascade, FirstOrder, Notch, SecondOrder, shift_start
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
@@ -20,6 +19,7 @@ from jointid.simulation.closed_loop import Initial, Outcome, simulate
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.sensitivities import simulate_sensitivities
+from tests.estimates import identify
 from tests.models.written_out import Sample, begun
 from tests.simulation.oracle import Plant, _Joint
 

@@ -30,7 +30,7 @@ from jointid.simulation.robots import (
     run_robot,
     simulate_robot,
 )
-from jointid.simulation.simulated import Simulated, require_finished
+from jointid.simulation.simulated import Simulated, require_success
 from tests.robots_plants import Twin, inertial, serial, seven, six, two
 from tests.simulation.robot_oracle import simulate_pd
 
@@ -347,6 +347,6 @@ def test_runs_of_a_joint_and_of_a_robot_answer_alike() -> None:
     )
     driven = twin.records(1.0)
     finished: Simulated = simulate_robot(good, driven)
-    assert require_finished(finished) is finished
+    assert require_success(finished) is finished
     with pytest.raises(MethodError, match=r"stopped after [\d.]+ % of the record because a joint ran away"):
-        require_finished(simulate_robot(wild, driven))
+        require_success(simulate_robot(wild, driven))

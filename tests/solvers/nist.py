@@ -43,9 +43,9 @@ class Certified:
         return tuple(Parameter(f"b{i + 1}", f"b{i + 1}", Quantity.RATIO) for i in range(len(self.values)))
 
     def residual(self, b: Array) -> Array:
-        return self.linearised(b)[0]
+        return self.linearise(b)[0]
 
-    def linearised(self, b: Array) -> tuple[Array, Array]:
+    def linearise(self, b: Array) -> tuple[Array, Array]:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             predicted, slopes = self.model(b, self.x)
         if not (np.all(np.isfinite(predicted)) and np.all(np.isfinite(slopes))):

@@ -35,9 +35,9 @@ class NoisyColumns:
         )
 
     def residual(self, x: Array) -> Array:
-        return self.linearised(x)[0]
+        return self.linearise(x)[0]
 
-    def linearised(self, x: Array) -> tuple[Array, Array]:
+    def linearise(self, x: Array) -> tuple[Array, Array]:
         return Y - MEASURED @ x, -MEASURED
 
     def instruments(self, x: Array) -> Array:

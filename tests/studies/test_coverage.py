@@ -21,7 +21,7 @@ def deviations(cutoff: float) -> np.ndarray:
     problem = torque_problem(record, axis.loop, Filtering(cutoff=cutoff), axis.loop.joint.parameters)
     still = tuple(p.fixed(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
     problem = replace(problem, parameters=still)
-    _, J = problem.linearised(problem.vector({**axis.truth, "initial_position": 0.0}))
+    _, J = problem.linearise(problem.vector({**axis.truth, "initial_position": 0.0}))
     # Of rows so far apart, white noise of 1 leaves the covariance of the filter's answers to single samples.
     keep, samples = problem.filtering.decimation or 1, problem.measured.size
     impulses = np.zeros((samples, keep))

@@ -7,9 +7,9 @@ from typing import Literal
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.estimation.identify import identify
 from jointid.paper.twin import twin
 from studies.refusals import refusals
+from tests.estimates import identify
 
 
 def test_a_plain_spring_is_given_and_its_prediction_comes_true() -> None:

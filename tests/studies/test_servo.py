@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jointid.estimation.identify import identify
 from jointid.records.drives import Drive
 from jointid.records.reading import read
 from jointid.simulation.closed_loop import simulate
 from jointid.simulation.loop_input import prepare
 from studies.servo import FILTERING, LOG, RATED, SERVO, servo_twin
+from tests.estimates import identify
 
 
 def test_the_log_is_slow_and_coarse_beside_the_loop() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.models.controllers import PID, POSITION, Cascade, Controller, FirstOrder, Notch, SampledLaw, scaled
+from jointid.models.controllers import PID, POSITION, Cascade, Controller, FirstOrder, Notch, SampledLaw, scale
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.models.linear import (
@@ -128,11 +128,11 @@ def test_a_loop_becomes_unstable_where_its_margins_say(seed: int) -> None:
         return bool(spectral_radius(law, sample_joints(linear, law))[0] < 1)
 
     assert stable(law)
-    assert stable(scaled(law, 0.99 * margins.gain))
-    assert not stable(scaled(law, 1.01 * margins.gain))
+    assert stable(scale(law, 0.99 * margins.gain))
+    assert not stable(scale(law, 1.01 * margins.gain))
     if margins.reduction < math.inf:
-        assert stable(scaled(law, 1.01 / margins.reduction))
-        assert not stable(scaled(law, 0.99 / margins.reduction))
+        assert stable(scale(law, 1.01 / margins.reduction))
+        assert not stable(scale(law, 0.99 / margins.reduction))
     assert stable(replace(law, delay=law.delay + 0.96 * margins.delay))
     assert not stable(replace(law, delay=law.delay + 1.04 * margins.delay))
 
@@ -166,7 +166,7 @@ def test_positions_of_all_joints_at_once_are_those_solved_point_by_point(delay: 
 
 
 def test_a_loop_that_is_not_stable_has_no_margins() -> None:
-    law = scaled(CONTROLLERS["L19"].law(PERIOD), 20.0)
+    law = scale(CONTROLLERS["L19"].law(PERIOD), 20.0)
     found = Margins(*joint_set(FlexibleJoint(), [dict(TABLE_2)], law).margins(law)[0])
     assert not found.stable
     assert tuple(getattr(found, name) for name in NAMES) == (0.0,) * 5
@@ -187,9 +187,7 @@ def test_of_two_rates_stability_is_exact_and_margins_are_near() -> None:
     linear = linear_joints(FlexibleJoint(), [dict(TABLE_2)])
     gain = Margins(*joint_set(FlexibleJoint(), [dict(TABLE_2)], law).margins(law)[0]).gain
     sampled = sample_joints(linear, law)
-    assert (
-        spectral_radius(scaled(law, 0.9 * gain), sampled)[0] < 1 < spectral_radius(scaled(law, 1.1 * gain), sampled)[0]
-    )
+    assert spectral_radius(scale(law, 0.9 * gain), sampled)[0] < 1 < spectral_radius(scale(law, 1.1 * gain), sampled)[0]
 
 
 def test_friction_that_differs_with_the_direction_is_taken_both_ways() -> None:

@@ -15,7 +15,6 @@ from jointid.common.messages import Message
 from jointid.common.text import number
 from jointid.common.transmission import Transmission
 from jointid.config import loads
-from jointid.estimation.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.estimate import Estimate
@@ -38,6 +37,7 @@ from jointid.tuning.tune import tune
 from jointid.tuning.tuned import Tuned
 from jointid.uncertainty.verdict import Reason, Status, StiffnessBound, Subject, Verdict
 from studies.margins import random_drive, true_margins
+from tests.estimates import amended, identify
 from tests.text import unwrapped
 
 PERIOD = 1e-3
@@ -261,7 +261,7 @@ def test_of_friction_that_differs_the_mean_is_fed_forward() -> None:
 def test_a_rigid_joint_says_up_to_where_it_speaks() -> None:
     found = tune(rigid(Cascade(position_gain=50.0, velocity_gain=8000.0)))
     said = "\n".join(found.notes)
-    assert "a rigid joint says nothing beyond the band" in said
+    assert "a rigid joint says nothing outside the band" in said
     assert "keeps the asked margins with" in said
     assert found.proposed is not None and found.proposed.crossover <= 40.0
     assert lowest_mode([1.0, 2.0, 3.0], [True, False, True]) == 3.0
@@ -285,7 +285,7 @@ def test_what_cannot_be_tuned_is_refused_in_a_sentence(estimate: Estimate) -> No
     with pytest.raises(MethodError, match=r"the controller of .* is not known"):
         tune(identify(record, RigidJoint(), IDIM()))
     with pytest.raises(MethodError, match="need the deviations"):
-        tune(estimate.amended(params={"correlation": np.zeros((0, 0))}))
+        tune(amended(estimate, params={"correlation": np.zeros((0, 0))}))
     with pytest.raises(MethodError, match=r"received gain_margin = 0\.5, confidence = 1"):
         Tuning(gain_margin=0.5, confidence=1.0)
     with pytest.raises(MethodError, match="false-alarm rate"):
@@ -303,7 +303,9 @@ def test_an_interval_that_holds_unstable_joints_states_no_margin(estimate: Estim
     fast = ClosedLoop(
         estimate.settings.joint, replace(controller, velocity_gain=8.2 * controller.velocity_gain)
     )  # 8.5 times as fast it would not be stable
-    found = tune(estimate.amended(params={"rows": wide}, settings={"loop": fast}), Tuning(gain_margin=1e6, notch=False))
+    found = tune(
+        amended(estimate, params={"rows": wide}, settings={"loop": fast}), Tuning(gain_margin=1e6, notch=False)
+    )
     assert found.present.estimate.stable
     assert not found.present.worst.stable
     assert "no margin of it can be stated" in str(found)
@@ -342,7 +344,7 @@ def test_the_figure_shows_joint_and_loops_in_their_units(tuned: Tuned) -> None:
 
 def test_an_interval_stops_short_of_a_joint_without_a_spring(estimate: Estimate) -> None:
     wide = tuple(replace(p, stderr=p.value) if p.name == "stiffness" else p for p in estimate.params)
-    interval = possible_joints(estimate.amended(params={"rows": wide}), 0.95, PERIOD)
+    interval = possible_joints(amended(estimate, params={"rows": wide}), 0.95, PERIOD)
     joints = interval.at(interval.points(0))
     assert min(one["stiffness"] for one in joints) == pytest.approx(1e-3 * estimate.values["stiffness"])
     law = Cascade(position_gain=10.0, velocity_gain=10.0, gain=35.0).law(PERIOD)
@@ -358,8 +360,10 @@ def without_stiffness(estimate: Estimate) -> Estimate:
     assert estimate.checks.known is not None
     sums = tuple(one for one in estimate.checks.known.physical if one.combination.kind == "sum")
     bounds = (StiffnessBound(0.3, 8e5, 30.0), StiffnessBound(0.5, None, None))
-    return estimate.amended(
-        params={"rows": lost}, checks={"known": replace(estimate.checks.known, physical=sums), "bounds": bounds}
+    return amended(
+        estimate,
+        params={"rows": lost},
+        checks={"known": replace(estimate.checks.known, physical=sums), "bounds": bounds},
     )
 
 
@@ -390,7 +394,7 @@ def test_a_model_or_a_loop_in_doubt_is_said_before_its_gains_are_used(estimate: 
             (Message(Reason.LOOP_NOT_AS_DECLARED, "velocity_gain is larger than declared"),),
         ),
     )
-    said = tune(estimate.amended(checks={"verdicts": doubts}), Tuning(notch=False)).notes
+    said = tune(amended(estimate, checks={"verdicts": doubts}), Tuning(notch=False)).notes
     assert "the model does not explain the torque, so all of this may be of another joint: 32 % remains" in said
     assert (
         "loop or log are not as declared, and all of this is of the declared one: velocity_gain is larger than declared"
@@ -400,5 +404,5 @@ def test_a_model_or_a_loop_in_doubt_is_said_before_its_gains_are_used(estimate: 
 
 def test_a_ripple_that_is_left_out_is_said(estimate: Estimate) -> None:
     rippled = replace(estimate.settings.joint, ripple=PositionHarmonics(0.02))
-    said = tune(estimate.amended(settings={"joint": rippled}), Tuning(notch=False)).notes
+    said = tune(amended(estimate, settings={"joint": rippled}), Tuning(notch=False)).notes
     assert "the ripple over the position is left out of the loop and of the feed-forward" in said

@@ -33,7 +33,6 @@ from jointid.campaigns.export import export_rows
 from jointid.campaigns.folder import Results
 from jointid.campaigns.report import CampaignReport
 from jointid.campaigns.run_case import run_case
-from jointid.diagnostics.check_loop import add_loop_verdict
 from jointid.diagnostics.report_data import collect_report_data as collect
 from jointid.models.disturbances import Drift
 from jointid.models.linear import frequency_response
@@ -465,9 +464,9 @@ def report(folder: Path, joint: Path, record: Path, *, profiles: bool = True) ->
     if profiles:  # of every parameter: a report leaves out those whose criterion is a parabola
         file = ji.load(joint)
         logged = file.record(record)
-        made = file.identify(logged)
+        made = file.identify(logged, checks=False)
         free = [p.name for p in made.params if p.of_joint and p.free]
-        told = ji.Report.of(made, logged, profiles=free, loop=False)
+        told = ji.Report.of(made, logged, profiles=free)
         answer |= {name: json.loads(told.answer())[name] for name in ("profiles", "absent")}
     return {
         "estimate": estimate(answer["estimate"]),
@@ -674,7 +673,11 @@ def estimate(answer: Json) -> Json:
         "tests": [_only_numbers(test) for test in answer["tests"]],
         "effects": [_only_numbers(effect) for effect in answer["effects"]],
         "warnings": len(answer["warnings"]),
-        "verdicts": {code(v["subject"]): v["good"] for v in answer["verdicts"]},
+        "verdicts": {
+            code(v["subject"]): v["good"]
+            for v in answer["verdicts"]
+            if not (v["subject"] == "loop" and v["reasons"][0]["code"] == "not_tested")
+        },
         "combinations": _combinations(answer["combinations"]),
         "residuals": _residuals(answer["residuals"]),
         "stiffness_bounds": _bounds(answer["stiffness_bounds"]),
@@ -1012,6 +1015,7 @@ def identify_file(joint: Path, record: Path, **overridden: Any) -> Any:
 def whole(found: Any) -> Json:
     """Return an estimate with its covariance, its predicted torque and all that is known of combinations."""
     answer = estimate(ji.to_dict(found))
+    answer["verdicts"].pop("loop", None)  # see `check_loop`
     free = [p for p in found.params if p.free]
     known, fitted = found.checks.known, found.fit
     correlation = np.asarray(found.params.correlation)
@@ -1058,8 +1062,7 @@ def total(found: Any, names: Sequence[str]) -> list[Any]:
 
 def check_loop(found: Any, record: Any) -> Json:
     """Return the check of loop and log, and the verdict on it."""
-    judged = add_loop_verdict(found, record)
-    verdicts = {code(v.subject): v.good for v in judged.checks.verdicts}
+    verdicts = {code(v.subject): v.good for v in found.checks.verdicts}
     return _loop_check(ji.to_dict(ji.check_loop(found, record))) | {"verdicts": verdicts}
 
 
@@ -1249,7 +1252,7 @@ def open_loop(of: Any) -> Any:
 def fit(record: Any, model: Any, method: Any = None, *, filtering: Mapping[str, Any] | None = None) -> Any:
     """Identify, and return the estimate as an object."""
     given = None if filtering is None else ji.Filtering(**_keywords(filtering))
-    return ji.identify(record, model, method, filtering=given, loop_check=False)
+    return ji.identify(record, model, method, filtering=given, checks=False)
 
 
 def fit_together(records: Sequence[Any], loops: Any, **given: Any) -> Json:
@@ -1364,7 +1367,7 @@ def read_export(identified: Path, joint_path: Path) -> Any:
 
 def dossier(found: Any, record: Any) -> Json:
     """Return what a report is made of and its page does not carry: motion, spectra and responses."""
-    made = collect(found, record, profiles=(), loop=False)
+    made = collect(found, record, profiles=())
     spectra, answering = made.spectra, made.response
     return {
         "channels": [[number(one.sample_time), len(one), one.unit] for one in made.channels.values()],
@@ -1389,7 +1392,7 @@ def dossier(found: Any, record: Any) -> Json:
 
 def predicted(driven: Any, values: Mapping[str, float], reference: Any, **noise: Any) -> Json:
     """Return the deviations that a test of a reference of 1 ms will give, and what is said of them."""
-    made = ji.foretell(driven, _valued(values), ji.planned_record(driven, reference, 1e-3), ji.Noise(**noise))
+    made = ji.predict_test(driven, _valued(values), ji.planned_record(driven, reference, 1e-3), ji.Noise(**noise))
     return {"text": text(str(made)), "std": numbers(made.covariance.std)}
 
 

@@ -27,7 +27,7 @@ def is_remote(address: str) -> bool:
     return "://" in address
 
 
-def require_known(address: str) -> None:
+def check_scheme(address: str) -> None:
     """Refuse URL schemes that are not plain file storage, since some execute templates."""
     kind = address.partition("://")[0]
     if is_remote(address) and kind not in _REMOTE:
@@ -35,12 +35,12 @@ def require_known(address: str) -> None:
 
 
 @contextlib.contextmanager
-def fetched(address: str) -> Iterator[Path]:
+def fetch(address: str) -> Iterator[Path]:
     """Yield the local path of a record; a remote one is downloaded temporarily."""
     if not is_remote(address):
         yield Path(address)
         return
-    require_known(address)
+    check_scheme(address)
     fsspec = extra("fsspec", "remote", "A record behind a URL")
     with TemporaryDirectory(prefix="jointid-") as folder:
         # In an object store # and ? are letters of a name.
@@ -54,7 +54,7 @@ def fetched(address: str) -> Iterator[Path]:
         yield path
 
 
-def listed(pattern: str, folder: Path) -> dict[str, str]:
+def list_addresses(pattern: str, folder: Path) -> dict[str, str]:
     """List addresses that match a pattern with * and ?, with stamps.
 
     Args:
@@ -66,8 +66,8 @@ def listed(pattern: str, folder: Path) -> dict[str, str]:
         below = os.path.relpath(pattern, root) if root else pattern
         below = re.sub(r"\*+", "*", posixpath.normpath(below)).replace("[", "[[]")  # * is all that patterns have
         paths = sorted(os.path.normpath(path) for path in (Path(root) if root else folder).glob(below))
-        return {path: _stamp_or_none(Path(path)) for path in paths}
-    require_known(pattern)
+        return {path: _try_stamp(Path(path)) for path in paths}
+    check_scheme(pattern)
     fsspec = extra("fsspec", "remote", "A record behind a URL")
     try:
         system, path = fsspec.core.url_to_fs(pattern)
@@ -92,7 +92,7 @@ def stamp_of(path: Path) -> str:
     return f"{sum(one.st_size for one in about)} {max((one.st_mtime_ns for one in about), default=0) // 10**6}"
 
 
-def _stamp_or_none(path: Path) -> str:
+def _try_stamp(path: Path) -> str:
     """Stamp of a record; empty if it cannot be opened, which its case reports."""
     try:
         return stamp_of(path)

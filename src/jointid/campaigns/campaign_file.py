@@ -30,8 +30,6 @@ class Campaign:
     """A campaign file; the files it names are listed on demand.
 
     Attributes:
-        name: of it.
-        table: of the file.
         folder: from which its paths are taken.
     """
 
@@ -43,7 +41,10 @@ class Campaign:
         """Yield the cases in a reproducible order."""
         for changes in self._combinations:
             if self.table.fleet is not None:
-                yield from self._of_fleet(changes)
+                for one in self._fleet.found:
+                    yield Case(
+                        one.joint, one.joint_file, one.address, one.stamp, one.day, changes, settings=one.settings
+                    )
             elif self.table.monte_carlo is not None:
                 asked = self.table.monte_carlo
                 assert asked is not None
@@ -67,10 +68,6 @@ class Campaign:
             dict.fromkeys(f"{key}={json.dumps(value)}" for value in values) for key, values in self.table.sweep.items()
         ]
         return tuple(itertools.product(*keys))
-
-    def _of_fleet(self, changes: tuple[str, ...]) -> Iterator[Case]:
-        for one in self._fleet.found:
-            yield Case(one.joint, one.joint_file, one.address, one.stamp, one.day, changes, settings=one.settings)
 
     @cached_property
     def _fleet(self) -> FleetRecords:
@@ -128,8 +125,8 @@ class Campaign:
         for number in range(asked.runs):
             draw = np.random.default_rng([asked.seed + number])
             starts = tuple((name, start * asked.spread ** draw.uniform(-1.0, 1.0)) for name, start in given.items())
-            begun = Started(starts, asked.seed + number)
-            yield Case(logged.joint, text, logged.address, logged.stamp, "", changes, begun)
+            started = Started(starts, asked.seed + number)
+            yield Case(logged.joint, text, logged.address, logged.stamp, "", changes, started)
 
     def _named_record(self, joint: str, record: str | None) -> Logged:
         return named_record(self.folder / joint, None if record is None else self.folder / record)

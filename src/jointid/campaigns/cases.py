@@ -1,4 +1,4 @@
-"""A case: a self-contained description of one identification.
+"""A case, the description of one identification, and its row, the reproducible result.
 
 The SHA-256 of the description identifies it. A changed record, joint file or version of jointid makes another case.
 """
@@ -7,8 +7,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass
-from typing import ClassVar
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from enum import StrEnum
+from typing import Any, ClassVar, Self
 
 from jointid import __version__
 
@@ -21,7 +24,6 @@ class Simulated:
         values: every parameter of the joint by name, in SI units.
         noise_force: standard deviation of a white force on the motor, inside the loop, N or N m.
         noise_log: standard deviation of white noise on the logged torque, N or N m.
-        seed: of both.
     """
 
     kind: ClassVar[str] = "simulated"
@@ -33,11 +35,7 @@ class Simulated:
 
 @dataclass(frozen=True, slots=True)
 class Redrawn:
-    """A record with its residual resampled in blocks of time.
-
-    Attributes:
-        seed: of the draw.
-    """
+    """A record with its residual resampled in blocks of time."""
 
     kind: ClassVar[str] = "resampled"
     seed: int
@@ -49,7 +47,6 @@ class Started:
 
     Attributes:
         starts: by parameter, in SI units.
-        seed: that they were drawn with.
     """
 
     kind: ClassVar[str] = "started"
@@ -103,3 +100,124 @@ def canonical(value: object) -> str:
 def sha256_of(text: str) -> str:
     """Return the SHA-256 of a text as 64 hexadecimal digits."""
     return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()
+
+
+LOGGED = "logged"
+"""Kind of a run that was no simulation: it has a time."""
+
+
+class Outcome(StrEnum):
+    """How a case ended."""
+
+    IDENTIFIED = "identified"
+    REFUSED = "refused"
+    FAILED = "failed"
+    SET_ASIDE = "set aside"
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """An identified parameter or combination.
+
+    Attributes:
+        value: in SI units; None where it is refused.
+        std: its standard deviation; None where it was kept fixed.
+    """
+
+    value: float | None
+    std: float | None
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """The result of a case.
+
+    Attributes:
+        seed: of a run that is simulated, resampled or has a random start; None for another one.
+        outcome: how it ended; a refusal is the record's or the joint file's fault, a failure is one of jointid's.
+        sentence: the answer in a line, or why there is none.
+        found: parameters, and sums that are known where their parts are not, by name.
+        trust: whether to rely on the answer, a code.
+        converged: whether the search did; None where there was none.
+        error_percent: norm of the torque error, filtered, over that of the torque.
+        record_sha256: of the record's bytes; empty where they could not be read.
+        joint_file_sha256: of the joint file's text.
+        versions: of jointid, Python and the libraries that compute, by name.
+        kind: of the run: logged, simulated, resampled, or a search that is started elsewhere.
+        truth: of a simulated run what is true of each that is found, by name, in its unit.
+    """
+
+    content_hash: str
+    joint: str
+    record: str
+    day: str
+    changes: tuple[str, ...]
+    seed: int | None
+    outcome: Outcome
+    sentence: str
+    joint_file_sha256: str
+    found: Mapping[str, Found] = field(default_factory=dict)
+    trust: str = ""
+    converged: bool | None = None
+    error_percent: float | None = None
+    simulations: int | None = None
+    record_sha256: str = ""
+    versions: Mapping[str, str] = field(default_factory=dict)
+    settings: tuple[str, ...] = ()
+    kind: str = LOGGED
+    truth: Mapping[str, float] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, case: Case, outcome: Outcome, sentence: str, **more: Any) -> Self:
+        """Return the row of a case."""
+        seed, kind = (None, LOGGED) if case.varied is None else (case.varied.seed, case.varied.kind)
+        return cls(
+            case.content_hash, case.joint, case.record, case.day, case.changes, seed, outcome, sentence,
+            sha256_of(case.joint_file), settings=case.settings, kind=kind, **more,
+        )  # fmt: skip
+
+    def text(self) -> str:
+        """Serialise the row as JSON on one line, in ASCII."""
+        return json.dumps(asdict(self), sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+    @classmethod
+    def read(cls, text: str) -> Self:
+        """Parse a row from `text`."""
+        try:
+            raw = json.loads(text)
+            found = {str(name): Found(_number(one["value"]), _number(one["std"]), str(one["unit"]))
+                     for name, one in raw["found"].items()}  # fmt: skip
+            raw |= {key: tuple(map(str, raw.get(key, ()))) for key in ("changes", "settings")}
+            truth = {str(name): float(value) for name, value in raw.get("truth", {}).items()}
+            raw |= {"found": found, "outcome": Outcome(raw["outcome"]), "truth": truth}
+            row = cls(**raw)
+        except (TypeError, KeyError, AttributeError, RecursionError) as error:
+            raise ValueError(f"no row ({error})") from error
+        texts = (row.content_hash, row.joint, row.record, row.day, row.sentence, row.trust, row.record_sha256, row.kind)
+        if not all(isinstance(one, str) for one in texts):
+            raise ValueError("no row (a text is none)")
+        return row
+
+    @property
+    def place(self) -> tuple[str, str, str, int, tuple[str, ...], str]:
+        """Sort key, independent of engine and order."""
+        return (
+            self.joint,
+            self.day,
+            self.record,
+            -1 if self.seed is None else self.seed,
+            self.changes,
+            self.content_hash,
+        )
+
+
+def finite(value: float | None) -> float | None:
+    """Return a finite number, else None, for JSON."""
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
+def _number(value: object) -> float | None:
+    if value is None or (isinstance(value, int | float) and not isinstance(value, bool)):
+        return None if value is None else float(value)
+    raise TypeError("a value is no number")

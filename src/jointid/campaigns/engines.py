@@ -30,18 +30,17 @@ class Workers:
     """Available workers.
 
     Attributes:
-        executor: takes the cases.
         capacity: how many tasks it can work at; of a cluster that is now.
         batch: cases of a task: one, where handing out a task is cheap.
         ahead: tasks under way for each that it works at, so that no worker waits for the next.
-        begun: tasks of an earlier client, which may be under way still: by the hash of each case those of its task.
+        submitted: tasks of an earlier client, which may be under way still: by the hash of each case those of its task.
     """
 
     executor: Executor
     capacity: Callable[[], int]
     batch: int = 1
     ahead: int = 2
-    begun: Mapping[str, frozenset[str]] = field(default_factory=dict)
+    submitted: Mapping[str, frozenset[str]] = field(default_factory=dict)
 
 
 class Engine(Protocol):

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from jointid.campaigns.rows import Row
+from jointid.campaigns.cases import Row
 from jointid.common.errors import RecordError, extra
 from jointid.common.files import beside, write_whole
 

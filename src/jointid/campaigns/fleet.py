@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from jointid.campaigns.addresses import is_remote, listed, stamp_of
+from jointid.campaigns.addresses import is_remote, list_addresses, stamp_of
 from jointid.campaigns.campaign_tables import PLACEHOLDER, PLACEHOLDERS, FleetTable, unknown_placeholders
 from jointid.campaigns.fleet_table import FleetRow, RowFaults, read_fleet_table
-from jointid.campaigns.robot_cases import carried, load_any, record_of
+from jointid.campaigns.robot_cases import embed_model, load_any, record_of
 from jointid.common.errors import JointFileError, RecordError
 from jointid.common.text import counted
 from jointid.common.text import listed as in_a_row
@@ -30,8 +30,6 @@ class Logged:
     """A record of a joint.
 
     Attributes:
-        joint: its name.
-        joint_file: text of it.
         address, stamp, day: of the record, as a case has them.
         settings: keys of the joint file that are set for this joint alone.
     """
@@ -50,7 +48,6 @@ class FleetRecords:
 
     Attributes:
         asked: the table [fleet] of the campaign file.
-        folder: of the campaign file.
     """
 
     asked: FleetTable
@@ -135,7 +132,7 @@ class FleetRecords:
                     faults.add(row.number, [f"{one.address} is a record of {one.joint} in row {first}, too; leave one "
                                             "out, or have settings side by side by [sweep]."])  # fmt: skip
             made += found
-        faults.require_none()
+        faults.raise_any()
         if not made:
             raise JointFileError(f"{path} names {counted(len(rows), 'row')}, and no record is there; correct the "
                                  "paths, which are taken from its folder.")  # fmt: skip
@@ -167,7 +164,7 @@ class FleetRecords:
     def _text(self, folder: Path, joint: str, name: str) -> str:
         path = folder / joint.replace("{joint}", name)
         if path not in self._texts:
-            self._texts[path] = carried(read_text(path), path.parent)
+            self._texts[path] = embed_model(read_text(path), path.parent)
         return self._texts[path]
 
     def _match(self, pattern: str, folder: Path) -> Mapping[str, list[tuple[str, str, str]]]:
@@ -185,7 +182,7 @@ class FleetRecords:
         plain = pattern if is_remote(pattern) else posixpath.normpath(pattern)
         shape = re.compile(f"(?:^|/){_expression(re.sub(r'^([.][.]/)+|^/', '', plain))}$")
         stars = PLACEHOLDER.sub(lambda one: one[0] if one[1] is None else "*", plain)
-        for address, stamp in listed(stars, folder).items():
+        for address, stamp in list_addresses(stars, folder).items():
             said = shape.search(address.replace(os.sep, "/"))
             if said is None:
                 self._undated.append(address)
@@ -203,7 +200,7 @@ def named_record(joint: Path, record: Path | None, settings: tuple[str, ...] = (
         settings: keys of the joint file that are set, possibly record.file.
     """
     path = joint.absolute()
-    text = carried(read_text(path), path.parent)
+    text = embed_model(read_text(path), path.parent)
     named = record_of(text, settings) if record is None else record
     if named is None:
         raise JointFileError(f"{path} names no record; add file to its [record], or name records in this file.")
@@ -215,7 +212,7 @@ def named_record(joint: Path, record: Path | None, settings: tuple[str, ...] = (
 def _single(record: str, folder: Path, day: str) -> tuple[str, str, str]:
     """Address, stamp and day of a row's record; no stamp if it is unreadable."""
     if is_remote(record):
-        address, stamp = next(iter(listed(record, folder).items()), (record, ""))
+        address, stamp = next(iter(list_addresses(record, folder).items()), (record, ""))
     else:
         address = os.path.normpath(folder / record)
         try:

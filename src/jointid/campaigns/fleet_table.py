@@ -28,7 +28,6 @@ class FleetRow:
 
     Attributes:
         number: of the row, from 1: of CSV the header is the first, as spreadsheets count.
-        name: of the joint.
         joint: path of its joint file, empty where the table does not say it.
         records: path or URL of its records, with what stands for a part of it; empty where the table does not say it.
         record: path or URL of one record.
@@ -56,7 +55,7 @@ class RowFaults:
         for sentence in sentences:
             self._found.setdefault(sentence, []).append(number)
 
-    def require_none(self) -> None:
+    def raise_any(self) -> None:
         """Raise the collected faults, if any."""
         found = sorted(self._found.items(), key=lambda one: one[1])
         said = [f"{self._path.name}, {_rows(numbers)}: {one}" for one, numbers in found]
@@ -190,7 +189,7 @@ def _read_parquet(path: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
             if not isinstance(value, str | bool | int | float | None):
                 sentence = f"{name} holds a {type(value).__name__}; expected text, a number, true or false: convert it."
                 faults.add(number, [sentence])
-    faults.require_none()
+    faults.raise_any()
     return header, [(number, list(map(_text, cells))) for number, cells in enumerate(zip(*columns, strict=True), 1)]
 
 

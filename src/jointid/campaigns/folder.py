@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from jointid.campaigns.rows import Outcome, Row
+from jointid.campaigns.cases import Outcome, Row
 from jointid.campaigns.shards import has_shards, read_shards
 from jointid.campaigns.store import DATABASE, read_database
 from jointid.common.document import Block, Document, Documented, Facts, Listing, Paragraph
@@ -16,7 +16,7 @@ from jointid.common.errors import RecordError
 from jointid.common.messages import describe_time
 from jointid.common.text import number, short
 
-_RECENT = 100  # results by which the rate is told
+_RECENT = 100  # results that determine the rate
 _REASONS = 10  # that are shown
 _LONGEST = 300  # characters of one
 
@@ -26,8 +26,6 @@ class Results:
     """The results of a campaign so far.
 
     Attributes:
-        name: of the campaign.
-        cases: that it has.
         rows: results, in an order that depends on no engine.
         stored: when each was stored, in seconds since 1970, in increasing order.
     """
@@ -67,7 +65,6 @@ class Status(Documented):
     """Progress of a campaign.
 
     Attributes:
-        results: so far.
         now: when that is, in seconds since 1970.
     """
 
@@ -94,13 +91,13 @@ class Status(Documented):
             facts.append(("last result", f"{describe_time(self.now - results.stored[-1])} ago"))
         reasons = [row for row in results.rows if row.outcome is not Outcome.IDENTIFIED]
         shown = reasons if details else reasons[:_REASONS]
-        blocks: list[Block] = [Facts(tuple(facts)), Listing(tuple(map(described, shown)))]
+        blocks: list[Block] = [Facts(tuple(facts)), Listing(tuple(map(describe_row, shown)))]
         if len(shown) < len(reasons):
             blocks.append(Paragraph(f"And {len(reasons) - len(shown)} more: --details shows them."))
         return Document(f"Campaign {results.name}", tuple(blocks))
 
 
-def described(row: Row) -> str:
+def describe_row(row: Row) -> str:
     """Describe a result without an answer."""
     seed = "" if row.seed is None else f"seed {row.seed}"
     what = " ".join(part for part in (row.joint, row.day, seed, "; ".join(row.changes)) if part)

@@ -11,14 +11,20 @@ from typing import Literal
 
 import numpy as np
 
-from jointid.campaigns.cases import Redrawn, Simulated, Started
-from jointid.campaigns.drift import FALSE_ALARM, Change, judge
-from jointid.campaigns.ends import SearchEnd, end_blocks, ends_of, summarise_ends
-from jointid.campaigns.folder import Results, described, read_results
-from jointid.campaigns.repeats import Repeated, repeat_blocks, repeats_of, summarise_repeats
-from jointid.campaigns.rows import LOGGED, Outcome, Row
-from jointid.campaigns.series import Series, series_of
-from jointid.campaigns.sweeps import sweep_blocks
+from jointid.campaigns.cases import LOGGED, Outcome, Redrawn, Row, Simulated, Started
+from jointid.campaigns.drift import FALSE_ALARM, Change, Series, judge, series_of
+from jointid.campaigns.folder import Results, describe_row, read_results
+from jointid.campaigns.run_groups import (
+    Repeated,
+    SearchEnd,
+    end_blocks,
+    ends_of,
+    repeat_blocks,
+    repeats_of,
+    summarise_ends,
+    summarise_repeats,
+    sweep_blocks,
+)
 from jointid.campaigns.truths import AgainstTruth, against_truth, summarise_truth, truth_blocks
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, Paragraph, Table
@@ -31,7 +37,7 @@ _LEAST_JOINTS = 8  # among which one can be unlike the others
 _TO_SIGMA = 1.4826
 _REPEATED = (Simulated.kind, Redrawn.kind)
 _TONES: dict[bool | None, Literal["good", "bad", "open"]] = {True: "good", False: "bad", None: "open"}
-_CAREFUL, _LAX = 0.7, 1.4  # scatter over stated deviation beyond which that is said
+_CAREFUL, _LAX = 0.7, 1.4  # scatter over stated deviation outside which that is reported
 
 
 @dataclass(frozen=True)
@@ -39,7 +45,6 @@ class CampaignReport(Documented):
     """Results of a campaign; see `report_of`.
 
     Attributes:
-        results: so far.
         false_alarm: chance that any joint of a fleet without drift is named.
     """
 
@@ -102,7 +107,7 @@ class CampaignReport(Documented):
             more = [*joints[:_SHOWN], *([f"{len(joints) - _SHOWN} more"] if len(joints) > _SHOWN else [])]
             return f"{counted(len(joints), 'joint')} drifted: {listed(more)}."
         if not self.changes:
-            return "Drift was not looked for: no joint has eight runs."
+            return "Drift was not tested: no joint has eight runs."
         watched = len({one.series.joint for one in self.changes})
         return f"No stiffness and no friction drifted by more than its scatter ({counted(watched, 'joint')} watched)."
 
@@ -192,12 +197,12 @@ def report_of(folder: Path, false_alarm: float = FALSE_ALARM) -> CampaignReport:
 def _drift_row(one: Change) -> tuple[str, ...]:
     scale = 100 / abs(one.before) if one.before else float("inf")
     return (
-        _called(one.series), one.series.quantity, signed(one.change_percent, 3), number(2 * scale * one.std, 2),
+        _name_series(one.series), one.series.quantity, signed(one.change_percent, 3), number(2 * scale * one.std, 2),
         one.kind, one.since, number(one.p_value, 2),
     )  # fmt: skip
 
 
-def _called(series: Series) -> str:
+def _name_series(series: Series) -> str:
     return f"{series.joint} ({'; '.join(series.changes)})" if series.changes else series.joint
 
 
@@ -236,7 +241,7 @@ def _unlike(series: Sequence[Series]) -> Iterator[tuple[str, ...]]:
             continue
         for one, level in zip(members, levels, strict=True):
             if abs(level - middle) > _UNLIKE * spread:
-                yield _called(one), quantity, number(float(level)), number(middle), unit
+                yield _name_series(one), quantity, number(float(level)), number(middle), unit
 
 
 def _reasons(rows: Sequence[Row], most: int | None) -> Iterator[Block]:
@@ -247,6 +252,6 @@ def _reasons(rows: Sequence[Row], most: int | None) -> Iterator[Block]:
     yield Heading("Without an answer")
     # One that kills its worker is to be seen among any number of spoiled records.
     without.sort(key=lambda row: (row.outcome is not Outcome.SET_ASIDE, row.outcome is not Outcome.FAILED, row.place))
-    yield Listing(tuple(described(row) for row in without[:most]))
+    yield Listing(tuple(describe_row(row) for row in without[:most]))
     joints = Counter(row.joint for row in without).most_common(most)
     yield Table(("joint", "runs without an answer"), tuple((joint, str(count)) for joint, count in joints))

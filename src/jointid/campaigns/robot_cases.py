@@ -16,8 +16,7 @@ import numpy as np
 import tomli_w
 
 from jointid import JointFile
-from jointid.campaigns.cases import Case, Simulated
-from jointid.campaigns.rows import Found, Outcome, finite
+from jointid.campaigns.cases import Case, Found, Outcome, Simulated, finite
 from jointid.common.errors import JointFileError, MethodError
 from jointid.config import loads
 from jointid.config.loading import apply_changes, parse_toml
@@ -28,7 +27,7 @@ from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
 from jointid.records.record import Record
 from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.robots import robot_records, simulate_robot
-from jointid.simulation.simulated import require_finished
+from jointid.simulation.simulated import require_success
 
 
 def is_robot(text: str) -> bool:
@@ -39,13 +38,8 @@ def is_robot(text: str) -> bool:
         return False
 
 
-def carried(text: str, folder: Path) -> str:
-    """Return the text of a file for a case, with absolute path and digest of a robot's model.
-
-    Args:
-        text: of the joint file.
-        folder: that it is in.
-    """
+def embed_model(text: str, folder: Path) -> str:
+    """Return the text of a file for a case, with absolute path and digest of a robot's model."""
     if not is_robot(text):
         return text
     tables = parse_toml(text)
@@ -89,7 +83,7 @@ def identify_robot_case(case: Case, path: Path) -> dict[str, Any]:
         )
     file = _robot_file(case.joint_file, (*case.settings, *case.changes))
     if case.varied is not None:
-        records = _simulated(file, file.driven(path, logged=False), case.varied)
+        records = _simulate(file, file.driven(path, logged=False), case.varied)
     else:
         records = file.to_identify(path)
     estimate = file.identify(records)
@@ -134,14 +128,14 @@ def _truth(estimate: RobotEstimate | RobotTorqueEstimate) -> Iterator[tuple[str,
         yield from zip(estimate.names, map(float, estimate.base.with_friction(robot)), strict=True)
 
 
-def _simulated(file: RobotFile, driven: Sequence[Record], asked: Simulated) -> tuple[Record, ...]:
+def _simulate(file: RobotFile, driven: Sequence[Record], asked: Simulated) -> tuple[Record, ...]:
     """Records of a simulated run, with noise relative to the torques."""
     if asked.values or asked.noise_force:
         raise MethodError(
             "A robot's simulated runs have the numbers of its robot file and noise_log, of the joint with the largest "
             "torque and of the others in proportion; leave values and noise_force out of [monte_carlo]."
         )
-    run = require_finished(simulate_robot(file.loop, driven), f"The simulation of {file.robot.name}")
+    run = require_success(simulate_robot(file.loop, driven), f"The simulation of {file.robot.name}")
     sizes = np.std(run.torque, axis=0)
     noise = np.random.default_rng([asked.seed]).standard_normal(run.torque.shape)
     torque = run.torque + asked.noise_log * noise * sizes / np.max(sizes)

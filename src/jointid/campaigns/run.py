@@ -12,9 +12,8 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from jointid.campaigns.cases import Case
+from jointid.campaigns.cases import Case, Outcome, Row
 from jointid.campaigns.engines import Engine, Workers, on_one_core
-from jointid.campaigns.rows import Outcome, Row
 from jointid.campaigns.run_case import run_case
 from jointid.campaigns.store import Results
 from jointid.common.errors import JointidError, RecordError
@@ -34,8 +33,6 @@ class Ran:
     """Summary of a run.
 
     Attributes:
-        cases: that the campaign has.
-        found: results that were there before.
         made: results that this run made, by how they ended.
     """
 
@@ -72,35 +69,35 @@ def run_cases(
         progress: receives number done, rate and time left.
     """
     results.list_cases(name, (case.content_hash for case in cases()))
-    finished = Counter(results.is_finished(one) for case in cases() if has(one := case.content_hash))
+    finished = Counter(results.has_result(one) for case in cases() if has(one := case.content_hash))
     left = finished[False]
     made = dict.fromkeys(Outcome, 0)
     if left:
         work = Work(progress, "cases", left, "cases")
 
         def keep(rows: Sequence[Row]) -> None:
-            new = [row for row in rows if not results.is_finished(row.content_hash)]
+            new = [row for row in rows if not results.has_result(row.content_hash)]
             results.add(new)
             for row in new:
                 made[row.outcome] += 1
                 work.add()
 
-        waiting = _Waiting((case for case in cases() if has(case.content_hash)), results.is_finished)
+        waiting = _Waiting((case for case in cases() if has(case.content_hash)), results.has_result)
         idle_deaths = 0
         try:
-            while (suspects := _run_together(waiting, engine, carry, keep)) or waiting.given_back:
-                idle_deaths = 0 if suspects else idle_deaths + 1
+            while (affected := _run_together(waiting, engine, carry, keep)) or waiting.given_back:
+                idle_deaths = 0 if affected else idle_deaths + 1
                 if idle_deaths > _IDLE_DEATHS:
                     raise RecordError(
                         "Workers die before they take a case; see whether one has memory enough to start, and give the "
                         "same command again: what is finished is kept."
                     )
-                if suspects:
+                if affected:
                     progress(
-                        f"a worker died; {counted(len(suspects), 'case')} that it may have died of "
-                        f"{'is' if len(suspects) == 1 else 'are'} tried again, one at a time"
+                        f"a worker died; {counted(len(affected), 'case')} that it may have died of "
+                        f"{'is' if len(affected) == 1 else 'are'} tried again, one at a time"
                     )
-                for case in (one for one in suspects if not results.is_finished(one.content_hash)):
+                for case in (one for one in affected if not results.has_result(one.content_hash)):
                     _run_alone(case, engine, results, carry, keep)
         finally:
             work.reach(left)
@@ -119,7 +116,7 @@ class _Waiting:
         """True if a batch was taken in again."""
         return bool(self._back)
 
-    def take(self, count: int, begun: Mapping[str, frozenset[str]]) -> list[Case]:
+    def take(self, count: int, submitted: Mapping[str, frozenset[str]]) -> list[Case]:
         """Next batch of cases without a result; empty at the end.
 
         A batch that an earlier client submitted stays together, so that its result is found.
@@ -128,7 +125,7 @@ class _Waiting:
             return self._back.pop()
         for case in self._cases:
             if not self._is_finished(one := case.content_hash):
-                task = begun.get(one)
+                task = submitted.get(one)
                 part = self._parts.setdefault(task, [])
                 part.append(case)
                 if len(part) == (count if task is None else len(task)):
@@ -142,7 +139,7 @@ class _Waiting:
 
 def _run_together(waiting: _Waiting, engine: Engine, carry: Carry, keep: Keep) -> list[Case]:
     """Execute cases until all are done or a worker dies; return the unfinished ones."""
-    suspects: list[Case] = []
+    affected: list[Case] = []
     under_way: _UnderWay = {}
     with engine.open() as workers:
         _fill(under_way, waiting, workers, carry)
@@ -152,18 +149,18 @@ def _run_together(waiting: _Waiting, engine: Engine, carry: Carry, keep: Keep) -
                 batch = under_way.pop(future)
                 rows = _result(future, engine)
                 if rows is None:
-                    suspects += batch
+                    affected += batch
                 else:
                     keep(rows)
-            if not suspects:
+            if not affected:
                 _fill(under_way, waiting, workers, carry)
-    return suspects
+    return affected
 
 
 def _fill(under_way: _UnderWay, waiting: _Waiting, workers: Workers, carry: Carry) -> None:
     """Hand out cases until there are enough under way."""
     most = workers.ahead * max(workers.capacity(), 1)
-    while len(under_way) < most and (batch := waiting.take(workers.batch, workers.begun)):
+    while len(under_way) < most and (batch := waiting.take(workers.batch, workers.submitted)):
         try:
             under_way[workers.executor.submit(on_one_core, carry, batch)] = batch
         except BrokenExecutor:  # the futures that are under way will say so

@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 
 from jointid import Estimate, JointFile, Record, __version__, simulated_record
-from jointid.campaigns.addresses import digest, fetched
-from jointid.campaigns.cases import Case, Redrawn, Simulated, Started
+from jointid.campaigns.addresses import digest, fetch
+from jointid.campaigns.cases import Case, Found, Outcome, Redrawn, Row, Simulated, Started, finite
 from jointid.campaigns.robot_cases import identify_robot_case, is_robot
-from jointid.campaigns.rows import Found, Outcome, Row, finite
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.config import loads
@@ -28,9 +27,6 @@ from jointid.uncertainty.resampling import BANDWIDTHS
 
 def run_case(case: Case) -> Row:
     """Identify a case and return its row; failures become sentences.
-
-    Args:
-        case: the case.
 
     Example:
         >>> from jointid.campaigns.cases import Case
@@ -49,7 +45,7 @@ def run_case(case: Case) -> Row:
                     f"The case was described by jointid {case.program}, and the worker has {__version__}; install the "
                     "same on both."
                 )
-            with fetched(case.record) as path:
+            with fetch(case.record) as path:
                 read = str(path)
                 about["record_sha256"] = digest(path)
                 return Row.of(case, **_identify(case, path, about["record_sha256"]), **about)
@@ -76,11 +72,11 @@ def _joint_file(text: str, changes: tuple[str, ...]) -> JointFile:
 
 
 @lru_cache(maxsize=8)
-def _explained(text: str, changes: tuple[str, ...], path: Path, record_sha256: str) -> tuple[FloatArray, FloatArray]:
+def _explain(text: str, changes: tuple[str, ...], path: Path, record_sha256: str) -> tuple[FloatArray, FloatArray]:
     """Explained torque and residual of a record's identification, (samples,) each."""
     file = _joint_file(text, changes)
     record = file.record(path)
-    fit = file.identify(record).fit
+    fit = file.identify(record, checks=False).fit
     if fit.compared != "torque" or record.torque is None or fit.predicted.size != len(record.torque):
         raise MethodError(
             "A bootstrap draws what is left of the torque anew, sample by sample; received a method that does not "
@@ -93,8 +89,8 @@ def _identify(case: Case, path: Path, record_sha256: str) -> dict[str, Any]:
     """Entries of a row from an estimate."""
     if is_robot(case.joint_file):
         return identify_robot_case(case, path)
-    begun = case.varied.starts if isinstance(case.varied, Started) else ()
-    changes = [f"parameters.{name}.start={value!r}" for name, value in begun]
+    starts = case.varied.starts if isinstance(case.varied, Started) else ()
+    changes = [f"parameters.{name}.start={value!r}" for name, value in starts]
     file = _joint_file(case.joint_file, (*case.settings, *case.changes, *changes))
     if file.runs:
         raise MethodError(
@@ -105,7 +101,7 @@ def _identify(case: Case, path: Path, record_sha256: str) -> dict[str, Any]:
     if isinstance(case.varied, Simulated):
         record = _simulate(file, record, case.varied)
     elif isinstance(case.varied, Redrawn):
-        explained, left = _explained(case.joint_file, case.changes, path, record_sha256)
+        explained, left = _explain(case.joint_file, case.changes, path, record_sha256)
         length = min(BANDWIDTHS * bandwidth(left.size), left.size)
         begins = np.random.default_rng([case.varied.seed]).integers(left.size, size=-(-left.size // length))
         at = (begins[:, np.newaxis] + np.arange(length)).ravel()[: left.size]
@@ -116,7 +112,7 @@ def _identify(case: Case, path: Path, record_sha256: str) -> dict[str, Any]:
     return {
         "outcome": Outcome.IDENTIFIED,
         "sentence": estimate.sentence,
-        "found": dict(_found(estimate)),
+        "found": dict(_list_found(estimate)),
         "trust": str(estimate.answer.trust.code),
         "converged": bool(estimate.fit.converged),
         "error_percent": finite(100 * estimate.fit.filtered_error),
@@ -148,7 +144,7 @@ def _simulate(file: JointFile, motion: Record, asked: Simulated) -> Record:
     )  # fmt: skip
 
 
-def _found(estimate: Estimate) -> Iterator[tuple[str, Found]]:
+def _list_found(estimate: Estimate) -> Iterator[tuple[str, Found]]:
     for p in estimate.params:
         if p.of_joint:
             yield p.name, Found(finite(p.value), finite(p.stderr) if p.free else None, p.unit)

@@ -16,8 +16,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from jointid.campaigns.cases import canonical
-from jointid.campaigns.rows import Row
+from jointid.campaigns.cases import Row, canonical
 from jointid.campaigns.store import DATABASE, SHARD_FILES
 from jointid.common.errors import MethodError, RecordError
 
@@ -30,7 +29,6 @@ class Shard:
 
     Attributes:
         number: of it, from 1.
-        count: of all.
 
     Example:
         >>> from jointid.campaigns.shards import Shard
@@ -106,7 +104,7 @@ class ShardFile:
             self._contents.name, self._contents.cases = name, cases
         return len(cases)
 
-    def is_finished(self, content_hash: str) -> bool:
+    def has_result(self, content_hash: str) -> bool:
         """Test whether a case has a result."""
         return content_hash in self._finished
 

@@ -11,14 +11,14 @@ import subprocess
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from jointid.campaigns.cases import Case, canonical, sha256_of
+from jointid.campaigns.cases import canonical, sha256_of
 from jointid.campaigns.engines import Workers
 from jointid.common.errors import RecordError, extra
 
@@ -52,8 +52,6 @@ class SlurmJobs:
 
     Attributes:
         folder: for functions and results, which client and nodes share.
-        jobs: at once, waiting ones included.
-        batch: cases of a job.
         partition: of SLURM; its default one when empty.
     """
 
@@ -83,22 +81,18 @@ class SlurmJobs:
         )
         jobs = _NamedJobs(executor, self.folder)
         try:
-            yield Workers(jobs, lambda: workers or self.jobs, self.batch, ahead=1, begun=_begun(self.folder))
+            # Of two jobs with the same case, the later one counts.
+            found: dict[str, frozenset[str]] = {}
+            for path in sorted(self.folder.glob(f"*/{_CASES}"), key=lambda path: path.stat().st_mtime_ns):
+                job = frozenset(path.read_text(encoding="ascii").split())
+                found |= dict.fromkeys(job, job)
+            yield Workers(jobs, lambda: workers or self.jobs, self.batch, ahead=1, submitted=found)
         finally:
             jobs.shutdown(wait=False)
 
     def is_death(self, error: BaseException) -> bool:
         """Test whether a job ended without a result."""
         return isinstance(error, RuntimeError) and "terminated without producing output" in str(error)
-
-
-def _begun(folder: Path) -> dict[str, frozenset[str]]:
-    """Submitted jobs by case hash, the latest if several."""
-    found: dict[str, frozenset[str]] = {}
-    for path in sorted(folder.glob(f"*/{_CASES}"), key=lambda path: path.stat().st_mtime_ns):
-        job = frozenset(path.read_text(encoding="ascii").split())
-        found |= dict.fromkeys(job, job)
-    return found
 
 
 class _NamedJobs(Executor):
@@ -112,7 +106,8 @@ class _NamedJobs(Executor):
     def submit(self, function: Callable[..., Any], /, *given: Any, **_: Any) -> Future[Any]:
         """Submit a function with a case function and cases."""
         carry, cases = given
-        name = _name_of(carry, cases)
+        called = getattr(carry, "__qualname__", repr(carry))
+        name = sha256_of(canonical([called, sorted(case.content_hash for case in cases)]))
         own = self._folder / name
 
         def hand_out() -> Future[Any]:
@@ -148,10 +143,10 @@ class _NamedJobs(Executor):
 
     def _wait_for_earlier(self) -> None:
         """Collect the results of an earlier client's jobs."""
-        missed, looked = Counter[str](), -_LOOK
+        missed, checked = Counter[str](), -_LOOK
         while not self._over.wait(_POLL):
-            if time.monotonic() - looked >= _LOOK:
-                looked, queue = time.monotonic(), _queue()
+            if time.monotonic() - checked >= _LOOK:
+                checked, queue = time.monotonic(), _queue()
                 if queue is not None:
                     missed = Counter({name: missed[name] + 1 for name in list(self._earlier) if name not in queue})
             try:
@@ -162,12 +157,6 @@ class _NamedJobs(Executor):
                 if f"{name}_o.h5" in there or missed[name] >= _MISSED:
                     del self._earlier[name]
                     hand_out().add_done_callback(partial(_pass_on, future))
-
-
-def _name_of(carry: Callable[..., Any], cases: Sequence[Case]) -> str:
-    """Job name from cases, independent of order."""
-    function = getattr(carry, "__qualname__", repr(carry))
-    return sha256_of(canonical([function, sorted(case.content_hash for case in cases)]))
 
 
 def _names_in(folder: Path) -> set[str]:

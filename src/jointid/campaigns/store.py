@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Protocol
 
-from jointid.campaigns.rows import Outcome, Row
+from jointid.campaigns.cases import Outcome, Row
 from jointid.common.errors import RecordError
 
 DATABASE = "campaign.sqlite"
@@ -42,7 +42,7 @@ class Results(Protocol):
     def list_cases(self, name: str, hashes: Iterable[str]) -> int:
         """Store the campaign's cases, and return their number; rows of others are hidden."""
 
-    def is_finished(self, content_hash: str) -> bool:
+    def has_result(self, content_hash: str) -> bool:
         """Test whether a case has a result."""
 
     def add(self, rows: Sequence[Row]) -> None:
@@ -67,7 +67,7 @@ class Database:
             transaction.executemany("INSERT OR REPLACE INTO about VALUES (?, ?)", about.items())
             return int(transaction.execute("SELECT count(*) FROM listed").fetchone()[0])
 
-    def is_finished(self, content_hash: str) -> bool:
+    def has_result(self, content_hash: str) -> bool:
         """See `Results`."""
         with _explain(self._path):
             found = self._connection.execute("SELECT 1 FROM results WHERE hash = ?", (content_hash,))
@@ -89,7 +89,7 @@ class Database:
             )
             return int(transaction.execute("SELECT count FROM deaths WHERE hash = ?", (content_hash,)).fetchone()[0])
 
-    def forget_unidentified(self) -> int:
+    def forget_failures(self) -> int:
         """Delete failed results, to be retried; return their number."""
         with _explain(self._path), self._connection as transaction:
             transaction.execute("DELETE FROM deaths")
@@ -106,7 +106,13 @@ def open_database(folder: Path) -> Iterator[Database]:
     if any(folder.glob(SHARD_FILES)):
         raise RecordError(f"{folder} has the results of shards; name another folder by --out, or go on with work.")
     path = folder / DATABASE
-    with _explain(path), contextlib.closing(_lock(folder)), contextlib.closing(_connect(path)) as connection:
+    with (
+        _explain(path),
+        contextlib.closing(_lock(folder)),
+        contextlib.closing(sqlite3.connect(path, timeout=_PATIENCE)) as connection,
+    ):
+        connection.execute("PRAGMA journal_mode=WAL")
+        connection.execute("PRAGMA synchronous=FULL")  # a result outlives a power cut, too
         connection.executescript(_TABLES)
         found = dict(connection.execute("SELECT key, value FROM about").fetchall()).get("format", str(_FORMAT))
         if found != str(_FORMAT):
@@ -114,13 +120,6 @@ def open_database(folder: Path) -> Iterator[Database]:
                 f"{path} is of format {found}, and this jointid knows {_FORMAT}; use the one that wrote it."
             )
         yield Database(path, connection)
-
-
-def _connect(path: Path) -> sqlite3.Connection:
-    connection = sqlite3.connect(path, timeout=_PATIENCE)
-    connection.execute("PRAGMA journal_mode=WAL")
-    connection.execute("PRAGMA synchronous=FULL")  # a result outlives a power cut, too
-    return connection
 
 
 def _lock(folder: Path) -> sqlite3.Connection:
@@ -143,7 +142,7 @@ def read_database(folder: Path) -> tuple[str, int, list[tuple[float, Row]]]:
     path = folder / DATABASE
     with _explain(path), contextlib.closing(sqlite3.connect(path, timeout=_PATIENCE)) as connection:
         if not connection.execute("SELECT 1 FROM sqlite_master WHERE name = 'listed'").fetchone():
-            return "", 0, []  # it was only just begun
+            return "", 0, []  # it has only just started
         about = dict(connection.execute("SELECT key, value FROM about").fetchall())
         (total,) = connection.execute("SELECT count(*) FROM listed").fetchone()
         found = connection.execute("SELECT stored, row FROM results JOIN listed USING (hash)")

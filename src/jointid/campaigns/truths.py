@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jointid.campaigns.repeats import Repeated
+from jointid.campaigns.run_groups import Repeated
 from jointid.common.document import Block, Heading, Paragraph, Table
 from jointid.common.errors import RecordError
 from jointid.common.text import counted, listed, number, signed
@@ -35,11 +35,6 @@ class AgainstTruth:
     Attributes:
         name: of the quantity, with the swept settings of these runs.
         unit: of truth, bias, its deviation, scatter and stated deviation.
-        runs: how many there are.
-        truth: of the simulation.
-        bias: mean error.
-        bias_std: its standard deviation.
-        scatter: standard deviation of the runs.
         stated: median of the standard deviations that they state.
         held: in how many runs two stated deviations held the truth.
         low, high: range of the share of these, of 95 %.

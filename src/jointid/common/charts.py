@@ -14,7 +14,7 @@ from jointid.common.arrays import FloatArray
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Okabe-Ito colours: told apart by the colour-blind; the lightness differs too, so a grey print still reads.
+# Okabe-Ito colours: distinct to the colour-blind; the lightness differs too, so a grey print still reads.
 MEASURED = "#0072B2"
 SIMULATED = "#E69F00"
 ERROR = "#000000"
@@ -94,7 +94,6 @@ class Panel:
     """One pair of axes.
 
     Attributes:
-        x_label, y_label: quantity and unit.
         items: that are drawn, the first below.
         title: above it.
         log_x, log_y: whether an axis is logarithmic.
@@ -122,10 +121,7 @@ class Chart:
     """A figure of panels in `columns`, with a caption.
 
     Attributes:
-        name: of its file.
-        caption: what to see, in sentences.
         panels: from left to right, then down.
-        columns: in a row.
         title: above all panels, of a figure on paper.
     """
 

@@ -23,7 +23,7 @@ MODES = 4
 Four: TypeAlias = tuple[float, float, float, float]
 
 _NOTHING = 1e-200  # what falls below it is 0: near the smallest numbers many machines are a hundred times slower
-_BLOCK = 16  # kept samples after which that is looked for
+_BLOCK = 16  # kept samples between two checks for one
 
 
 def compiled(function: F) -> F:
@@ -32,7 +32,7 @@ def compiled(function: F) -> F:
     Without a writable cache folder, each process compiles the kernel.
     """
     kernel: Any = _njit(function)
-    if kernel is not function:  # it is where Numba is told not to compile
+    if kernel is not function:  # Numba may be configured not to compile
         try:
             kernel._cache = kept = KernelCache(function, kernel.targetoptions)
         except RuntimeError:  # there is no such folder
@@ -55,7 +55,7 @@ def _releasing_lock(compile_form: Callable[[Any], Any], kept: KernelCache) -> Ca
     return compile_and_release
 
 
-def is_cached(kernel: object) -> bool:
+def has_cache(kernel: object) -> bool:
     """Test whether a kernel is cached, or has no cache."""
     held = getattr(kernel, "_cache", None)
     return not isinstance(held, KernelCache) or held.holds_any()
@@ -71,7 +71,7 @@ def inlined(function: F) -> F:
 
 def _widen_vectors(_: Any) -> tuple[Any, Any]:
     def lower(context: Any, builder: Any, *_: Any) -> Any:
-        # A set whose own `add` knows the attributes without a value only, so it is told of this one as any set is.
+        # A set whose own `add` knows the attributes without a value only, so call that of any set.
         set.add(builder.function.attributes, '"prefer-vector-width"="512"')
         return context.get_dummy_value()
 
@@ -96,7 +96,7 @@ down for the first). A loop that is made of nothing else gains by them.
 def _njit(function: F, **options: bool) -> F:
     make: Any = numba.njit  # its types know some of the options only
     kernel = make(nogil=True, fastmath={"contract"}, error_model="numpy", **options)(function)
-    if kernel is not function:  # it is where Numba is told not to compile
+    if kernel is not function:  # Numba may be configured not to compile
         template = kernel.get_call_template
         unliteral: Any = types.unliteral
 

@@ -121,26 +121,26 @@ class _CompileLock:
 def _stamp(function: FunctionType, options: dict[str, Any]) -> str:
     """Hash a function's code, its callees and the constants it reads."""
     seen: set[int] = set()
-    told: list[str] = [repr(sorted(options.items()))]
+    parts: list[str] = [repr(sorted(options.items()))]
 
     def describe(value: Any) -> None:
         if hasattr(value, "py_func"):  # a kernel
-            told.append(repr(sorted(value.targetoptions.items())))
+            parts.append(repr(sorted(value.targetoptions.items())))
         value = getattr(value, "py_func", getattr(value, "_defn", value))  # of a kernel, of an intrinsic of Numba's
         if isinstance(value, FunctionType):
             if id(value) not in seen:
                 seen.add(id(value))
-                told.append(repr(value.__defaults__))
+                parts.append(repr(value.__defaults__))
                 describe_fields(value.__annotations__, value.__globals__)
                 describe_code(value.__code__, value.__globals__, value.__doc__)
         elif isinstance(value, np.ndarray):
-            told.append(f"{value.dtype}{value.shape}{value.tobytes()!r}")
+            parts.append(f"{value.dtype}{value.shape}{value.tobytes()!r}")
         elif isinstance(value, type):
-            told.append(f"{value.__qualname__}{getattr(value, '_fields', ())}")
+            parts.append(f"{value.__qualname__}{getattr(value, '_fields', ())}")
             if hasattr(value, "_fields"):
                 describe_fields(value.__annotations__, vars(sys.modules[value.__module__]))
         elif isinstance(value, (bool, int, float, str, tuple, np.generic)):
-            told.append(repr(value))
+            parts.append(repr(value))
 
     def describe_fields(annotations: Mapping[str, Any], names: Mapping[str, Any]) -> None:
         """Describe named tuples among annotations: compiled code reads their fields by position."""
@@ -150,17 +150,17 @@ def _stamp(function: FunctionType, options: dict[str, Any]) -> str:
                     describe(names[word])
 
     def describe_code(code: CodeType, names: dict[str, Any], documentation: str | None = None) -> None:
-        told.append(f"{code.co_name}{code.co_code!r}{code.co_names}{code.co_varnames}")
+        parts.append(f"{code.co_name}{code.co_code!r}{code.co_names}{code.co_varnames}")
         for constant in code.co_consts:
             if isinstance(constant, CodeType):
                 describe_code(constant, names)
             elif constant != documentation:
-                told.append(repr(constant))
+                parts.append(repr(constant))
         for name in code.co_names:
             describe(names.get(name))
 
     describe(function)
-    return hashlib.sha256("\n".join(told).encode()).hexdigest()
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
 class _CheckedFile(IndexDataCacheFile):

@@ -102,7 +102,6 @@ class Picture:
     """A picture, PNG or SVG.
 
     Attributes:
-        name: of the file.
         draw: returns its content; Markdown, which only names the file, does not call it.
         text: the caption, which says what to see.
         plot: the same as JSON for bokeh, for a page; none when empty.
@@ -129,7 +128,6 @@ class Document:
     """A title and its blocks.
 
     Attributes:
-        title: of the page.
         blocks: in order; facts and listings that hold nothing are left out.
         answer: JSON that a page carries along for other programs; none when empty.
     """
@@ -171,7 +169,7 @@ class Documented(ABC):
 
     @abstractmethod
     def document(self, *, details: bool = False) -> Document:
-        """Return the result as a document, with `details` beyond one screen."""
+        """Return the result as a document, with `details` on demand."""
 
     def summary(self, *, details: bool = False) -> str:
         """Return the document as text."""

@@ -58,7 +58,7 @@ class Work:
     def __init__(self, progress: Progress, what: str, total: float, unit: str) -> None:
         self._progress, self._what, self.total, self._unit = progress, what, total, unit
         self._lock = threading.Lock()
-        self._began = self._told = time.monotonic()
+        self._began = self._reported = time.monotonic()
         self.reach(0.0)
 
     def reach(self, done: float) -> None:
@@ -68,8 +68,8 @@ class Work:
             self._progress.draw(self._what, done, self.total, self._unit)
             return
         now = time.monotonic()
-        if done < self.total and now - self._told >= _BETWEEN:
-            self._told = now
+        if done < self.total and now - self._reported >= _BETWEEN:
+            self._reported = now
             self._progress(f"{self._what}: {describe_pace(done, self.total, self._unit, now - self._began)}")
 
     def add(self) -> None:
@@ -119,8 +119,6 @@ class Message:
 
     Attributes:
         code: the kind of statement, by which a program knows it; never by the words.
-        words: the same as a sentence.
-        values: names and numbers in it.
         clause: the fact alone, without its evidence, for a sentence about something else; empty where the words are it.
     """
 
@@ -184,7 +182,7 @@ def format_value(value: object) -> str:
         case bool():
             text = str(value).lower()
         case int() if abs(value) >= 2**63:
-            text = "a whole number beyond 64 bits"  # Python refuses to print the largest
+            text = "a whole number of more than 64 bits"  # Python refuses to print the largest
         case _:
             text = str(value)
     return text

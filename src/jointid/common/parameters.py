@@ -48,10 +48,8 @@ class Parameter:
     Attributes:
         name: the field's term, as code and files say it.
         symbol: as tables and formulas say it.
-        quantity: what it measures.
         free: whether it is identified; otherwise it keeps `start`.
         start: where the search begins, or the value that is kept; None lets the method find its own start.
-        lower, upper: bounds on the value.
     """
 
     name: str

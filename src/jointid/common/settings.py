@@ -78,11 +78,9 @@ class Declared:
     """A setting as its dataclass declares it.
 
     Attributes:
-        name: of the field.
         type: of its value, without None.
         optional: whether its value may be None.
         default: of the field; `dataclasses.MISSING` where it has none.
-        setting: its declaration.
         factory: makes its default, where that is not a value.
     """
 

@@ -163,7 +163,6 @@ class OtherSide:
     """Conversion from the joint's side to the other.
 
     Attributes:
-        transmission: between them.
         torque_unit: in which the joint's parameters are: N, N m, A or V.
     """
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -28,8 +28,7 @@ from jointid.config.drive_numbers import drive_numbers
 from jointid.config.quantities import Stated, stated_in
 from jointid.config.schema import FileTable, with_gains_meant
 from jointid.config.schema_record import Run, Source, Together
-from jointid.config.swapped_gains import ask_about_gains
-from jointid.estimation.identify import identify
+from jointid.diagnostics.identify import identify
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Controller, with_numbers
@@ -257,25 +256,30 @@ class JointFile:
         record.require(("reference",), "a simulation")
         return record
 
-    def identify(self, record: Record, progress: Progress = silent) -> Estimate:
-        """Identify the joint from a record, as the file says; its loop is not checked, see `jointid.check_loop`.
+    def identify(
+        self,
+        record: Record,
+        progress: Progress = silent,
+        *,
+        checks: bool = True,
+        unchecked: Callable[[Estimate], None] | None = None,
+    ) -> Estimate:
+        """Identify the joint from a record, as the file says; see `jointid.identify`.
 
         Args:
             record: what `record` gave.
-            progress: is told each step, and first of gains that look swapped, which is a warning of the estimate, too.
+            progress: is told each step.
+            checks: whether to check the estimate.
+            unchecked: is called with the estimate before its checks.
 
         Raises:
             JointidError: see `jointid.identify`.
         """
-        model = self.loop or self.joint
-        asked = ask_about_gains(self.controller, record.reference)
-        if asked is not None:
-            progress(asked)
-        estimate = identify(
-            record, model, self.method, filtering=self.filtering, parameters=self.parameters, progress=progress
-        )
-        warnings = estimate.checks.warnings if asked is None else (asked, *estimate.checks.warnings)
-        return estimate.amended(data={"torque_constant": self.scale}, checks={"warnings": warnings})
+        return identify(
+            record, self.loop or self.joint, self.method, filtering=self.filtering, parameters=self.parameters,
+            checks=checks, shown=self.declared_numbers, torque_constant=self.scale, unchecked=unchecked,
+            progress=progress,
+        )  # fmt: skip
 
     def learn_controller(self, record: Record, progress: Progress = silent) -> LearnedLoop:
         """Learn the controller, in its own units, which the torque constant or the gain of [controller] says.
@@ -295,11 +299,6 @@ class JointFile:
         return learn_loop(
             record, gain=gain, transmission=self.joint.transmission, declared=self.controller, progress=progress
         )
-
-    @property
-    def tells_of_its_loop(self) -> bool:
-        """True if a check of the loop may begin at its estimate."""
-        return self.method.tells_of_its_loop
 
     def log(self, path: str | os.PathLike[str] | None = None) -> Log:
         """Return the record as one that is read in chunks, when it is asked for; see `record`.

@@ -77,7 +77,7 @@ EFFECTS = ("harmonics", "period", "drift")
 FILTERINGS: Mapping[str, Callable[[], Filtering]] = {
     "default": Filtering,
     "published": Filtering.published,
-    "as-printed": Filtering.as_printed,
+    "as-printed": Filtering.as_in_paper,
 }
 """The presets of [filtering]."""
 

@@ -71,14 +71,14 @@ def columns(log: LoopRecord, structure: Structure, numbers: Mapping[str, float])
         viscous, bent, direction, np.ones(r.size),
         *_later_taps(speed, structure.taps, period, lead),
     ])  # fmt: skip
-    return log.as_logged(_filter_signals(torque, found, period)[lead:], rate)
+    return log.to_log(_filter_signals(torque, found, period)[lead:], rate)
 
 
 def injected_torque(log: LoopRecord, structure: Structure, numbers: Mapping[str, float]) -> FloatArray:
     """Torque injected before the limit, as logged, (samples, 1)."""
     rate, (_, torque) = structure.rate, _filters(structure, numbers)
     signal = log.inputs(rate, structure.curved)[:, [INJECTED]]
-    return log.as_logged(_filter_signals(torque, signal, log.period / rate), rate)
+    return log.to_log(_filter_signals(torque, signal, log.period / rate), rate)
 
 
 def response(log: LoopRecord, structure: Structure, numbers: Mapping[str, float], gains: FloatArray) -> FloatArray:

@@ -35,12 +35,7 @@ class FittedLaw(NumberedStructure):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Task:
-    """A record and the gain of the drive's chain.
-
-    Attributes:
-        log: the record.
-        gain: torque per controller unit.
-    """
+    """A record and the gain of the drive's chain."""
 
     log: LoopRecord
     gain: float

@@ -12,10 +12,10 @@ from jointid.common.transmission import Transmission
 from jointid.controller_id.fitting import FittedLaw, Task, covariance, order_rates
 from jointid.controller_id.intervals import numbers_with_intervals
 from jointid.controller_id.learned_loop import Alternative, LearnedLoop
-from jointid.controller_id.limitations import INTERRUPTED, keep_declared, list_equivalents, list_limitations
+from jointid.controller_id.limitations import INTERRUPTED, fill_from_declaration, list_equivalents, list_limitations
 from jointid.controller_id.loop_record import prepare_loop_record
-from jointid.controller_id.plain_regression import compare_with_regression
 from jointid.controller_id.ranking import ALIKE, Rival
+from jointid.controller_id.regression import compare_with_regression
 from jointid.controller_id.search import search
 from jointid.diagnostics.plain_causes import find_steps
 from jointid.models.controllers import Controller, shift_start
@@ -47,12 +47,12 @@ def learn_loop(
         gain: torque per controller unit, of the drive's chain: gains and limit come out in controller units.
         transmission: of the joint, on whose side the record is; [controller] then says which side that is.
         declared: a controller whose limit and delay are kept where the record does not show them.
-        progress: is told each structure that a search goes through.
+        progress: receives messages.
 
     Raises:
         RecordError: a channel is missing, too short, or does not move.
         MethodError: the gain is not positive, or every law that is searched for leaves half of the torque, or more than
-            5 % of it averaged over 10 samples, which no noise does, or the best one's gains are not told.
+            5 % of it averaged over 10 samples, which no noise does, or the best one's gains are not significant.
 
     Limits of validity: a position loop slower than the log by 2, 4 or 8, or a whole loop faster by 2 to 16; a delay of
     the log of whole samples. An integral, a feed-forward or a delay that carries less than 0.1 % of the torque is taken
@@ -74,11 +74,11 @@ def learn_loop(
         raise MethodError(f"The gain of a drive's chain is a positive number; received {gain}.")
     task = Task(prepare_loop_record(record), gain)
     best, rivals, ended = search(task, progress)
-    _require_explained(task, best, record.name, _LEFT if ended else _EXPLAINED)
+    _check_residual(task, best, record.name, _LEFT if ended else _EXPLAINED)
     return _build_result(task, order_rates(task, best), rivals, ended, transmission, declared)
 
 
-def _require_explained(task: Task, best: FittedLaw, name: str, most: float) -> None:
+def _check_residual(task: Task, best: FittedLaw, name: str, most: float) -> None:
     """Refuse a law that leaves too much, or ignores the position.
 
     Args:
@@ -143,7 +143,7 @@ def _build_result(
     assert record.torque is not None and record.motor_position is not None
     known = covariance(task, best)
     _require_significant(task, best, known)
-    made, declared_ones = keep_declared(_build_controller(task, best), declared)
+    made, declared_ones = fill_from_declaration(_build_controller(task, best), declared)
     residual = task.residual(best.structure, best.numbers)
     rms = float(np.sqrt(np.sum(residual**2) / np.sum(task.log.kept)))
     others = tuple(

@@ -10,7 +10,7 @@ from typing import Any
 from jointid.common.messages import Message
 from jointid.common.text import number
 from jointid.controller_id.loop_record import LoopRecord
-from jointid.controller_id.plain_regression import LAGS, BesideRegression
+from jointid.controller_id.regression import LAGS, BesideRegression
 from jointid.controller_id.structures import VELOCITY, Structure
 from jointid.models.controllers import Controller, numbers_of, with_numbers
 from jointid.records.record import Tap
@@ -50,7 +50,7 @@ INTERRUPTED = Message(
 )
 
 
-def keep_declared(made: Controller, declared: Controller | None) -> tuple[Controller, tuple[Message, ...]]:
+def fill_from_declaration(made: Controller, declared: Controller | None) -> tuple[Controller, tuple[Message, ...]]:
     """Take limit and delay from the declaration where the record hides them."""
     said = {} if declared is None else numbers_of(declared)
     if "limit" in said:  # in the units of the law that was learned, which is on the joint's side

@@ -108,12 +108,12 @@ class LoopRecord:
             state = state + integral * content
         ran = run(law, inputs, state)
         output = ran.tapped if self.record.tap is Tap.COMMAND else ran.output
-        shown = self.as_logged(output[:, np.newaxis], rate)[:, 0]
+        shown = self.to_log(output[:, np.newaxis], rate)[:, 0]
         late = round(law.delay / self.period)
         # What was added behind the limit is as late in the log as the output it was added to.
         return _delay_samples(shown + self.added, late) - self.added if late else shown
 
-    def as_logged(self, signals: FloatArray, rate: int) -> FloatArray:
+    def to_log(self, signals: FloatArray, rate: int) -> FloatArray:
         """Sample a law's signals, (periods, signals), as the log shows a torque."""
         assert self.record.torque is not None
         if self.record.torque.timing is not Timing.AVERAGED:

@@ -68,7 +68,7 @@ class Noise:
 
     def weights(self, response: FloatArray) -> FloatArray:
         """Return ``1 / sqrt(S)`` for given |G|; 0 where excluded."""
-        with np.errstate(over="ignore"):  # a candidate that reacts beyond all numbers weighs nothing
+        with np.errstate(over="ignore"):  # a candidate that overflows gets no weight
             return np.asarray(self.informative / np.sqrt(self.torque + self.position * response**2))
 
     @property

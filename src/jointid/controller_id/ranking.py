@@ -26,7 +26,6 @@ class Rival:
     """A structure compared with the best.
 
     Attributes:
-        fitted: with its numbers.
         worse: how much larger its criterion is.
         apart: by how much the torques differ that the two predict, in rms, as a share of the torque's rms.
     """
@@ -75,7 +74,7 @@ def much_simpler(best: FittedLaw, rivals: Iterable[Rival]) -> FittedLaw | None:
     return min(simple, key=lambda one: one.structure.parts, default=None)
 
 
-def drop_none(laws: Iterable[_Law | None]) -> list[_Law]:
+def drop_failures(laws: Iterable[_Law | None]) -> list[_Law]:
     """Keep the laws that could be fitted."""
     return [one for one in laws if one is not None]
 

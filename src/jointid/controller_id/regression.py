@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.controller_id.columns import coefficient_columns, columns, design, injected_torque, response, split_taps
 from jointid.controller_id.loop_record import LoopRecord
-from jointid.controller_id.noise import Noise, estimate_noise
+from jointid.controller_id.noise import Noise, estimate_noise, lagged_columns, regress, signal_and_past
 from jointid.controller_id.structures import LATE, NumberedStructure, Structure, bounds, without_taps
+from jointid.models.controllers import DIRECTION, INJECTED, POSITION, REFERENCE, REFERENCE_VELOCITY
 
 _DEPENDENT = 1e-9  # of a column: what is left of it beside the others is rounding
 _STEP = 1e-4  # of a number, for its difference
@@ -29,7 +30,6 @@ class Weighting(NamedTuple):
     """Noise and response that weight a regression.
 
     Attributes:
-        noise: of torque and position.
         response: |G| of the law that it is the noise of, by which a regression is weighted.
     """
 
@@ -95,7 +95,6 @@ class Regression:
     """The regression on a record's stretch.
 
     Attributes:
-        log: the stretch.
         kept: (samples,) 1 where the torque counts: not at the begin, nor at a limit.
         own: whether a law's cost is under its own response, or under that which the regression is weighted by.
     """
@@ -176,8 +175,8 @@ class Regression:
         """Optimise a structure's nonlinear numbers; `free` as in `fit_gains`."""
         from scipy.optimize import least_squares  # itself: `solvers` search for an end, and this stops long before
 
-        begun = without_taps(one.numbers)
-        names = list(begun)
+        initial = without_taps(one.numbers)
+        names = list(initial)
         low, high = np.array([bounds(n, self.log.period, one.structure.rate) for n in names]).reshape(-1, 2).T
 
         def fit_gains(x: FloatArray) -> RegressionFit:
@@ -188,7 +187,7 @@ class Regression:
             found = fit_gains(x)
             return _stack(np.fft.rfft(found.residual) * self._weights(weighting, found.response))
 
-        start = np.array(list(begun.values()))
+        start = np.array(list(initial.values()))
         if not names:
             return fit_gains(start)
         sizes = np.maximum(start, [_smallest_scale(name, self.log.period) for name in names])
@@ -260,3 +259,53 @@ def _whiten(X: FloatArray, weights: FloatArray) -> FloatArray:
 
 def _stack(spectrum: NDArray[np.complex128]) -> FloatArray:
     return np.concatenate([spectrum.real, spectrum.imag])
+
+
+LAGS = 16  # samples of reference and position
+_BESIDE = 4  # samples of what else a law reads
+_MUCH = 3.0  # times what the regression leaves, in rms: an F of 9, of hundreds of rows
+_MATERIAL = 2e-3  # of the torque's rms: a law that leaves less is good enough for whatever it is needed for
+
+
+@dataclass(frozen=True, slots=True)
+class BesideRegression:
+    """Residual of a law compared with that of a plain regression.
+
+    Attributes:
+        law: share of the torque's rms that the law leaves.
+        regression: that the regression leaves.
+    """
+
+    law: float
+    regression: float
+
+    @property
+    def another(self) -> bool:
+        """True if the drive's law is another."""
+        return self.law > max(_MUCH * self.regression, _MATERIAL)
+
+
+def compare_with_regression(log: LoopRecord, residual: FloatArray) -> BesideRegression:
+    """Compare a law's residual with a plain regression.
+
+    Only samples within the limit and informative frequencies count; elsewhere the position error dominates.
+
+    Args:
+        log: the record.
+        residual: (samples,) logged less the law's torque.
+    """
+    inputs, kept = log.inputs(1, False), log.free
+    r, q = (inputs[:, i] - inputs[0, REFERENCE] for i in (REFERENCE, POSITION))
+    asked = [np.ones((r.size, 1)), np.cumsum(r - q)[:, np.newaxis], *signal_and_past(r, LAGS)]
+    beside = (inputs[:, DIRECTION], inputs[:, REFERENCE_VELOCITY], inputs[:, INJECTED], log.added)
+    asked += [lagged_columns(one, _BESIDE) for one in beside if np.ptp(one)]
+    _, left = regress(asked, signal_and_past(q, LAGS), log.torque, kept)
+    size = math.sqrt(float(np.mean((log.torque * kept) ** 2))) or 1.0
+    law, plain = (_heard(one * kept, log.informative) / size for one in (residual, left))
+    return BesideRegression(law, plain)
+
+
+def _heard(signal: FloatArray, informative: FloatArray) -> float:
+    """Rms of a signal at the informative frequencies."""
+    heard = np.fft.irfft(np.fft.rfft(signal) * (informative > 0), signal.size)
+    return math.sqrt(float(np.mean(heard**2)))

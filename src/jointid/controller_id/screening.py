@@ -53,7 +53,7 @@ def rank_candidates(
     regression: Regression, weighting: Weighting, late: Sequence[int], channel: bool, progress: Progress = silent
 ) -> list[NumberedStructure]:
     """Rank all laws in all frames, each at its best start."""
-    begun: list[NumberedStructure] = []
+    started: list[NumberedStructure] = []
     period, frames = regression.log.period, list(_frames(Structure()))
     for frame in follow(frames, progress, LAWS, len(frames), "clocks and filters"):
         plain = frame.rate == frame.every == 1
@@ -65,16 +65,16 @@ def rank_candidates(
                 except MethodError:  # a filter that cannot be at this rate
                     continue
                 for law in laws:
-                    begun += _start_laws(compressed, law, period)
-    return sorted(unique_structures(begun, by=_COST), key=partial(score, rows=weighting.noise.rows))
+                    started += _start_laws(compressed, law, period)
+    return sorted(unique_structures(started, by=_COST), key=partial(score, rows=weighting.noise.rows))
 
 
 def start_law(
-    regression: Regression, law: Structure, begun: Iterable[Mapping[str, float]], weighting: Weighting
+    regression: Regression, law: Structure, started: Iterable[Mapping[str, float]], weighting: Weighting
 ) -> NumberedStructure | None:
     """Best starting point of a law; None if impossible."""
     found = []
-    for numbers in begun:
+    for numbers in started:
         ki = numbers.get("integral_gain") if law.cascade else None
         others = {name: value for name, value in numbers.items() if name != "integral_gain"}
         try:

@@ -14,7 +14,7 @@ from jointid.controller_id.noise import Noise
 from jointid.controller_id.ranking import (
     MATERIAL,
     Rival,
-    drop_none,
+    drop_failures,
     much_simpler,
     rank,
     score,
@@ -65,7 +65,6 @@ class _SearchData:
 
     Attributes:
         task: the record's stretch.
-        regression: on it.
         limited: whether the limit acts in it.
     """
 
@@ -91,8 +90,8 @@ class _SearchData:
         self, structure: Structure, known: Mapping[str, float], weighting: Weighting
     ) -> RegressionFit | None:
         """Best start of a structure: from known numbers, else on a grid."""
-        begun = starts(structure, known, self.task.log.period)
-        found = drop_none(self.fit_gains(structure, numbers, weighting) for numbers in begun)
+        candidates = starts(structure, known, self.task.log.period)
+        found = drop_failures(self.fit_gains(structure, numbers, weighting) for numbers in candidates)
         return min(found, key=lambda one: one.cost, default=None)
 
     def refit(self, one: FittedLaw, weighting: Weighting) -> FittedLaw | None:
@@ -166,8 +165,8 @@ def _search_nearby(
         rivals = rank(data.task, best, _fit_nearby(data, best, follow(near, progress, NEARBY, len(near), "laws")))
         if not rivals or rivals[0].worse >= 0.0:
             weighting = data.weighting(best)
-            fresh = drop_none(data.fit_gains(one.structure, one.numbers, weighting) for one in likeliest)
-            others = drop_none(data.refine(_trim(data, one, weighting), weighting) for one in fresh)
+            fresh = drop_failures(data.fit_gains(one.structure, one.numbers, weighting) for one in likeliest)
+            others = drop_failures(data.refine(_trim(data, one, weighting), weighting) for one in fresh)
             rivals = rank(data.task, best, [*others, *(rival.fitted for rival in rivals)])
         if not rivals or rivals[0].worse >= 0.0:
             break
@@ -187,9 +186,11 @@ def _start_search(
     data = _SearchData(task, replace(regression(task.log), own=True))
     try:
         weighting, late = screen_frames(data.regression, progress)
-        begun = _shorten_taps(data, rank_candidates(data.regression, weighting, late, channel, progress), weighting)
-        begun = begun[: _SIEVE[0][0]]
-        likeliest = drop_none(data.fit_gains(one.structure, one.numbers, weighting) for one in begun)
+        candidates = _shorten_taps(
+            data, rank_candidates(data.regression, weighting, late, channel, progress), weighting
+        )
+        candidates = candidates[: _SIEVE[0][0]]
+        likeliest = drop_failures(data.fit_gains(one.structure, one.numbers, weighting) for one in candidates)
     except KeyboardInterrupt:
         progress("interrupted before any law was fitted: there is none to keep yet")
         raise
@@ -217,24 +218,28 @@ def _start_search(
     return data, likeliest, best, ended
 
 
-def _shorten_taps(data: _SearchData, begun: list[NumberedStructure], weighting: Weighting) -> list[NumberedStructure]:
+def _shorten_taps(
+    data: _SearchData, candidates: list[NumberedStructure], weighting: Weighting
+) -> list[NumberedStructure]:
     """Reduce free taps to the needed number, or to a named difference.
 
     All laws begin with the maximal number, since removing single taps would take long. A named difference has no free
     numbers, so that laws are ranked again.
     """
     # What a regression does not find, as a delay, is rough where it begins.
-    best = min((one for one in begun if one.structure.taps), key=lambda one: len(one.numbers), default=None)
+    best = min((one for one in candidates if one.structure.taps), key=lambda one: len(one.numbers), default=None)
     if best is None:
-        return begun
+        return candidates
     rows, kinds = weighting.noise.rows, (*(f"taps {n}" for n in range(2, LONGEST + 1)), *list_known_taps())
     like = (replace(best.structure, velocity_filter=kind) for kind in kinds)
-    fitted = drop_none(data.fit_gains(one, best.numbers, weighting) for one in like)
+    fitted = drop_failures(data.fit_gains(one, best.numbers, weighting) for one in like)
     # A gain that is negative is taken away later beside a named difference; free taps may be bent to make up for it.
     fitted = [one for one in fitted if not (one.structure.taps and _is_invalid(law_numbers(one, data.task.gain)))]
     kind = min(fitted, key=lambda one: score(one, rows)).structure.velocity_filter
-    named = (replace(one.structure, velocity_filter=kind) if one.structure.taps else one.structure for one in begun)
-    shortened = [replace(one, structure=structure) for one, structure in zip(begun, named, strict=True)]
+    named = (
+        replace(one.structure, velocity_filter=kind) if one.structure.taps else one.structure for one in candidates
+    )
+    shortened = [replace(one, structure=structure) for one, structure in zip(candidates, named, strict=True)]
     ranked = shortened if kind.startswith("taps") else sorted(shortened, key=partial(score, rows=rows))
     return unique_structures(ranked)
 
@@ -245,7 +250,7 @@ def _trim(data: _SearchData, one: RegressionFit, weighting: Weighting) -> Regres
     while True:
         known = law_numbers(one, data.task.gain)
         tried = (data.best_start(fewer, known, weighting) for fewer in list_simpler(one.structure))
-        best = min(drop_none(tried), key=lambda fewer: score(fewer, rows), default=None)
+        best = min(drop_failures(tried), key=lambda fewer: score(fewer, rows), default=None)
         if best is None or (score(best, rows) > score(one, rows) and not _is_invalid(known)):
             return one
         one = best
@@ -290,12 +295,12 @@ def _judge_on_whole_record(
         weighting = data.weighting(best)
         own = data.refit(best, weighting) or best
         simpler = list_simpler(replace(own.structure, limited=False))
-        fewer = drop_none(data.best_start(one, own.numbers, weighting) for one in simpler)
+        fewer = drop_failures(data.best_start(one, own.numbers, weighting) for one in simpler)
         refitted = [
             *(partial(data.refit, one, weighting) for one in others),
             *(partial(data.refine, one, weighting) for one in fewer),
         ]
-        known = drop_none(fit_again() for fit_again in follow(refitted, progress, JUDGING, len(refitted), "laws"))
+        known = drop_failures(fit_again() for fit_again in follow(refitted, progress, JUDGING, len(refitted), "laws"))
         rivals = rank(data.task, own, unique_structures(known))
         if not rivals or decided:
             break
@@ -327,10 +332,12 @@ def _fit_nearby(data: _SearchData, best: FittedLaw, structures: Iterable[Structu
     weighting = data.weighting(best)
     own, rows, task = data.regression, best.noise.rows, data.task
     unlimited = (replace(s, limited=False) for s in structures)
-    begun = drop_none(start_law(own, one, starts(one, best.numbers, task.log.period), weighting) for one in unlimited)
-    promising = sorted(begun, key=lambda one: score(one, rows))[:_PROMISING]
-    explained = drop_none(data.fit_gains(one.structure, one.numbers, weighting) for one in promising)
-    return drop_none(data.refine(one, weighting) for one in explained)
+    candidates = drop_failures(
+        start_law(own, one, starts(one, best.numbers, task.log.period), weighting) for one in unlimited
+    )
+    promising = sorted(candidates, key=lambda one: score(one, rows))[:_PROMISING]
+    explained = drop_failures(data.fit_gains(one.structure, one.numbers, weighting) for one in promising)
+    return drop_failures(data.refine(one, weighting) for one in explained)
 
 
 def _prune(task: Task, best: FittedLaw) -> FittedLaw:

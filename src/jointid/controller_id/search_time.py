@@ -25,12 +25,7 @@ _NOT_YET = 99.0  # % at most, before the end
 
 
 class Course:
-    """Progress of a search in % of the expected time, from progress of its stages.
-
-    Args:
-        progress: the listener.
-        seconds: expected for each stage, in order.
-    """
+    """Progress of a search in % of the expected time, from progress of its stages."""
 
     def __init__(self, progress: Progress, seconds: Mapping[str, float]) -> None:
         self._progress, self._seconds, self._reached = progress, seconds, 0.0
@@ -56,12 +51,7 @@ class Course:
 
 
 def expect_seconds(task: Task, stretch: Task) -> dict[str, float]:
-    """Predict the time of each stage from a few timed regressions.
-
-    Args:
-        task: the whole record.
-        stretch: the searched segment.
-    """
+    """Predict the time of each stage from a few timed regressions."""
     own = replace(regression(stretch.log), own=True)
     weighting, frame, longer = initial_weighting(own), Structure(rate=_PROBED), task.log.samples / stretch.log.samples
     compressed = own.compress(frame, {}, weighting, [0])

@@ -110,7 +110,7 @@ class Structure:
 
     @property
     def parts(self) -> int:
-        """Number of parts: parameters, and each delay, rate or offset beyond a plain law."""
+        """Number of parts: parameters, and each delay, rate or offset not in a plain law."""
         return len(self.names) + (self.rate > 1) + self.curved + (self.every > 1) + (self.late > 0)
 
     def weight(self, rows: float) -> float:
@@ -148,7 +148,6 @@ class NumberedStructure:
     """A structure with numbers and cost.
 
     Attributes:
-        structure: of the law.
         numbers: those the structure leaves open, or of a regression, those its torque is not linear in: of its filters,
             ki of a cascade, and the reference's delay.
         cost: sum of the squares of the whitened residual.
@@ -258,18 +257,20 @@ def starts(structure: Structure, known: Mapping[str, float], sample_time: float)
         if all(name in known for name in names):
             places.append([{name: known[name] for name in names}])
         else:
-            grid = product(*([_dimensioned(n, v, sample_time) for v in values] for n, values in _FILTERS[kind].items()))
+            grid = product(
+                *([_add_dimension(n, v, sample_time) for v in values] for n, values in _FILTERS[kind].items())
+            )
             places.append([dict(zip(names, one, strict=True)) for one in grid])
     if structure.cascade and structure.integrates:
-        begun = [share / sample_time for share in INTEGRAL_GAINS]
+        options = [share / sample_time for share in INTEGRAL_GAINS]
         given = known.get("integral_gain", 0.0)
         if "velocity_gain" not in known:  # kv kp ki of a cascade is the ki of a PID, its kv kp the kp
             given = given / known["position_gain"] if known.get("position_gain") else 0.0
-        begun = [given] if given else begun
-        places.append([{"integral_gain": ki} for ki in begun])
+        options = [given] if given else options
+        places.append([{"integral_gain": ki} for ki in options])
     if structure.reference_delay:
-        begun = [known["reference_delay"]] if "reference_delay" in known else [n * sample_time for n in _DELAYS]
-        places.append([{"reference_delay": delay} for delay in begun])
+        options = [known["reference_delay"]] if "reference_delay" in known else [n * sample_time for n in _DELAYS]
+        places.append([{"reference_delay": delay} for delay in options])
     for parts in product(*places):
         yield {name: value for part in parts for name, value in part.items()}
 
@@ -290,7 +291,7 @@ def convert_numbers(structure: Structure, known: Mapping[str, float]) -> dict[st
     return {name: given.get(name, 0.0) for name in structure.names}
 
 
-def _dimensioned(name: str, value: float, sample_time: float) -> float:
+def _add_dimension(name: str, value: float, sample_time: float) -> float:
     if name == "time_constant":
         return value * sample_time
     return value if name in ("damping", "depth") else value / sample_time

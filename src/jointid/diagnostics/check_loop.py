@@ -9,7 +9,6 @@ remaining faults are tested again.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -18,7 +17,6 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
-from jointid.common.messages import Progress, silent
 from jointid.common.parameters import Quantity, unit_of
 from jointid.diagnostics.cogging import find_cogging, may_cog
 from jointid.diagnostics.fault_signature import FaultSignature
@@ -35,9 +33,7 @@ from jointid.diagnostics.fault_tests import (
     score_signatures,
     strength_of,
 )
-from jointid.diagnostics.find_causes import explain_misfit
 from jointid.diagnostics.intervals import rebuild_problem
-from jointid.diagnostics.lack_of_fit import widen_for_faults, widen_for_rest
 from jointid.diagnostics.loop_findings import Finding, LoopCheck, ParameterShift
 from jointid.diagnostics.mechanics_faults import (
     BACKLASH,
@@ -61,8 +57,6 @@ from jointid.diagnostics.other_laws import (
     refit_other_laws,
     runs_at_the_logs_rate,
 )
-from jointid.diagnostics.plain_causes import find_too_short
-from jointid.diagnostics.unmodelled_motion import PredictedResidual, predict_residual
 from jointid.estimation.descent import descend
 from jointid.estimation.methods.force_in_loop import find_force, simulate_with_force
 from jointid.estimation.problems.base import surrounding
@@ -73,8 +67,7 @@ from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import FlexibleJoint, Joint, frictions_beside, springs_beside
 from jointid.records.record import Record
 from jointid.uncertainty.covariance import robust
-from jointid.uncertainty.position_dependent_error import Cells, cells, widened
-from jointid.uncertainty.verdict import Status, Subject, Verdict, not_tested
+from jointid.uncertainty.position_dependent_error import Cells, cells, widen
 
 _RIVAL = 6.0  # twice the logarithm of a likelihood ratio of 20
 _ALTERNATIVES = (
@@ -142,13 +135,6 @@ def check_loop(
         >>> ji.check_loop(estimate, record).as_declared
         True
     """
-    return _check(estimate, record, settings, shown)[0]
-
-
-def _check(
-    estimate: Estimate, record: Record, settings: LoopTests | None, shown: Sequence[DriveNumber]
-) -> tuple[LoopCheck, _State]:
-    """Return what `check_loop` does, and the problem with the faults that were found corrected."""
     if estimate.settings.loop is None:
         raise MethodError("IDIM simulates no loop, so there is none to check; identify with DIDIM and the controller.")
     for p in estimate.params:
@@ -162,68 +148,12 @@ def _check(
         "record it was identified from."
     )
     std = {p.name: p.stderr for p in estimate.params if p.stderr is not None}
-    found, state = _find(*rebuild_problem(estimate, record, another), settings, std, record)
-    return replace(found, shown={one.number: one for one in shown}), state
-
-
-def add_loop_verdict(
-    estimate: Estimate, record: Record, progress: Progress = silent, shown: Sequence[DriveNumber] = ()
-) -> Estimate:
-    """Return an estimate with the verdict of its loop check added.
-
-    An estimate that simulated no loop is returned as it is; one with a parameter that is not identifiable, with the
-    verdict that the loop was not checked. Where the record does not fit, and a cause explains it (`find_causes`), that
-    is the verdict: what the sensitivities then find is not it. It is told in the drive's units where `shown` has them.
-    Where the residual of a flexible joint follows its motion all the same, with the faults found corrected, the verdict
-    on what repeats says so (`unmodelled_motion`).
-    """
-    return add_loop_check(estimate, record, progress, shown)[0]
-
-
-def add_loop_check(
-    estimate: Estimate, record: Record, progress: Progress = silent, shown: Sequence[DriveNumber] = ()
-) -> tuple[Estimate, LoopCheck | None]:
-    """Return an estimate with the verdict of its loop check added, and the check; None where there is none."""
-    if estimate.settings.loop is None:
-        return estimate, None
-    check = rest = None
-    verdict = not_tested(Subject.LOOP, "not checked, because the joint is not fully identified; identify it as rigid")
-    whole = all(p.value is not None for p in estimate.params)
-    if whole:
-        try:
-            check, state = _check(estimate, record, None, shown)
-            verdict = Verdict(Subject.LOOP, check.status, check.reasons)
-            rest = _predict_rest(state)
-        except (JointidError, np.linalg.LinAlgError) as error:  # no check ends an identification
-            verdict = not_tested(Subject.LOOP, f"not checked: {error}")
-    findings = () if check is None else check.findings
-    faults = None if check is None else tuple(finding.test for finding in findings)
-    left = next((finding.left for finding in findings if finding.left is not None), None)
-    try:
-        causes = explain_misfit(estimate, record, faults, progress, shown, left)
-    except (JointidError, np.linalg.LinAlgError):  # nor does the search for a cause
-        causes = None
-    short = find_too_short(record) if causes is None and whole else None  # what is refused is not relied on
-    if causes is not None:
-        verdict = Verdict(Subject.LOOP, Status.FAILED, (causes.message,))
-    elif short is not None:
-        verdict = Verdict(Subject.LOOP, Status.FAILED, (short,))
-    verdicts = (*estimate.checks.verdicts, verdict)
-    if causes is None and check is not None:
-        estimate = widen_for_faults(estimate, check)
-    if causes is None and rest is not None and rest.follows:
-        follows = rest.verdict
-        before = next((one for one in verdicts if one.subject is follows.subject), None)
-        kept = before.reasons if before is not None and before.status is Status.FAILED else ()
-        others = tuple(one for one in verdicts if one is not before)
-        verdicts = (*others[:-1], replace(follows, reasons=(*follows.reasons, *kept)), others[-1])
-        with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # the verdict stands, however wide it is
-            estimate = widen_for_rest(estimate, state.problem, state.x, rest)
-    return estimate.amended(checks={"verdicts": verdicts}), check
+    problem, x = rebuild_problem(estimate, record, another)
+    return search_faults(problem, x, settings, std, record, shown)[0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _State:
+class SearchState:
     """A solved problem between two tests.
 
     `corrected` are faults taken off the torque, for which the problem has no parameter; `named` are not tested again;
@@ -252,14 +182,15 @@ class _TestResults:
     by_forces: Callable[[], list[FloatArray]]
 
 
-def find_faults(
+def search_faults(
     problem: ClosedLoopProblem,
     x: FloatArray,
     settings: LoopTests | None = None,
     std: Mapping[str, float] | None = None,
     record: Record | None = None,
-) -> LoopCheck:
-    """Find the faults of a loop and its log.
+    shown: Sequence[DriveNumber] = (),
+) -> tuple[LoopCheck, SearchState]:
+    """Return the faults of a loop and its log, and the problem with these faults corrected.
 
     Args:
         problem: with the identified parameters free; those are not tested.
@@ -268,23 +199,13 @@ def find_faults(
         std: standard errors of the joint's parameters by name, by which their changes are measured; autocorrelation-
             robust ones when None.
         record: of the problem; without it a drive that runs faster than the log is not looked for.
+        shown: how the drive shows the numbers of its controller, see `check_loop`.
 
     Raises:
         MethodError: a fault asked for cannot be tested in this record.
     """
-    return _find(problem, x, settings, std, record)[0]
-
-
-def _find(
-    problem: ClosedLoopProblem,
-    x: FloatArray,
-    settings: LoopTests | None,
-    std: Mapping[str, float] | None,
-    record: Record | None,
-) -> tuple[LoopCheck, _State]:
-    """Return what `find_faults` does, and the problem with the faults that were found corrected."""
     settings, known = settings or LoopTests(), std or {}
-    state = beginning = _State(problem, np.asarray(x, dtype=np.float64))
+    state = beginning = SearchState(problem, np.asarray(x, dtype=np.float64))
     findings: list[Finding] = []
     others: list[_OtherLawTest] = []
     faster: list[_OtherLawTest] = []
@@ -332,21 +253,19 @@ def _find(
     units = {p.name: joint.unit(p) for p in joint.parameters}
     force = units[OFFSET]
     units |= {"torque": force, "velocity": unit_of(Quantity.VELOCITY, joint.kind, force)}
-    symbols = {p.name: p.symbol for p in joint.parameters}
-    side, tests = None if joint.transmission is None else joint.transmission.side, () if first is None else first.tests
-    law, to_try = numbers_of(problem.loop.controller), _laws_to_try(joint)
-    check = LoopCheck(tuple(findings), tests, settings.level, symbols, units, side, undecided, law, laws=to_try)
+    check = LoopCheck(
+        tuple(findings),
+        () if first is None else first.tests,
+        settings.level,
+        symbols={p.name: p.symbol for p in joint.parameters},
+        units=units,
+        side=None if joint.transmission is None else joint.transmission.side,
+        undecided=undecided,
+        law=numbers_of(problem.loop.controller),
+        shown={one.number: one for one in shown},
+        laws=_laws_to_try(joint),
+    )
     return check, state
-
-
-def _predict_rest(state: _State) -> PredictedResidual | None:
-    """Return how much of what a flexible joint leaves its motion predicts; None of a rigid one."""
-    if not isinstance(state.problem.joint, FlexibleJoint):
-        return None
-    try:
-        return predict_residual(state.problem, state.x)
-    except np.linalg.LinAlgError:  # what the tests found stands
-        return None
 
 
 def _laws_to_try(joint: Joint) -> tuple[str, ...]:
@@ -357,7 +276,7 @@ def _laws_to_try(joint: Joint) -> tuple[str, ...]:
     return (*(law.name for law in laws if even or not law.offset_identifiable), *(law.name for law in springs))
 
 
-def _run_tests(state: _State, settings: LoopTests) -> _TestResults:
+def _run_tests(state: SearchState, settings: LoopTests) -> _TestResults:
     residual, own, signatures = compute_signatures(state.problem, state.x)
     known = dict.fromkeys(a.name for a in signatures)
     laws = (PRESENT_SAMPLE, MEASURED_VELOCITY, PERIOD, *((COGGING,) if may_cog(state.problem.joint) else ()))
@@ -378,12 +297,12 @@ def _run_tests(state: _State, settings: LoopTests) -> _TestResults:
     return _TestResults(residual, own, signatures, tests, where, by_forces)
 
 
-def _look_further(state: _State, found: _TestResults, settings: LoopTests) -> _TestResults:
+def _look_further(state: SearchState, found: _TestResults, settings: LoopTests) -> _TestResults:
     """Return the tests with those of faults whose shape has to be searched for."""
     return _look_for_second_mode(state, _look_for_cogging(state, found, settings), settings)
 
 
-def _look_for_cogging(state: _State, found: _TestResults, settings: LoopTests) -> _TestResults:
+def _look_for_cogging(state: SearchState, found: _TestResults, settings: LoopTests) -> _TestResults:
     """Return the tests with that of a ripple, of the period that the residual comes back with."""
     if COGGING in state.named or COGGING not in (settings.faults or (COGGING,)):
         return found
@@ -392,7 +311,9 @@ def _look_for_cogging(state: _State, found: _TestResults, settings: LoopTests) -
     return found if signature is None else _with_test(state, found, settings, signature)
 
 
-def _with_test(state: _State, found: _TestResults, settings: LoopTests, *signatures: FaultSignature) -> _TestResults:
+def _with_test(
+    state: SearchState, found: _TestResults, settings: LoopTests, *signatures: FaultSignature
+) -> _TestResults:
     """Return tests with that of a fault in one shape or several, which takes the place of one of that name."""
     better = _test_signature(state, found, *signatures)
     others = (one for one in found.tests if one.name != better.name)
@@ -400,7 +321,7 @@ def _with_test(state: _State, found: _TestResults, settings: LoopTests, *signatu
     return replace(found, signatures=(*found.signatures, *signatures), tests=tests)
 
 
-def _look_for_second_mode(state: _State, found: _TestResults, settings: LoopTests) -> _TestResults:
+def _look_for_second_mode(state: SearchState, found: _TestResults, settings: LoopTests) -> _TestResults:
     """Return the tests with that of a load that swings by a search, where the modes that were tried hint at it."""
     test = next((one for one in found.tests if one.name == SECOND_MODE), None)
     if test is None or test.p_value <= settings.level or test.strength < _WORTH_A_SEARCH:
@@ -444,7 +365,7 @@ class _OtherLawTest:
         return self.likelihood >= max(one.likelihood for one in others) - _RIVAL
 
 
-def _test_other_laws(state: _State, found: _TestResults, settings: LoopTests) -> list[_OtherLawTest]:
+def _test_other_laws(state: SearchState, found: _TestResults, settings: LoopTests) -> list[_OtherLawTest]:
     """Return the test of every law that the drive may run instead; of those asked for, where some are."""
     tests = []
     wrong = settings.faults is not None or any(one.p_value <= settings.level for one in found.tests)
@@ -458,7 +379,7 @@ def _test_other_laws(state: _State, found: _TestResults, settings: LoopTests) ->
 
 
 def _test_faster_laws(
-    state: _State, found: _TestResults, settings: LoopTests, known: Mapping[str, float], record: Record | None
+    state: SearchState, found: _TestResults, settings: LoopTests, known: Mapping[str, float], record: Record | None
 ) -> list[_OtherLawTest]:
     """Return the tests of laws that run faster than the log, where no period is declared and they may matter.
 
@@ -489,7 +410,9 @@ def _test_faster_laws(
     return tests
 
 
-def _step_to_a_faster_law(state: _State, found: _TestResults, record: Record) -> tuple[FaultTest, FloatArray] | None:
+def _step_to_a_faster_law(
+    state: SearchState, found: _TestResults, record: Record
+) -> tuple[FaultTest, FloatArray] | None:
     """Return the test of what half of the log's period changes at the same joint, and that change, (rows,)."""
     law = next(faster_laws(state.problem, TIMES_FASTER[0]))
     try:
@@ -500,7 +423,7 @@ def _step_to_a_faster_law(state: _State, found: _TestResults, record: Record) ->
 
 
 def _may_matter(
-    state: _State, found: _TestResults, step: FaultTest, moved: FloatArray, known: Mapping[str, float]
+    state: SearchState, found: _TestResults, step: FaultTest, moved: FloatArray, known: Mapping[str, float]
 ) -> bool:
     """Whether a faster drive is not excluded, and explains what the record shows, or would move a parameter.
 
@@ -525,7 +448,7 @@ def _may_matter(
     return any(_REACH * abs(by[k]) > _MATTERS * known.get(name, float(std[k])) for k, name in enumerate(names))
 
 
-def _test_signature(state: _State, found: _TestResults, *of_law: FaultSignature) -> FaultTest:
+def _test_signature(state: SearchState, found: _TestResults, *of_law: FaultSignature) -> FaultTest:
     """Return the test of what another law changes, in one shape or several, beside those of the faults."""
     own, signatures = _stack_columns(state, found.own), [*found.signatures, *of_law]
     declared = {of_law[0].name: 0.0}
@@ -556,7 +479,7 @@ def _list_rates_left_open(
 
 
 def _find_other_law(
-    state: _State,
+    state: SearchState,
     other: _OtherLawTest,
     found: _TestResults,
     level: float,
@@ -584,18 +507,18 @@ def _is_out(change: ParameterShift) -> bool:
     return abs(change.sigmas) > _INTERVAL
 
 
-def _stack_columns(state: _State, own: FloatArray) -> FloatArray:
+def _stack_columns(state: SearchState, own: FloatArray) -> FloatArray:
     return np.column_stack([own, *(a.column for a in state.corrected)])
 
 
-def _assign_cells(state: _State) -> Cells:
+def _assign_cells(state: SearchState) -> Cells:
     """Return the cell of position, direction and speed of each row."""
     run = state.problem.simulate(state.x)
     motion = state.problem.filtered(np.column_stack([run.motor_position, run.motor_velocity]))
     return cells(motion[:, 0], motion[:, 1])
 
 
-def _simulate_forces(state: _State) -> list[FloatArray]:
+def _simulate_forces(state: SearchState) -> list[FloatArray]:
     """Return the residuals, (rows,), that forces as the record shows one in its loop leave; none where it has none."""
     problem, run = state.problem, state.problem.simulate(state.x)
     force = find_force(problem, state.x, run, problem.measured - run.torque)
@@ -604,7 +527,7 @@ def _simulate_forces(state: _State) -> list[FloatArray]:
     return [problem.filtered(one - run.torque) for one in simulate_with_force(problem, state.x, force, _FORCES)]
 
 
-def _accept_fault(state: _State, found: _TestResults) -> _State:
+def _accept_fault(state: SearchState, found: _TestResults) -> SearchState:
     """Return the state with the likeliest fault corrected, and the problem solved again.
 
     The parameter of the fault is freed. A fault without one is subtracted from the torque, and its column joins
@@ -617,15 +540,15 @@ def _accept_fault(state: _State, found: _TestResults) -> _State:
     if suspect.name in MECHANICS and (end := solve_with_fault(problem, state.x, suspect.name)):
         problem = replace(problem, measured=problem.measured - end.change)
         corrected = (*state.corrected, signature)
-        return _State(problem, descend(problem, state.x, _TOLERANCE).x, corrected, named, end.values)
+        return SearchState(problem, descend(problem, state.x, _TOLERANCE).x, corrected, named, end.values)
     if signature.raw is not None:
         problem = replace(problem, measured=problem.measured - suspect.size * signature.raw)
-        return _State(problem, descend(problem, state.x, _TOLERANCE).x, (*state.corrected, signature), named)
+        return SearchState(problem, descend(problem, state.x, _TOLERANCE).x, (*state.corrected, signature), named)
     wider, start = _free_parameter(problem, suspect)
-    held = _State(problem, state.x, (*state.corrected, signature), named)
+    held = SearchState(problem, state.x, (*state.corrected, signature), named)
     try:
         x = descend(wider, wider.vector(problem.values(state.x) | {suspect.name: start}), _TOLERANCE).x
-        wider.linearised(x)
+        wider.linearise(x)
     except MethodError:  # the number goes to where its part of the law vanishes
         return held
     reached = wider.values(x)[suspect.name] - suspect.declared
@@ -633,7 +556,7 @@ def _accept_fault(state: _State, found: _TestResults) -> _State:
     if astray or np.linalg.norm(wider.residual(x)) > np.linalg.norm(found.residual):
         # A bound or another fault prevents the fit: the test stands, the joint stays as it is.
         return held
-    return _State(wider, x, state.corrected, named)
+    return SearchState(wider, x, state.corrected, named)
 
 
 def _free_parameter(problem: ClosedLoopProblem, suspect: FaultTest) -> tuple[ClosedLoopProblem, float]:
@@ -658,7 +581,7 @@ def _torque_per_unit(problem: ClosedLoopProblem) -> float:
 
 
 def _make_finding(
-    state: _State, after: _State, found: _TestResults, level: float, known: Mapping[str, float]
+    state: SearchState, after: SearchState, found: _TestResults, level: float, known: Mapping[str, float]
 ) -> Finding:
     suspect = found.tests[0]
     least = strength_of(suspect) ** 2 - _RIVAL
@@ -672,15 +595,15 @@ def _make_finding(
     value = values[suspect.name]
     if suspect.name == LIMIT:
         return Finding(suspect, value * _torque_per_unit(state.problem), rivals, changes)
-    residual, slopes = after.problem.linearised(after.x)
+    residual, slopes = after.problem.linearise(after.x)
     columns = _stack_columns(after, -slopes)
-    covariance, _ = widened(robust(columns, columns, residual), columns, columns, residual, _assign_cells(after))
+    covariance, _ = widen(robust(columns, columns, residual), columns, columns, residual, _assign_cells(after))
     refined_std = float(covariance.std[free.index(suspect.name)])
     return Finding(replace(suspect, size=value - suspect.declared, std=refined_std), value, rivals, changes)
 
 
 def _changes(
-    state: _State, values: Mapping[str, float], found: _TestResults, known: Mapping[str, float]
+    state: SearchState, values: Mapping[str, float], found: _TestResults, known: Mapping[str, float]
 ) -> dict[str, ParameterShift]:
     """Return by how much the joint's parameters change from a state to other values."""
     own = _stack_columns(state, found.own)

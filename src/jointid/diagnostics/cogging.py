@@ -19,7 +19,7 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.joints import FlexibleJoint, Joint
 from jointid.models.ripple import PositionHarmonics
 from jointid.simulation.closed_loop import in_threads
-from jointid.simulation.simulated import require_finished
+from jointid.simulation.simulated import require_success
 
 _FEWEST, _MOST, _STEP = 3.0, 150.0, 0.5  # times that it comes back over the travel
 _FINER = (-0.75, -0.5, -0.25, 0.25, 0.5, 0.75)  # steps from the best, that are simulated, too
@@ -127,7 +127,7 @@ def _simulated(
         values, base = problem.values(x), problem.torque(x)
         names = [p.name for p in other.parameters if p.name.startswith("harmonic_")]
         forces = [dict(zip(names, size * np.array(parts), strict=True)) for parts in ((1.0, 0.0), (0.0, 1.0))]
-        runs = [require_finished(other.simulate(other.vector({**values, **one}))) for one in forces]
+        runs = [require_success(other.simulate(other.vector({**values, **one}))) for one in forces]
         raw = np.column_stack([(run.torque - base) / size for run in runs])
     except JointidError:  # the joint may have none beside its other laws
         return None

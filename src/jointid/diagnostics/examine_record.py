@@ -20,13 +20,12 @@ from jointid.common.messages import Message, Progress, silent
 from jointid.common.parameters import Parameter
 from jointid.common.text import counted, number
 from jointid.common.transmission import Transmission
-from jointid.diagnostics.check_loop import add_loop_verdict
 from jointid.diagnostics.experiment_design import advise, design_stiffness_test
 from jointid.diagnostics.find_causes import find_causes
+from jointid.diagnostics.identify import identify
 from jointid.diagnostics.law_on_position import LawOnPosition, compare_law
 from jointid.diagnostics.plain_causes import find_plain_cause
 from jointid.diagnostics.standstill import find_standstill
-from jointid.estimation import identify as estimation
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.answer import loop_verdict
 from jointid.estimation.result.estimate import Estimate
@@ -222,14 +221,12 @@ def examine(
     if any(one.fault in (*_ENOUGH, Fault.UNREADABLE) for one in looked):  # no joint would be right
         return Examination(record.name, logged, tuple(looked), transmission=gear)
     try:
-        estimate = estimation.identify(
-            record, model, method, filtering=filtering, parameters=parameters, progress=progress
+        estimate = identify(
+            record, model, method, filtering=filtering, parameters=parameters, shown=shown, progress=progress
         )
     except JointidError as error:
         looked.append(_explain(error, record, loop, shown, progress))
         return Examination(record.name, logged, tuple(looked), transmission=gear)
-    if loop is not None and estimate.settings.loop is not None:
-        estimate = add_loop_verdict(estimate, record, progress, shown=shown)
     looked += _look_at_estimate(estimate)
     healthy = all(one.good is not False for one in looked)
     changes = _advise(estimate, record, progress) if healthy else ()

@@ -194,7 +194,7 @@ def advise(
         sensors.append(Prediction(name, description, dict(zip(names, map(float, std), strict=False))))
     work.add()
     height, width = pulse or choose_pulse(problem, problem.values(x))
-    error, J = problem.linearised(x)
+    error, J = problem.linearise(x)
     before = stationary(J, J, error).std
     work.add()
     tests = []
@@ -348,7 +348,7 @@ def design_stiffness_test(
     problem = problem.changed({p.name: replace(p, free=True) for p in problem.parameters if p.name.startswith(parted)})
     sample_time, cutoff = problem.experiment.sample_time, problem.filtering.cutoff
     assert cutoff is not None
-    band = Filtering(cutoff=max(_BAND / sample_time, cutoff)).resolved(sample_time, "flexible")
+    band = Filtering(cutoff=max(_BAND / sample_time, cutoff)).resolve(sample_time, "flexible")
     wide = replace(problem, filtering=band)
     error = wide.filtered(estimate.fit.measured - estimate.fit.predicted)
     assert estimate.checks.known is not None

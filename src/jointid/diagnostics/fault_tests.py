@@ -51,9 +51,9 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import numbers_of
 from jointid.models.friction import PreslidingFriction, StribeckFriction
 from jointid.records.record import Tap
-from jointid.simulation.loop_input import as_logged
+from jointid.simulation.loop_input import to_log
 from jointid.uncertainty.covariance import robust, smoothed_spectrum
-from jointid.uncertainty.position_dependent_error import Cells, widened
+from jointid.uncertainty.position_dependent_error import Cells, widen
 
 STRIBECK, PRESLIDING, LIMIT, OFFSET, INJECTED_GAIN = "stribeck", "presliding", "limit", "offset", "injected_gain"
 
@@ -126,7 +126,7 @@ def compute_signatures(
     wider = problem.freeing(*names)
     bare = [p for p in wider.parameters if p.name == OFFSET and not p.free and (p.start or 0.0) == 0.0]
     wider = wider.changed({p.name: replace(p, free=True) for p in bare})
-    residual, slopes = wider.linearised(wider.vector(problem.values(x)))
+    residual, slopes = wider.linearise(wider.vector(problem.values(x)))
     columns = dict(zip((p.name for p in wider.free), -slopes.T, strict=True))
     own = np.column_stack([columns[p.name] for p in problem.free])
     found = [
@@ -169,7 +169,7 @@ def _vary_low_speed_friction(problem: ClosedLoopProblem, x: FloatArray) -> Itera
             force = -np.exp(-((velocity / speed) ** 2)) * np.sign(velocity)
             raw = (forced(small * force) - forced(-small * force)) / (2 * small)
             if problem.experiment.tap is Tap.MEASURED:
-                raw = raw - as_logged(problem.experiment, force)  # the force itself is not logged
+                raw = raw - to_log(problem.experiment, force)  # the force itself is not logged
             column = problem.filtered(raw)
             yield FaultSignature(STRIBECK, column, speed, raw)
             yield FaultSignature(PRESLIDING, -column, speed, -raw)
@@ -183,7 +183,7 @@ def _vary_limit(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultSign
     asked, free = float(np.max(np.abs(output))), problem.torque(x)
 
     def limited(level: float) -> FloatArray:
-        return problem.torque(x, lambda e: e.with_law(e.law.limited(level)))
+        return problem.torque(x, lambda e: e.with_law(e.law.with_limit(level)))
 
     for share in _SHARES:
         level = share * asked
@@ -376,7 +376,7 @@ def _test_group(
     test = judge(float(covariance.std[0]))
     if test.p_value > _WIDENED:
         return test
-    test = judge(float(widened(covariance, alone, alone, after, where())[0].std[0]))
+    test = judge(float(widen(covariance, alone, alone, after, where())[0].std[0]))
     if test.p_value > _WIDENED or not forced().size:
         return test
     shown = forced() @ step.alone / float(step.alone @ step.alone)  # (forces,) sizes

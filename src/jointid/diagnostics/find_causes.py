@@ -111,7 +111,7 @@ def find_causes(
         return Causes(math.inf if estimate is None else estimate.fit.filtered_error, (), (), plain=plain)
     model = loop.joint.model
     asked = Filtering() if estimate is None else estimate.settings.filtering
-    filtering = asked.resolved(record.torque.sample_time, model)
+    filtering = asked.resolve(record.torque.sample_time, model)
     tried = list_hypotheses(record, loop, filtering)
     progress(f"looking for the cause: {len(tried)} are put right in turn, and the joint identified again")
     fits = fit_flexible(tried, loop) if isinstance(loop.joint, FlexibleJoint) else fit_rigid(tried, loop.joint)

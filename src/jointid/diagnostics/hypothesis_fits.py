@@ -122,7 +122,7 @@ def _flexible_starts(hypothesis: Hypothesis, problem: ClosedLoopProblem, rigid: 
 def _low(hypothesis: Hypothesis) -> Filtering:
     assert hypothesis.record.torque is not None
     sample_time = hypothesis.record.torque.sample_time
-    return Filtering(cutoff=RIGID_CUTOFF / sample_time).resolved(sample_time)
+    return Filtering(cutoff=RIGID_CUTOFF / sample_time).resolve(sample_time)
 
 
 def pose(hypothesis: Hypothesis, loop: ClosedLoop) -> ClosedLoopProblem | None:
@@ -205,10 +205,10 @@ class _Condensed:
         return self.problem.free
 
     def residual(self, x: FloatArray) -> FloatArray:
-        return self.linearised(x)[0]
+        return self.linearise(x)[0]
 
-    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        error, slopes = self.problem.linearised(x)
+    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        error, slopes = self.problem.linearise(x)
         both = np.column_stack([slopes, error])
         if not np.max(np.abs(both)) < _AWAY:
             return np.full(x.size + 1, _AWAY), np.zeros((x.size + 1, x.size))

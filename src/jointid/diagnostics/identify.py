@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from jointid.common.messages import Progress, silent
 from jointid.common.parameters import Parameter
-from jointid.diagnostics.check_loop import add_loop_verdict
-from jointid.estimation import identify as estimation
+from jointid.diagnostics.run_checks import run_checks
+from jointid.estimation.identify import fit as fit_records
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.log_windows import Windowing
 from jointid.estimation.problems.several_records import SeveralRecords
+from jointid.estimation.result.assemble import CheckResults, assemble
 from jointid.estimation.result.estimate import Estimate
+from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.chunks import LongRecord
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.prescribed import DriveSide, OpenLoop
+from jointid.uncertainty.verdict import Subject, skip_test
 
 
 def identify(
@@ -28,7 +31,10 @@ def identify(
     parameters: Mapping[str, Parameter] | None = None,
     several: SeveralRecords | None = None,
     windows: Windowing | None = None,
-    loop_check: bool = True,
+    checks: bool = True,
+    shown: Sequence[DriveNumber] = (),
+    torque_constant: str = "",
+    unchecked: Callable[[Estimate], None] | None = None,
     progress: Progress = silent,
 ) -> Estimate:
     """Identify a joint from what its drive logged.
@@ -47,8 +53,12 @@ def identify(
             joint without anything added.
         several: what the records share, and what was added to the load; see `SeveralRecords`.
         windows: of a log; see `Windowing`. With it a record in memory is identified in windows, too.
-        loop_check: whether to check that loop and log are as declared, and what their faults change, see `check_loop`:
-            of one record, and by a DIDIM that ends at the least squares. It takes about as long as the identification.
+        checks: whether to check controller and log, what else may cause a misfit, and what the model lacks: of one
+            record, by a DIDIM that ends at the least squares. The checks take about as long as the identification.
+            Without them, the verdict on the loop says so.
+        shown: how the drive shows the numbers of its controller, see `check_loop`.
+        torque_constant: with its unit, where all values are proportional to it, see `Estimate.data`.
+        unchecked: is called with the estimate before its checks.
         progress: is told each step in a sentence.
 
     An interrupt of the last passes over a log ends them, and the estimate is of what was read: `Fit.interrupted`.
@@ -87,11 +97,19 @@ def identify(
         >>> round(estimate.params["inertia"].value, 3), estimate.data.windows.count
         (30.0, 10)
     """
-    estimate = estimation.identify(
+    fit = fit_records(
         record, model, method, filtering=filtering, parameters=parameters, several=several, windows=windows,
         progress=progress,
     )  # fmt: skip
-    told = method is None or method.tells_of_its_loop
-    if isinstance(record, Record) and windows is None and loop_check and told:
-        return add_loop_verdict(estimate, record, progress)
-    return estimate
+    to_check = fit.record is not None and fit.problem is not None and (method is None or method.tells_of_its_loop)
+    if not to_check:
+        return assemble(fit, torque_constant=torque_constant)
+    if not checks:
+        return assemble(fit, _left_out("not checked: the checks were left out"), torque_constant=torque_constant)
+    if unchecked is not None:
+        unchecked(assemble(fit, _left_out("not checked yet"), torque_constant=torque_constant))
+    return assemble(fit, run_checks(fit, progress, shown), torque_constant=torque_constant)
+
+
+def _left_out(why: str) -> CheckResults:
+    return CheckResults((skip_test(Subject.LOOP, why),))

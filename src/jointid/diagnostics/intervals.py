@@ -31,7 +31,7 @@ from jointid.uncertainty.profile import (
     is_parabola,
     profile,
     profile_compliance,
-    refit_weighted,
+    refit_with_weights,
 )
 from jointid.uncertainty.resampling import Bootstrap, Bootstrapping, bootstrap_estimate
 
@@ -105,7 +105,7 @@ def intervals(
         f"This record is not the one the estimate came from ({estimate.data.record}); give that one, or identify this."
     )
     problem, x = rebuild_problem(estimate, record, other)
-    residual, J = problem.linearised(x)
+    residual, J = problem.linearise(x)
     names = [p.name for p in problem.free]
     where = problem.cells(problem.simulate(x))
     spread = uncertainty(J, J, residual, where, names, problem.torque_unit).covariance
@@ -133,7 +133,7 @@ def intervals(
     over_time = over_place = None
     if bootstrap:
         progress("bootstrapping over time and over position")
-        fitted = partial(refit_weighted, problem, x) if refit else None
+        fitted = partial(refit_with_weights, problem, x) if refit else None
         over_time, over_place = (
             bootstrap_estimate(problem.free, x, residual, J, labels, bootstrapping, fitted, progress)
             for labels in (None, where.stretch)

@@ -170,8 +170,8 @@ class _Part:
     def residual(self, x: FloatArray) -> FloatArray:
         return self.problem.residual(x)[self.seen]
 
-    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        error, slopes = self.problem.linearised(x)
+    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        error, slopes = self.problem.linearise(x)
         return error[self.seen], slopes[self.seen]
 
 
@@ -210,7 +210,7 @@ def judge(
         simple: the law of lines, judged, and its squared errors.
     """
     problem, x = solved.problem, solved.solution.x
-    error, slopes = problem.linearised(x)
+    error, slopes = problem.linearise(x)
     names = [p.name for p in problem.free]
     known = uncertainty(-slopes, -slopes, error, problem.cells(problem.simulate(x)), names, problem.torque_unit)
     shown = column_norms(slopes) > 0.0  # not of a piece that the record never reaches

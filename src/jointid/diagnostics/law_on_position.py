@@ -17,7 +17,7 @@ from jointid.models.controllers import POSITION, respond, run
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.records.resampling import at_period
-from jointid.simulation.loop_input import LoopInput, as_logged, prepare
+from jointid.simulation.loop_input import LoopInput, prepare, to_log
 
 _LATEST = 8.0  # samples, to both sides, that the torque may be later than the law makes it
 _PARTS = 4  # of a sample: the steps in which that is looked for
@@ -88,7 +88,7 @@ def _torques(record: Record, experiment: LoopInput) -> FloatArray | None:
     integral, columns = law.integral(), [output]
     if integral is not None:
         columns.append(respond(law, np.zeros_like(inputs), integral)[:, law.output])
-    return as_logged(experiment, np.column_stack(columns))
+    return to_log(experiment, np.column_stack(columns))
 
 
 def _regress(record: Record, logged: FloatArray) -> float:

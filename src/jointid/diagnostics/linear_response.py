@@ -15,7 +15,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import INJECTED
-from jointid.simulation.loop_input import as_logged
+from jointid.simulation.loop_input import to_log
 
 MEMORY = 0.3
 """Seconds that a loop remembers."""
@@ -42,7 +42,7 @@ def find_unexplained_share(problem: ClosedLoopProblem, reference: FloatArray, me
     inputs = [np.gradient(velocity), velocity, np.sign(np.where(moving, velocity, 0.0))]
     if problem.experiment.injected:
         experiment = problem.experiment
-        inputs.append(as_logged(experiment, experiment.inputs[:, INJECTED] + experiment.after_limit))
+        inputs.append(to_log(experiment, experiment.inputs[:, INJECTED] + experiment.after_limit))
     count, seen = len(inputs), problem.filtered(np.column_stack(inputs))
     lags = min(math.ceil(memory / (problem.sample_time * reference.size / torque.size)), torque.size)
     rows, width = torque.size, count * lags + 1

@@ -41,7 +41,7 @@ from jointid.models.friction import (
 from jointid.models.joints import FlexibleJoint, frictions_beside, springs_beside
 from jointid.models.springs import Backlash, CubicSpring, ElasticLoad, ThreePieceSpring
 from jointid.simulation.closed_loop import Simulation, in_threads
-from jointid.simulation.simulated import require_finished
+from jointid.simulation.simulated import require_success
 
 CUBIC_SPRING, BACKLASH, SECOND_MODE = "cubic_spring", "backlash", "second_mode"
 COGGING = "cogging"
@@ -98,11 +98,11 @@ def vary_mechanics(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultS
     def simulate(trial: _Trial) -> FloatArray | None:
         other = with_joint(problem, trial.joint)
         try:
-            faulty = require_finished(other.simulate(other.vector({**values, **trial.values})))
+            faulty = require_success(other.simulate(other.vector({**values, **trial.values})))
             plain = run if trial.without is None else lines.simulate(lines.vector({**values, **trial.without}))
         except JointidError:  # a loop that is unstable with it is not that of the record
             return None
-        raw = faulty.torque - require_finished(plain).torque
+        raw = faulty.torque - require_success(plain).torque
         return raw / trial.size if np.all(np.abs(raw) < wild) else None
 
     trials = _list_trials(problem, x)
@@ -165,7 +165,7 @@ def _search(problem: ClosedLoopProblem, x: FloatArray, trial: _Trial) -> FaultFi
     rough = replace(least_squares(other, _ROUGHLY), evaluations=_FEW)
     try:
         end = History(silent).solve(other, rough, other.vector({**problem.values(x), **trial.values})).solution
-        run = require_finished(other.simulate(end.x))
+        run = require_success(other.simulate(end.x))
         return FaultFit(other.values(end.x), run.torque - problem.torque(x), float(np.linalg.norm(end.residual)))
     except (JointidError, np.linalg.LinAlgError):
         return None

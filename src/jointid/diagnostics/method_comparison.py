@@ -20,7 +20,7 @@ from jointid.common.errors import JointidError
 from jointid.common.messages import Progress, follow, silent
 from jointid.common.parameters import Parameter
 from jointid.common.text import counted, number
-from jointid.estimation.identify import identify
+from jointid.diagnostics.identify import identify
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.registry import Method, methods
@@ -156,7 +156,7 @@ def compare_methods(
         changes = {key: change for key, change in (parameters or {}).items() if variant is model or key in has}
         began = time.perf_counter()
         try:
-            estimate = identify(record, variant, method, filtering=filtering, parameters=changes)
+            estimate = identify(record, variant, method, filtering=filtering, parameters=changes, checks=False)
             refusal = ""
         except JointidError as error:
             estimate, refusal = None, str(error)

@@ -44,7 +44,7 @@ from jointid.records.checks import find_encoder_step
 from jointid.records.record import Channel, Injection, Record, Tap
 from jointid.simulation.closed_loop import Outcome
 from jointid.simulation.excitation import pulses
-from jointid.simulation.loop_input import LoopInput, as_logged, prepare
+from jointid.simulation.loop_input import LoopInput, prepare, to_log
 from jointid.uncertainty.covariance import smoothed_spectrum, sum_over_frequencies
 
 Noise: TypeAlias = Literal["loop", "log"]
@@ -163,7 +163,7 @@ def _simulate_load_error(problem: ClosedLoopProblem, x: FloatArray) -> FloatArra
         if run.outcome is not Outcome.FINISHED:
             return None
         if attempt < 2:
-            change = run.torque - quiet.torque - as_logged(experiment, forced.shown - experiment.shown)
+            change = run.torque - quiet.torque - to_log(experiment, forced.shown - experiment.shown)
             size *= wanted / float(np.linalg.norm(problem.filtered(change)))
     assert run.load_position is not None
     assert quiet.load_position is not None

@@ -19,21 +19,19 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.common.messages import Message, Progress, Work, silent
 from jointid.common.parameters import POSITION_UNIT
-from jointid.diagnostics.check_loop import add_loop_check
 from jointid.diagnostics.experiment_design import StiffnessTestDesign, design_stiffness_test
 from jointid.diagnostics.intervals import intervals
 from jointid.diagnostics.loop_findings import LoopCheck
 from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.result.answer import loop_verdict
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import FlexibleJoint
 from jointid.models.linear import OUTPUTS, ComplexArray, frequency_response
 from jointid.models.motion import Motion
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import differentiate, lowpass
 from jointid.uncertainty.profile import ProfileInterval
-from jointid.uncertainty.verdict import CAUSES, Subject
+from jointid.uncertainty.verdict import CAUSES
 
 MotionSource: TypeAlias = Literal["simulated", "measured", "commanded"]
 _Part = TypeVar("_Part")
@@ -104,7 +102,7 @@ class ReportData:
     """An estimate and the results of its diagnostics.
 
     Attributes:
-        estimate: with the verdict of its loop check.
+        estimate: what is reported.
         channels: of the record, by name.
         motion: of the motor, at the samples of the estimate's `measured`; None where the record has no position.
         motion_source: of that motion.
@@ -147,8 +145,6 @@ def collect_report_data(
     checks: Sequence[Validation] = (),
     *,
     profiles: Sequence[str] | None = None,
-    loop: LoopCheck | bool = True,
-    shown: Sequence[DriveNumber] = (),
     progress: Progress = silent,
 ) -> ReportData:
     """Collect the results that a report on an estimate presents.
@@ -159,13 +155,10 @@ def collect_report_data(
         checks: validations of it on other records.
         profiles: quantities to profile, as `intervals` takes them; every free parameter of the joint, and the
             compliance of a flexible one, where the criterion is no parabola, when None.
-        loop: True to check loop and log; a search that does not end at a least-squares minimum, as the paper's, would
-            itself appear as a fault. The check, where the estimate has its verdict already.
-        shown: how the drive shows the numbers of its controller, see `jointid.check_loop`.
         progress: called with each step.
     """
     absent: dict[str, str] = {}
-    work = Work(progress, "collecting the report", 3 + (loop is True) + bool(estimate.checks.bounds), "parts")
+    work = Work(progress, "collecting the report", 3 + bool(estimate.checks.bounds), "parts")
 
     def attempt(name: str, step: str, compute: Callable[[], _Part]) -> _Part | None:
         progress(step)
@@ -177,13 +170,6 @@ def collect_report_data(
         finally:
             work.add()
 
-    check = loop if isinstance(loop, LoopCheck) else None
-    if loop is True:
-        progress("checking loop and log")
-        others = [v for v in estimate.checks.verdicts if v.subject is not Subject.LOOP]  # it is said once
-        estimate = estimate.amended(checks={"verdicts": tuple(others)})
-        estimate, check = add_loop_check(estimate, record, progress, shown)
-        work.add()
     validation = attempt("validation", "simulating the direct test", lambda: validate(estimate, record))
     motion, motion_source = _find_motion(estimate, record, validation)
     inside = slice(estimate.fit.borders[0], estimate.fit.measured.size - estimate.fit.borders[1])
@@ -201,7 +187,7 @@ def collect_report_data(
         "profiles", "profiling the criterion",
         lambda: intervals(estimate, record, profiles, curved_only=curved_only, progress=progress),
     )  # fmt: skip
-    stiffness_test = None
+    stiffness_test, check = None, estimate.checks.loop
     if estimate.checks.bounds:
         stiffness_test = attempt(
             "revealing",
@@ -214,7 +200,7 @@ def collect_report_data(
         motion=motion,
         motion_source=motion_source,
         validation=validation,
-        loop=check,
+        loop=check if isinstance(check, LoopCheck) else None,
         spectra=spectra,
         response=response,
         profiles=() if followed is None else followed.profiles,

@@ -42,7 +42,7 @@ from jointid.records.checks import check_record
 from jointid.records.record import Record, Resampled
 from jointid.simulation.closed_loop import Initial, Simulation
 from jointid.simulation.loop_input import prepare
-from jointid.simulation.simulated import require_finished
+from jointid.simulation.simulated import require_success
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import solve
 from jointid.uncertainty.verdict import POOR_FIT
@@ -249,7 +249,7 @@ def _validate_simulation(identified: IdentifiedJoint, loop: ClosedLoop, record: 
     around = with_torque(INITIAL_STATE, experiment, measured)
     problem = ClosedLoopProblem((*fixed, *around), measured, identified.filtering, loop, experiment)
     x, runs = fit_initial_state(problem)
-    run = require_finished(problem.simulate(x))
+    run = require_success(problem.simulate(x))
     error, whole = problem.filtered(np.column_stack([measured - run.torque, measured])).T
     motor = Motion(run.motor_position, run.motor_velocity, run.motor.acceleration)
     other_law = (

@@ -1,8 +1,9 @@
-"""From a record, several, or a log too long for memory, to an estimate."""
+"""From a record, several, or a log too long for memory, to a fit."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, silent
@@ -13,7 +14,8 @@ from jointid.estimation.identify_several import identify_several
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.problems.log_windows import Windowing
 from jointid.estimation.problems.several_records import SeveralRecords
-from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.assemble import FitResult
+from jointid.estimation.swapped_gains import ask_about_gains
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.chunks import InMemory, LongRecord
 from jointid.records.record import Record
@@ -21,7 +23,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation.prescribed import DriveSide, OpenLoop
 
 
-def identify(
+def fit(
     record: Record | Sequence[Record] | LongRecord,
     model: ClosedLoop | DriveSide | OpenLoop | Joint | Sequence[ClosedLoop],
     method: Method | None = None,
@@ -31,8 +33,8 @@ def identify(
     several: SeveralRecords | None = None,
     windows: Windowing | None = None,
     progress: Progress = silent,
-) -> Estimate:
-    """Return the estimate of a joint, without the check of its loop; see `jointid.identify`."""
+) -> FitResult:
+    """Return the fit of a joint, without the checks; see `jointid.identify`."""
     if isinstance(record, Sequence):
         if windows is not None:
             raise MethodError("Several records are identified whole; give one record or log, or leave out windows.")
@@ -46,7 +48,11 @@ def identify(
     if isinstance(record, Record) and windows is None:
         if isinstance(model, Sequence):
             raise MethodError("One record has one loop; received a list: give the loop, or a list of records.")
-        return identify_record(record, model, method, filtering=filtering, parameters=parameters, progress=progress)
+        asked = ask_about_gains(model.controller, record.reference) if isinstance(model, ClosedLoop) else None
+        if asked is not None:
+            progress(asked)
+        found = identify_record(record, model, method, filtering=filtering, parameters=parameters, progress=progress)
+        return found if asked is None else replace(found, before=(asked, *found.before))
     if not isinstance(model, ClosedLoop):
         raise MethodError("A long record is identified by simulating its loop; give a ClosedLoop, with the controller.")
     source = InMemory(record) if isinstance(record, Record) else record

@@ -41,17 +41,18 @@ from jointid.estimation.problems.log_windows import (
     window_problem,
 )
 from jointid.estimation.result.agreement import drift
-from jointid.estimation.result.build_estimate import (
-    build_estimate,
+from jointid.estimation.result.assemble import FitResult
+from jointid.estimation.result.build_result import (
+    build_params,
     find_at_bound,
     find_lost,
     list_loop_channels,
+    name_deviations,
     poor_fit,
     warn_of_bounds,
     warn_of_limit,
 )
-from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import Checks, Data, Fit, Windows
+from jointid.estimation.result.parts import Checks, Data, Fit, Settings, Windows
 from jointid.models.joints import ClosedLoop
 from jointid.records.chunks import LongRecord
 from jointid.records.record import Record
@@ -75,7 +76,7 @@ def identify_log(
     filtering: Filtering | None,
     parameters: Mapping[str, Parameter] | None,
     progress: Progress,
-) -> Estimate:
+) -> FitResult:
     """Return the estimate of a joint from a long log, torque and reference only, in bounded memory.
 
     See `jointid.identify`. An interrupt of the last passes ends them, and the estimate is of what was read.
@@ -91,7 +92,7 @@ def identify_log(
         )
     filtering, wanted = filtering or Filtering(), adjusted(loop.joint.parameters, parameters or {})
     sample_time = source.sample_time
-    keep = filtering.resolved(sample_time, loop.joint.model).decimation or 1
+    keep = filtering.resolve(sample_time, loop.joint.model).decimation or 1
 
     def samples(seconds: float, unit: int = keep) -> int:  # whole rows, so that all windows keep the same samples
         return unit * math.ceil(seconds / (sample_time * unit) - 1e-9)
@@ -268,25 +269,20 @@ def _pass_down(problem: LogProblem, x: FloatArray, every: int, before: _Before |
     return found
 
 
-def _answer(problem: LogProblem, first: Record, end: LogSolution, warnings: list[str]) -> Estimate:
+def _answer(problem: LogProblem, first: Record, end: LogSolution, warnings: list[str]) -> FitResult:
     """Return the estimate that the last pass makes."""
     assert first.torque is not None
     found, window, sample_time = end.found, problem.window, problem.window.sample_time
     sums, unit = found.sums, first.torque.unit
     repeated = repeats(found.places.values(), sums.square, unit)
     covariance, intervals = _covariance(found, repeated)
-    own, loop = {p.name for p in window.joint.parameters}, window.loop_at(end.x)
+    loop = window.loop_at(end.x)
     at_limit = float(np.mean([w.at_limit for w in found.windows]))
     held = find_at_bound(problem.free, end.x, end.residual, end.jacobian)
-    return build_estimate(
-        window,
-        end.x,
-        covariance,
-        intervals,
-        ("didim", "DIDIM in windows"),
-        shown=[p for p in window.parameters if p.name in own or p.free],
-        lost=find_lost(problem.free, end.x, covariance.std),
-        held=held,
+    lost = find_lost(problem.free, end.x, covariance.std)
+    std = name_deviations(window, covariance)
+    return FitResult(
+        params=build_params(window, end.x, std, covariance.correlation, intervals, lost, held, fixed=False),
         fit=Fit(
             measured=np.zeros(0),
             predicted=np.zeros(0),
@@ -320,8 +316,14 @@ def _answer(problem: LogProblem, first: Record, end: LogSolution, warnings: list
                 duration=found.windows[-1].end - found.windows[0].begin,
             ),
         ),
-        loop=loop,
-        delay=loop.controller.law(sample_time).delay,
+        settings=Settings(
+            "didim",
+            "DIDIM in windows",
+            joint=window.joint,
+            loop=loop,
+            filtering=window.filtering,
+            delay=loop.controller.law(sample_time).delay,
+        ),
     )
 
 

@@ -30,7 +30,7 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, silent
 from jointid.common.parameters import Parameter, adjusted
 from jointid.estimation.descent import History
-from jointid.estimation.identify_record import identify_record, record_warnings
+from jointid.estimation.identify_record import identify_record
 from jointid.estimation.methods.force_in_loop import uncertainty_of_least_error
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.registry import Method
@@ -44,22 +44,25 @@ from jointid.estimation.problems.several_records import (
     several,
     whitening,
 )
+from jointid.estimation.record_warnings import record_warnings
 from jointid.estimation.result.agreement import Agreement, Alone, agreement
-from jointid.estimation.result.build_estimate import (
+from jointid.estimation.result.assemble import FitResult
+from jointid.estimation.result.build_result import (
     NOT_CONVERGED,
-    build_estimate,
     build_fit,
+    build_params,
     build_rows,
     find_at_bound,
     find_lost,
     list_loop_channels,
+    name_deviations,
     poor_fit,
     warn_of_bounds,
     warn_of_inseparable,
     warn_of_lost,
 )
-from jointid.estimation.result.estimate import Estimate, fingerprint, relative_error
-from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, RecordFit
+from jointid.estimation.result.estimate import fingerprint, relative_error
+from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Params, RecordFit, Settings
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -85,28 +88,28 @@ def identify_several(
     filtering: Filtering | None,
     parameters: Mapping[str, Parameter] | None,
     progress: Progress,
-) -> Estimate:
-    """Return the estimate of one joint from several records in one fit; see `jointid.identify`."""
+) -> FitResult:
+    """Return the fit of one joint to several records in one fit; see `jointid.identify`."""
     if isinstance(method, IDIM):
         raise MethodError("Records are identified together by simulating their loops; IDIM does not, so use DIDIM.")
     layout, given = RecordLayout.of(len(records), loops, settings), parameters or {}
     _require_different(records)
-    estimates = []
+    fits = []
     for k, record in enumerate(records):
         progress(f"record {k + 1}, {record.name}, by itself")
         changes = layout.changes(given, k, acting=False)
-        estimates.append(
+        fits.append(
             identify_record(record, layout.loops[k], method, filtering=filtering, parameters=changes, progress=progress)
         )
-    found = list(zip(records, estimates, strict=True))
+    found = list(zip(records, fits, strict=True))
     problems, per_log = (
         [
-            _problem(record, estimate, layout=layout, number=k, parameters=given, acting=acting)
-            for k, (record, estimate) in enumerate(found)
+            _problem(record, fit, layout=layout, number=k, parameters=given, acting=acting)
+            for k, (record, fit) in enumerate(found)
         ]
         for acting in (True, False)
     )
-    alone = [by_itself(problem, values) for problem, values in zip(per_log, starts(estimates), strict=True)]
+    alone = [by_itself(problem, values) for problem, values in zip(per_log, starts(fits), strict=True)]
     alone, weighting = _weighed(alone, settings.weighting)
     criterion = several(problems, settings.own, layout.added).weighing([one.weights for one in alone])
     gain = _gain(layout, alone)
@@ -114,19 +117,15 @@ def identify_several(
     begin = [problem.vector(one.acting(gain)) for problem, one in zip(problems, alone, strict=True)]
     end = solve(criterion, SOLVER, criterion.vector(begin))
     progress(end.message)
-    used = sum(estimate.fit.simulations for estimate in estimates) + sum(one.simulations for one in alone)
+    used = sum(fit.simulations for fit in fits) + sum(one.simulations for one in alone)
     simulations = used + (end.evaluations + 2) * len(records)
     about = tuple(
         f"record {number}: {said}"
-        for number, (record, estimate) in enumerate(found, 1)
-        for said in record_warnings(record, estimate)
+        for number, (record, fit) in enumerate(found, 1)
+        for said in record_warnings(record, fit)
     )
-    answer = _answer(_Solved(records, RecordsProblem.of(layout, criterion), end, alone))
-    return answer.amended(
-        fit={"simulations": simulations},
-        checks={"warnings": (*answer.checks.warnings, *about)},
-        settings={"weighting": weighting},
-    )
+    solved = _Solved(records, RecordsProblem.of(layout, criterion), end, alone)
+    return _build_result(solved, simulations, weighting, about)
 
 
 def _require_different(records: Sequence[Record]) -> None:
@@ -142,7 +141,7 @@ def _require_different(records: Sequence[Record]) -> None:
 
 def _problem(
     record: Record,
-    estimate: Estimate,
+    fit: FitResult,
     *,
     layout: RecordLayout,
     number: int,
@@ -154,14 +153,14 @@ def _problem(
     Per torque that is `acting`, the gain of the drive may be free; else it is kept at 1.
     """
     loop, free = layout.loops[number], [name for name in layout.free if acting or name != "drive_gain"]
-    found = {p.name: p for p in estimate.params}
+    found = {p.name: p for p in fit.params}
     state = tuple(
         replace(p, start=found[p.name].value, free=found[p.name].free)
         for p in (*INITIAL_STATE, INITIAL_TORQUE)
         if p.name in found
     )
     known = adjusted(loop.joint.parameters, layout.changes(parameters, number, acting=acting))
-    return torque_problem(record, loop, estimate.settings.filtering, known, state).freeing(*free)
+    return torque_problem(record, loop, fit.settings.filtering, known, state).freeing(*free)
 
 
 # Each record by itself
@@ -249,15 +248,15 @@ def _judge(problem: ClosedLoopProblem, end: Solution, taps: FloatArray) -> tuple
     return known, history.tally.evaluations + 1
 
 
-def starts(estimates: Sequence[Estimate]) -> list[dict[str, float]]:
+def starts(fits: Sequence[FitResult]) -> list[dict[str, float]]:
     """Return the values each record starts from; one that it refused is another record's.
 
     Raises:
         MethodError: a parameter is refused by all of them.
     """
-    every = [{p.name: p.value for p in e.params if p.value is not None} for e in estimates]
+    every = [{p.name: p.value for p in e.params if p.value is not None} for e in fits]
     anywhere = {name: value for each in reversed(every) for name, value in each.items()}
-    lost = [p.name for p in estimates[0].params if p.name not in anywhere]
+    lost = [p.name for p in fits[0].params if p.name not in anywhere]
     if lost:
         raise MethodError(
             f"No record by itself tells {', '.join(lost)}, so nothing is known to start from; "
@@ -310,8 +309,15 @@ class _Solved:
         return build_rows(free, values, dict(zip(values, map(float, std), strict=True)), layout.unit, own, lost)
 
 
-def _answer(solved: _Solved) -> Estimate:
-    """Return the estimate; its effort and its weighting are for the caller to add."""
+def _build_result(solved: _Solved, simulations: int, weighting: str, about: tuple[str, ...]) -> FitResult:
+    """Return the fit of all records.
+
+    Args:
+        solved: the records together, and each by itself.
+        simulations: that were run.
+        weighting: of the rows, in words.
+        about: warnings of the single records.
+    """
     problem, end, layout = solved.problem, solved.end, solved.problem.layout
     judged, compared = _judge_together(solved), _compare(solved)
     names = [p.name for p in problem.free]
@@ -323,14 +329,18 @@ def _answer(solved: _Solved) -> Estimate:
     predicted = np.concatenate([share.predicted for share in shares])
     error = problem.filtered(problem.measured - predicted)
     lost = find_lost(problem.free, end.x, covariance.std)
-    found = build_estimate(
-        problem,
-        end.x,
-        covariance,
-        f"from the output sensitivities, {judged.basis}; no record's rows correlated with another's",
-        ("didim", "DIDIM by least squares"),
-        fit=build_fit(problem, predicted, error, end.message, converged=end.converged),
-        checks=Checks(agreement=compared, warnings=_warn(solved, judged, compared, covariance, lost)),
+    basis = f"from the output sensitivities, {judged.basis}; no record's rows correlated with another's"
+    held = find_at_bound(problem.free, end.x, end.residual, end.jacobian)
+    params = build_params(
+        problem, end.x, name_deviations(problem, covariance), covariance.correlation, basis, lost, held
+    )
+    rows = dict(zip([p.name for p in problem.parameters], params, strict=True))
+    own = tuple(tuple(rows[p.name] for p in problem.of_record(k) if "@" in p.name) for k in range(len(solved.records)))
+    shared = tuple(row for name, row in rows.items() if "@" not in name)
+    return FitResult(
+        params=Params(shared, params.names, params.correlation, basis, own),
+        fit=build_fit(problem, predicted, error, end.message, converged=end.converged, simulations=simulations),
+        checks=Checks(agreement=compared, warnings=(*_warn(solved, judged, compared, covariance, lost), *about)),
         data=Data(
             record=", ".join(record.name for record in solved.records),
             channels=tuple(dict.fromkeys(name for share in shares for name in share.channels)),
@@ -338,14 +348,15 @@ def _answer(solved: _Solved) -> Estimate:
             torque_unit=layout.torque_unit,
             records=shares,
         ),
-        lost=lost,
-        held=find_at_bound(problem.free, end.x, end.residual, end.jacobian),
-        loop=layout.loops[0],
+        settings=Settings(
+            "didim",
+            "DIDIM by least squares",
+            joint=problem.joint,
+            loop=layout.loops[0],
+            filtering=problem.filtering,
+            weighting=weighting,
+        ),
     )
-    rows = dict(zip([p.name for p in problem.parameters], found.params, strict=True))
-    own = tuple(tuple(rows[p.name] for p in problem.of_record(k) if "@" in p.name) for k in range(len(solved.records)))
-    shared = tuple(row for name, row in rows.items() if "@" not in name)
-    return found.amended(params={"rows": shared, "own": own})
 
 
 def _judge_together(solved: _Solved) -> Uncertainty:

@@ -22,7 +22,7 @@ from jointid.paper.recomputed import (
     find_largest_decimation,
     find_misprints,
     find_wrong_entries,
-    format_printed,
+    format_as_print,
     format_recomputed,
     recompute_cells,
     stops,
@@ -35,11 +35,7 @@ class Erratum:
     """One finding.
 
     Attributes:
-        item: its subject.
-        where: in the paper.
-        printed: statement of the paper.
         recomputed: from the paper's own numbers and equations.
-        what_we_do: treatment in jointid.
     """
 
     item: str
@@ -52,26 +48,26 @@ class Erratum:
 _FLEXIBLE = tuple(TABLES[n] for n in (2, 3, 4, 5))
 
 
-def _join_slashed(texts: Iterable[object]) -> str:
+def _join_slash(texts: Iterable[object]) -> str:
     return " / ".join(map(str, texts))
 
 
 def _list_cells(cells: Mapping[Cell, Decimal]) -> str:
-    return ", ".join(f"{SYMBOLS[name]} {format_printed(value)} ({column})" for (column, name), value in cells.items())
+    return ", ".join(f"{SYMBOLS[name]} {format_as_print(value)} ({column})" for (column, name), value in cells.items())
 
 
 def _check_natural_frequency() -> Erratum:
     each = [FlexibleJoint.frequencies(table.values) for table in _FLEXIBLE]
     words = {"free_free": "free-free", "motor_locked": "motor locked", "load_locked": "load locked"}
     listed = ", ".join(
-        f"{text} {_join_slashed(f'{hertz[name]:.2f}' for hertz in each)} Hz" for name, text in words.items()
+        f"{text} {_join_slash(f'{hertz[name]:.2f}' for hertz in each)} Hz" for name, text in words.items()
     )
     highest = max(hertz[name] for hertz in each for name in ("motor_locked", "load_locked"))
     said = f"{EXPERIMENT.natural_frequency:g} Hz"
     return Erratum(
         "The natural frequency",
         "Under Tables 2 to 5, and section V.A",
-        f"{_join_slashed(table.frequency for table in _FLEXIBLE)} Hz under the tables; {said} in the text, confirmed "
+        f"{_join_slash(table.frequency for table in _FLEXIBLE)} Hz under the tables; {said} in the text, confirmed "
         "with the output blocked.",
         f"{listed}. The printed ones are the free-free frequencies cut to whole hertz. With either side held, at most "
         f"{highest:.2f} Hz is left, so a blocked output cannot show {said}.",
@@ -82,7 +78,7 @@ def _check_natural_frequency() -> Erratum:
 def _check_variations() -> Erratum:
     table = TABLES[6]
     found, wrong = recompute_cells(table), find_misprints(table)
-    masses = _join_slashed(format_printed(found[method, "load_inertia"][0]) for method in table.columns)
+    masses = _join_slash(format_as_print(found[method, "load_inertia"][0]) for method in table.columns)
     return Erratum(
         "The variations with the added mass",
         "Table 6",
@@ -100,7 +96,7 @@ def _check_relative_errors() -> Erratum:
 
     def list_cells(texts: Mapping[Cell, str]) -> str:
         return ", ".join(
-            f"{SYMBOLS[name]} {_join_slashed(texts[test, name] for test in table.columns)}" for name in names
+            f"{SYMBOLS[name]} {_join_slash(texts[test, name] for test in table.columns)}" for name in names
         )
 
     ways = "; ".join(
@@ -111,7 +107,7 @@ def _check_relative_errors() -> Erratum:
     return Erratum(
         "The relative errors and their denominator",
         "Table 7 and equation (15)",
-        f"{list_cells({cell: format_printed(table.cell(cell)) for cell in found})} %, in the first / second test.",
+        f"{list_cells({cell: format_as_print(table.cell(cell)) for cell in found})} %, in the first / second test.",
         f"{ways}. Equation (15) divides by the DIDIM value, most of the table by the IDIM value. "
         f"{_list_cells({cell: table.cell(cell) for cell in find_misprints(table)})} follow from neither; "
         f"{_list_cells({first: table.cell(first)})} does only if rounded to a whole percent, as "
@@ -123,11 +119,11 @@ def _check_relative_errors() -> Erratum:
 def _check_sums() -> Erratum:
     found = [sum_sides(table) for table in _FLEXIBLE]
     agreeing = [agrees(t.sums[name], one[name]) for t, one in zip(_FLEXIBLE, found, strict=True) for name in one]
-    recomputed = "; ".join(_join_slashed(f"{value:.1f}" for value in one.values()) for one in found)
+    recomputed = "; ".join(_join_slash(f"{value:.1f}" for value in one.values()) for one in found)
     return Erratum(
         "The sums of both sides",
         "Under Tables 2 to 5",
-        f"{'; '.join(_join_slashed(table.sums.values()) for table in _FLEXIBLE)} (kg / N s/m / N).",
+        f"{'; '.join(_join_slash(table.sums.values()) for table in _FLEXIBLE)} (kg / N s/m / N).",
         f"{recomputed}: {sum(agreeing)} of {len(agreeing)} agree.",
         "Nothing to correct; a test keeps them.",
     )
@@ -184,7 +180,7 @@ def _check_permutation() -> Erratum:
 
 def _check_damping_influence() -> Erratum:
     rows = [table.rows["damping"] for table in _FLEXIBLE]
-    intervals = _join_slashed(f"{value} +- {two_sigma}" for value, two_sigma, _ in rows)
+    intervals = _join_slash(f"{value} +- {two_sigma}" for value, two_sigma, _ in rows)
     away = [2 * value / two_sigma for value, two_sigma, _ in rows]
     return Erratum(
         "The influence of the damping",
@@ -205,7 +201,7 @@ def _check_start_values() -> Erratum:
         "Inertia, viscous and Coulomb friction start at half the rigid values; K12 and F12 are not mentioned.",
         "A free-free frequency f gives K12 = mu (2 pi f)^2 with mu = ZZ1 ZZ2 / (ZZ1 + ZZ2). From Table 1 and "
         f"{EXPERIMENT.natural_frequency:g} Hz that is {start / 1e5:.2f}e5 N/m, where Table 3 ends at "
-        f"{format_printed(TABLES[3].cell(('value', 'stiffness')))}.",
+        f"{format_as_print(TABLES[3].cell(('value', 'stiffness')))}.",
         "Starts K12 there, from a known or guessed frequency; the start of F12 is our own.",
     )
 

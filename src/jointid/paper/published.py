@@ -35,9 +35,7 @@ class PublishedTable:
     """One table of the paper.
 
     Attributes:
-        number: in the paper.
         section: of the paper, that presents it.
-        caption: its content.
         columns: names of the numbers in a row: value, two_sigma and relative_percent (100 sigma / value) in Tables 1
             to 5; a method in Table 6; a test in Table 7.
         rows: by parameter, one number per column; kg, N s/m, N, N/m in Tables 1 to 6, % in Table 7.

@@ -70,7 +70,7 @@ def compute_relative_errors(
 
 def find_largest_decimation(cutoff: float, sample_rate: float) -> int:
     """Largest decimation factor that a filter at `cutoff` Hz allows."""
-    thinned = Filtering(cutoff=cutoff).resolved(1 / sample_rate).decimation
+    thinned = Filtering(cutoff=cutoff).resolve(1 / sample_rate).decimation
     assert thinned is not None
     return thinned
 
@@ -181,7 +181,7 @@ class TableComparison:
         return aligned(table.header, table.rows, [False, *[True] * (len(table.header) - 1)])
 
 
-def format_printed(value: Decimal) -> str:
+def format_as_print(value: Decimal) -> str:
     """Format a number as the tables do: 0.80, 8.0e5."""
     exponent = value.as_tuple().exponent
     assert isinstance(exponent, int)
@@ -225,7 +225,7 @@ def _list_notes_below(table: PublishedTable) -> list[ComparisonRow]:
     def add(name: str, label: str, printed: Decimal | None, recomputed: str = "-") -> None:
         rows.append(
             ComparisonRow(
-                name, label, ("-" if printed is None else format_printed(printed), "-", "-"), (recomputed, "-")
+                name, label, ("-" if printed is None else format_as_print(printed), "-", "-"), (recomputed, "-")
             )
         )
 
@@ -244,4 +244,4 @@ def _list_notes_below(table: PublishedTable) -> list[ComparisonRow]:
 
 
 def _format_cells(cells: Iterable[Decimal]) -> tuple[str, ...]:
-    return tuple(map(format_printed, cells))
+    return tuple(map(format_as_print, cells))

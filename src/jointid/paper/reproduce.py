@@ -42,8 +42,6 @@ class ReproducedExperiment:
     """One of the paper's two experiments.
 
     Attributes:
-        axis: the run of the twin.
-        idim: from torque and both positions.
         didim: from torque alone, by Nelder-Mead, with the paper's statistics.
         best: from torque alone, by least squares, with the deviations of the output sensitivities.
         idim_simulated: the loop simulated with IDIM's values, against a run with other pulses (Figure 4).
@@ -63,7 +61,6 @@ class Reproduction:
     """Results of the whole reproduction.
 
     Attributes:
-        seed: of the noise.
         rigid: rigid DIDIM of the first experiment.
         first, second: without and with the added mass.
         without_damping: the test of F12, on the first experiment: by least squares, with the damping fixed at 0.
@@ -116,14 +113,14 @@ def reproduce(seed: int = 1, progress: Progress = silent) -> Reproduction:
     progress("Table 1: the rigid joint, below 5 Hz")
     rigid_loop = ClosedLoop(RigidJoint(), axis.loop.controller)
     rigid = identify(
-        keep_torque_only(axis), rigid_loop, DIDIM("residual"), filtering=Filtering(cutoff=5.0), loop_check=False
+        keep_torque_only(axis), rigid_loop, DIDIM("residual"), filtering=Filtering(cutoff=5.0), checks=False
     )
     first = _reproduce_experiment(axis, others[0], "Tables 2 and 3", progress)
     second = _reproduce_experiment(heavy, others[1], "Tables 4 and 5, with 10 kg on the load", progress)
     progress("The test of F12")
     damping = next(p for p in axis.loop.joint.parameters if p.name == "damping")
     fixed = {"damping": damping.fixed(0.0)}
-    without_damping = identify(keep_torque_only(axis), axis.loop, FlexibleDIDIM(), parameters=fixed, loop_check=False)
+    without_damping = identify(keep_torque_only(axis), axis.loop, FlexibleDIDIM(), parameters=fixed, checks=False)
     return Reproduction(seed, rigid, first, second, without_damping)
 
 
@@ -138,9 +135,9 @@ def _reproduce_experiment(axis: Twin, other: Twin, tables: str, progress: Progre
     progress(f"{tables}: DIDIM by Nelder-Mead")
     didim = identify(keep_torque_only(axis), axis.loop, FlexibleDIDIM.paper())
     progress(f"{tables}: DIDIM by least squares, for its deviations")
-    best = identify(keep_torque_only(axis), axis.loop, FlexibleDIDIM(), loop_check=False)
+    best = identify(keep_torque_only(axis), axis.loop, FlexibleDIDIM(), checks=False)
     # An inverse model's values in a loop that can be simulated.
-    filtering = Filtering().resolved(idim.data.sample_time, "flexible")
+    filtering = Filtering().resolve(idim.data.sample_time, "flexible")
     simulable = replace(idim.identified, method="didim", loop=axis.loop, filtering=filtering)
     return ReproducedExperiment(
         axis, idim, didim, best, validate(simulable, other.record), validate(didim, axis.record)

@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.models.joints import ClosedLoop, FlexibleJoint
-from jointid.planning.foretell import Noise
 from jointid.planning.goals import Goal
 from jointid.planning.limits import AxisLimits
+from jointid.planning.predict import Noise
 
 _LINES = 120  # frequencies
 _STEP = 1e-6  # relative, of the differences by which P is differentiated
@@ -46,7 +46,6 @@ class Floor:
     """The least deviation over all motions, and the optimal force powers.
 
     Attributes:
-        deviation: of the goal.
         hertz, power: (frequencies,) of the force that acts, and its mean square at each.
         sensitivity: (frequencies,) size of S: so much of a signal that is injected is left of it in the force.
     """

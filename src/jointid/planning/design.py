@@ -28,11 +28,11 @@ from jointid.diagnostics.other_experiments import choose_encoder_steps
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.planning.bound import Floor, least_deviation
-from jointid.planning.foretell import Foretold, Noise, reach
-from jointid.planning.goals import WEAKEST, Goal, goal_named
-from jointid.planning.limits import AxisLimits, describe_passed, units_of_limits
+from jointid.planning.goals import WEAKEST, Goal, parse_goal
+from jointid.planning.limits import AxisLimits, describe_excess, units_of_limits
 from jointid.planning.plans import Plan, TorqueTable, room_of
 from jointid.planning.plans import Table as Played
+from jointid.planning.predict import Noise, PredictedTest, reach
 from jointid.planning.search import Asked, Purpose, Tried, search, try_plan
 from jointid.records.record import Channel, InjectionPoint, Record, Tap, Timing
 from jointid.records.signals.filtering import Filtering
@@ -58,7 +58,7 @@ class Design(Charted, Documented):
         loop: joint and controller.
         goal: what the test is to tell.
         description: of the test, in words.
-        present: the test there is already, foretold; None where there is none, or it does not tell every parameter.
+        present: the test there is already, predicted; None where there is none, or it does not tell every parameter.
         present_passes: clauses on limits that the present test passes.
         proposed: the new one.
         test: the same as a record without a torque yet.
@@ -78,13 +78,13 @@ class Design(Charted, Documented):
     loop: ClosedLoop
     goal: Goal
     description: str
-    present: Foretold | None
+    present: PredictedTest | None
     present_passes: tuple[str, ...]
-    proposed: Foretold
+    proposed: PredictedTest
     test: Record
-    with_motor_encoder: Foretold | None
-    with_encoder: Foretold | None
-    longer: Foretold | None
+    with_motor_encoder: PredictedTest | None
+    with_encoder: PredictedTest | None
+    longer: PredictedTest | None
     reached: Mapping[str, float]
     limits: Mapping[str, float]
     from_present: tuple[str, ...]
@@ -112,10 +112,10 @@ class Design(Charted, Documented):
     def sentence(self) -> str:
         """Predicted interval of the goal, compared with the present test."""
         over = f" Beware: {'; '.join(self.passed)}." if self.passed else ""
-        return f"{self._told}.{over}"
+        return f"{self._summary}.{over}"
 
     @property
-    def _told(self) -> str:
+    def _summary(self) -> str:
         better = self.present is None or self._score(self.proposed) < self._score(self.present)
         over = "; ".join(self.present_passes)
         if over:
@@ -130,16 +130,16 @@ class Design(Charted, Documented):
             return f"{first} brings the {what} to {ratio} % of the width that the present one gives"
         unit = self.proposed.units[next(iter(self.goal.weights))]
         width = number(2 * self.proposed.std_of(self.goal.weights), 2)
-        told = f"{first} tells {self.goal.name.replace('_', ' ')} to +- {width} {unit}"
+        prediction = f"{first} tells {self.goal.name.replace('_', ' ')} to +- {width} {unit}"
         if self.present is None:
-            return told
-        return f"{told}, the present one to +- {number(2 * self.present.std_of(self.goal.weights), 2)} {unit}"
+            return prediction
+        return f"{prediction}, the present one to +- {number(2 * self.present.std_of(self.goal.weights), 2)} {unit}"
 
-    def _score(self, told: Foretold) -> float:
-        return self.goal.score(told.covariance.matrix, told.joint, told.values)
+    def _score(self, prediction: PredictedTest) -> float:
+        return self.goal.score(prediction.covariance.matrix, prediction.joint, prediction.values)
 
     @property
-    def tests(self) -> dict[str, Foretold]:
+    def tests(self) -> dict[str, PredictedTest]:
         """Predictions by the name of the test."""
         found = {
             "present": self.present,
@@ -148,7 +148,7 @@ class Design(Charted, Documented):
             "with load encoder": self.with_encoder,
             "twice the time": self.longer,
         }
-        return {name: told for name, told in found.items() if told is not None}
+        return {name: prediction for name, prediction in found.items() if prediction is not None}
 
     def document(self, *, details: bool = False) -> Document:
         """Intervals side by side, the test, and its maxima."""
@@ -156,19 +156,19 @@ class Design(Charted, Documented):
         tests, proposed = self.tests, self.proposed
         rows = []
         for name in proposed.joint:
-            stds = (number(2 * told.std[name], 2) for told in tests.values())
+            stds = (number(2 * prediction.std[name], 2) for prediction in tests.values())
             rows.append((proposed.symbols[name], number(proposed.values[name]), *stds, proposed.units[name]))
-        for pair in _pairs(proposed.joint):
+        # Torque alone hardly separates the parameters of both sides.
+        motor = [name for name in proposed.joint if name.startswith("motor_") and "inertia" not in name]
+        for pair in [(name, f"load_{name[6:]}") for name in motor if f"load_{name[6:]}" in proposed.joint]:
             for sign in (1.0, -1.0):
                 weights = {pair[0]: 1.0, pair[1]: sign}
                 shown = f"{proposed.symbols[pair[0]]} {'+' if sign > 0 else '-'} {proposed.symbols[pair[1]]}"
                 value = proposed.values[pair[0]] + sign * proposed.values[pair[1]]
-                stds = (number(2 * told.std_of(weights), 2) for told in tests.values())
+                stds = (number(2 * prediction.std_of(weights), 2) for prediction in tests.values())
                 rows.append((shown, number(value), *stds, proposed.units[pair[0]]))
         header = ("symbol", "about", *tests, "unit")
-        blocks: list[Block] = [
-            Table(header, tuple(rows), caption="2 sigma that are foretold of", words=(0, len(header) - 1))
-        ]
+        blocks: list[Block] = [Table(header, tuple(rows), caption="predicted 2 sigma of", words=(0, len(header) - 1))]
         facts = [("test", self.description), *common_facts(None, self.transmission)]
         units = units_of_limits(self.loop)
         for name, size in self.reached.items():
@@ -295,7 +295,7 @@ def design_test(
             are not given.
         present: the test there is already, as a record; its torque is not read. Needed where a limit of stroke, speed,
             acceleration or torque is not given.
-        motion: a test of your own, or a past record: it is foretold, within the limits that are given, and none is
+        motion: a test of your own, or a past record: it is predicted, within the limits that are given, and none is
             looked for.
         covariance: (free, free) of the joint's free parameters, in their order: other joints are drawn from it.
         duration: of the test, s; that of the present one when None.
@@ -303,12 +303,12 @@ def design_test(
         tap: where its torque will be logged.
         filtering: of the identification; see `Filtering`.
         parameters: changes to the joint's parameters by name, as for `identify`.
-        encoder: steps of the encoders that are foretold beside it, m or rad; those of the present test's when None, or
+        encoder: steps of the encoders that are predicted beside it, m or rad; those of the present test's when None, or
             a millionth of the stroke.
         seconds: that the search may take. An interrupt ends it and keeps the best there is.
         seed: of its draws.
         record: name of what is roughly known.
-        progress: is told.
+        progress: receives messages.
 
     Raises:
         MethodError: a limit is missing, the goal is no quantity of this joint, or no test could be simulated.
@@ -343,19 +343,19 @@ def design_test(
     tap = Tap(tap)
     unknown = {p.name: parameters.get(p.name, p) for p in loop.joint.parameters}
     free = [name for name, p in unknown.items() if p.free]
-    wanted = goal_named(goal, {name: loop.joint.unit(unknown[name]) for name in free})
+    wanted = parse_goal(goal, {name: loop.joint.unit(unknown[name]) for name in free})
     draws = _draw(values, [unknown[name] for name in free], covariance, _MORE_JOINTS, seed)
-    told_limits = limits or AxisLimits()
+    stated_limits = limits or AxisLimits()
     purpose = Purpose(loop, (dict(values), *draws), noise, wanted, samples, T, tap, filtering, parameters)
     if motion is None:
         before = None if present is None else reach(loop, values, present, noise, filtering, parameters)
-        chosen = _search(purpose, told_limits, present, before, seconds, seed, progress)
+        chosen = _search(purpose, stated_limits, present, before, seconds, seed, progress)
     else:
         before = None
-        chosen = _take(purpose, told_limits, motion)
-    told = purpose.foretell(chosen.test)
+        chosen = _take(purpose, stated_limits, motion)
+    prediction = purpose.predict(chosen.test)
     steps = choose_encoder_steps(chosen.test if present is None else present, encoder)
-    on_motor = purpose.foretell(chosen.test, motor_encoder=steps[0])
+    on_motor = purpose.predict(chosen.test, motor_encoder=steps[0])
     flexible = isinstance(loop.joint, FlexibleJoint)
     units = units_of_limits(loop)
     return Design(
@@ -363,17 +363,17 @@ def design_test(
         loop,
         wanted,
         chosen.description,
-        None if present is None else _foretell_present(purpose, present),
-        () if before is None else tuple(describe_passed(told_limits, before, units)),
-        told,
+        None if present is None else _predict_current(purpose, present),
+        () if before is None else tuple(describe_excess(stated_limits, before, units)),
+        prediction,
         chosen.test,
-        on_motor if any(on_motor.std[name] < _TELLS_MORE * std for name, std in told.std.items()) else None,
-        purpose.foretell(chosen.test, load_encoder=steps[1]) if flexible else None,
-        None if chosen.longer is None else purpose.foretell(chosen.longer),
+        on_motor if any(on_motor.std[name] < _TELLS_MORE * std for name, std in prediction.std.items()) else None,
+        purpose.predict(chosen.test, load_encoder=steps[1]) if flexible else None,
+        None if chosen.longer is None else purpose.predict(chosen.longer),
         chosen.reached,
         chosen.limits.given,
-        tuple(name for name in chosen.limits.given if name not in told_limits.given),
-        (*chosen.beware, *describe_passed(chosen.limits, chosen.reached, units)),
+        tuple(name for name in chosen.limits.given if name not in stated_limits.given),
+        (*chosen.beware, *describe_excess(chosen.limits, chosen.reached, units)),
         chosen.floor,
         FlexibleJoint.frequencies(values) if flexible else {},
         chosen.interrupted,
@@ -409,7 +409,7 @@ def _search(
     """Search within the stated limits and those of the present test."""
     loop, values, T = purpose.loop, purpose.joints[0], purpose.sample_time
     limits, found = _complete(limits, before)
-    resolved = purpose.filtering.resolved(T, loop.joint.model)
+    resolved = purpose.filtering.resolve(T, loop.joint.model)
     assert resolved.cutoff is not None
     highest = min(limits.highest or resolved.cutoff, resolved.cutoff)
     floor = _floor(loop, values, purpose.noise, purpose.goal, limits, purpose.samples, T, highest)
@@ -424,8 +424,8 @@ def _search(
     how = (InjectionPoint.AFTER_LIMIT, True) if added is None else (added.at, added.in_torque)
     asked = Asked(replace(purpose, joints=purpose.joints[: 1 + _JOINTS]), limits, room, *how)
     begin = () if present is None else _as_plan(present, T)
-    looked, interrupted = _look(asked, begin, seconds, seed, progress)
-    best, ended = _choose(replace(asked, purpose=purpose), looked, progress)
+    candidates, interrupted = _look(asked, begin, seconds, seed, progress)
+    best, ended = _choose(replace(asked, purpose=purpose), candidates, progress)
     where = "at some joints of the interval it cannot be simulated, or tells nothing of a parameter"
     return _Chosen(
         best.plan.describe(POSITION_UNIT[loop.joint.kind], loop.joint.force_unit),
@@ -449,8 +449,8 @@ def _take(purpose: Purpose, limits: AxisLimits, motion: Record) -> _Chosen:
         zeros = np.zeros(purpose.samples)
         test = replace(motion, torque=Channel(zeros, purpose.loop.joint.force_unit, purpose.sample_time, Timing.HELD))
     most = dict[str, float]()
-    for told in purpose.foretell_roughly(test):
-        most = {name: max(size, most.get(name, 0.0)) for name, size in told.reached.items()}
+    for prediction in purpose.predict_roughly(test):
+        most = {name: max(size, most.get(name, 0.0)) for name, size in prediction.reached.items()}
     q, u = POSITION_UNIT[purpose.loop.joint.kind], purpose.loop.joint.force_unit
     words = Played(reference.values).describe(q)
     if motion.injected is not None:
@@ -589,7 +589,7 @@ def _keep_within(asked: Asked, best: Tried) -> Tried:
     """Reduce a test's added signal and speed until it keeps the limits at all joints."""
     tried = try_plan(asked, best.plan, margin=1.0)
     for _ in range(_TRIES):
-        smaller = tried.plan.scaled(_SHRINKS)
+        smaller = tried.plan.scale(_SHRINKS)
         same = smaller.motion is tried.plan.motion and smaller.added is tried.plan.added
         if tried.over <= 1.0 or math.isinf(tried.over) or same:
             break
@@ -597,18 +597,12 @@ def _keep_within(asked: Asked, best: Tried) -> Tried:
     return tried
 
 
-def _foretell_present(purpose: Purpose, present: Record) -> Foretold | None:
+def _predict_current(purpose: Purpose, present: Record) -> PredictedTest | None:
     try:
-        return purpose.foretell(present)
+        return purpose.predict(present)
     except JointidError:
         return None
 
 
 def _times(samples: int, sample_time: float) -> FloatArray:
     return np.asarray(np.arange(samples) * sample_time, dtype=np.float64)
-
-
-def _pairs(names: Sequence[str]) -> list[tuple[str, str]]:
-    """Return the parameters that both sides have, but for inertias: what torque alone tells hardly apart."""
-    motor = [name for name in names if name.startswith("motor_") and "inertia" not in name]
-    return [(name, f"load_{name[6:]}") for name in motor if f"load_{name[6:]}" in names]

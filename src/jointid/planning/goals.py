@@ -23,7 +23,6 @@ class Goal:
     """Goal of a test.
 
     Attributes:
-        name: as it was asked for.
         weights: of the parameters, by name, where it is one or a combination of them; else none.
     """
 
@@ -48,7 +47,7 @@ class Goal:
         return 0.5 * math.log(float(found[-1])) if self.name == WEAKEST else 0.5 * float(np.mean(np.log(found)))
 
 
-def goal_named(name: str, units: Mapping[str, str]) -> Goal:
+def parse_goal(name: str, units: Mapping[str, str]) -> Goal:
     """Parse a goal.
 
     Args:

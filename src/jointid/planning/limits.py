@@ -58,7 +58,7 @@ class AxisLimits:
         return {name: value for name, value in found.items() if value is not None}
 
 
-def reached(run: Simulation, reference: FloatArray, torque: FloatArray, sample_time: float) -> dict[str, float]:
+def find_maxima(run: Simulation, reference: FloatArray, torque: FloatArray, sample_time: float) -> dict[str, float]:
     """Maxima of the limited quantities in a simulated test.
 
     Args:
@@ -86,15 +86,15 @@ def reached(run: Simulation, reference: FloatArray, torque: FloatArray, sample_t
     }
 
 
-def passed(limits: AxisLimits, found: Mapping[str, float]) -> dict[str, float]:
+def find_excess(limits: AxisLimits, found: Mapping[str, float]) -> dict[str, float]:
     """Factors by which limits are exceeded."""
     over = {name: found[name] / limit for name, limit in limits.given.items() if name in found}
     return {name: factor for name, factor in over.items() if factor > 1 + _SLACK}
 
 
-def describe_passed(limits: AxisLimits, found: Mapping[str, float], units: Mapping[str, str]) -> Iterator[str]:
+def describe_excess(limits: AxisLimits, found: Mapping[str, float], units: Mapping[str, str]) -> Iterator[str]:
     """Yield a clause for each exceeded limit."""
-    for name in passed(limits, found):
+    for name in find_excess(limits, found):
         unit = units.get(name, "")
         allowed = number(limits.given[name], 3)
         yield f"it passes a limit, {name.replace('_', ' ')} {number(found[name], 3)} {unit} of {allowed} allowed"

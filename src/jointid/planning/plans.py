@@ -40,11 +40,11 @@ class Trapezoids:
         played = excitation.trapezoids(
             self.speeds, self.acceleration, self.travel, sample_time, rest=self.rest, duration=samples * sample_time
         )[:samples]
-        # A way that would not be ended in time is not begun: the axis stands where it turned round last.
+        # A way that would exceed the time is left out: the axis rests at the last reversal.
         ends = np.flatnonzero(np.minimum(played, self.travel - played) <= self.acceleration * sample_time**2)
         ends = ends[ends < samples - round(self.smoothing / sample_time)]
         last = int(ends[-1]) if ends.size else 0
-        return self.start + excitation.smoothed(
+        return self.start + excitation.smooth(
             np.append(played[: last + 1], np.full(samples - 1 - last, played[last])), sample_time, self.smoothing
         )
 
@@ -216,7 +216,7 @@ class Plan:
         said = self.motion.describe(position_unit)
         return said if self.added is None else f"{said}; {self.added.describe(torque_unit)}"
 
-    def scaled(self, factor: float) -> Plan:
+    def scale(self, factor: float) -> Plan:
         """Scale the added signal and the motion."""
         added, motion = self.added, self.motion
         if isinstance(added, Pulses):

@@ -20,17 +20,17 @@ from jointid.common.errors import JointidError
 from jointid.common.messages import Progress, Work
 from jointid.common.parameters import Parameter
 from jointid.models.joints import ClosedLoop
-from jointid.planning.foretell import (
-    Foretold,
-    Noise,
-    RoughlyForetold,
-    foretell,
-    foretell_roughly,
-    planned_record,
-)
 from jointid.planning.goals import Goal
-from jointid.planning.limits import AxisLimits, passed
+from jointid.planning.limits import AxisLimits, find_excess
 from jointid.planning.plans import Family, Plan, Room, families_in
+from jointid.planning.predict import (
+    Noise,
+    PredictedTest,
+    RoughPrediction,
+    planned_record,
+    predict_roughly,
+    predict_test,
+)
 from jointid.records.record import InjectionPoint, Record, Tap
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import in_threads
@@ -51,13 +51,9 @@ class Purpose:
     """Purpose of a test.
 
     Attributes:
-        loop: joint and controller.
         joints: values of every parameter, one mapping a joint that it may be; first the one that is roughly known.
-        noise: that will disturb the test.
         goal: what the test is to tell.
-        samples, sample_time: of the test.
         tap: where its torque will be logged.
-        filtering, parameters: of the identification.
     """
 
     loop: ClosedLoop
@@ -70,18 +66,18 @@ class Purpose:
     filtering: Filtering
     parameters: Mapping[str, Parameter]
 
-    def foretell(
+    def predict(
         self, test: Record, *, motor_encoder: float | None = None, load_encoder: float | None = None
-    ) -> Foretold:
-        """Predict a test at the rough joint; see `foretell`."""
-        return foretell(
+    ) -> PredictedTest:
+        """Predict a test at the rough joint; see `predict_test`."""
+        return predict_test(
             self.loop, self.joints[0], test, self.noise, filtering=self.filtering, parameters=self.parameters,
             motor_encoder=motor_encoder, load_encoder=load_encoder,
         )  # fmt: skip
 
-    def foretell_roughly(self, test: Record) -> Iterator[RoughlyForetold]:
-        """Predict a test at each joint; see `foretell_roughly`."""
-        return foretell_roughly(
+    def predict_roughly(self, test: Record) -> Iterator[RoughPrediction]:
+        """Predict a test at each joint; see `predict_roughly`."""
+        return predict_roughly(
             self.loop, self.joints, test, self.noise, filtering=self.filtering, parameters=self.parameters
         )
 
@@ -92,8 +88,6 @@ class Asked:
 
     Attributes:
         purpose: what the test is planned for.
-        limits: what the axis may do.
-        room: between what is looked.
         at, in_torque: where a signal is added, and whether the log contains it, see `Injection`.
     """
 
@@ -117,7 +111,6 @@ class Tried:
     """An evaluated test.
 
     Attributes:
-        plan: the test.
         score: of the goal, the smaller the better, see `Goal.score`; the mean over the joints.
         reached: the largest of each quantity over the joints, by name.
         over: by how much the limit that is passed farthest is passed, at most 1 where none is.
@@ -146,17 +139,17 @@ def try_plan(asked: Asked, plan: Plan, *, margin: float = _MARGIN, than: Tried |
     test = asked.record(plan)
     scores, most = [], dict[str, float]()
     tried = Tried(plan, _ASTRAY, most, math.inf)
-    told = asked.purpose.foretell_roughly(test)
+    predictions = asked.purpose.predict_roughly(test)
     for values in asked.purpose.joints:
         try:
             with np.errstate(all="ignore"):
-                one = next(told)
+                one = next(predictions)
         except (JointidError, np.linalg.LinAlgError):
             return replace(tried, score=_ASTRAY, over=math.inf)
         scores.append(asked.purpose.goal.score(one.covariance, one.names, values))
         for name, size in one.reached.items():
             most[name] = max(most.get(name, 0.0), size)
-        factors = passed(asked.limits, {name: size / margin for name, size in most.items()})
+        factors = find_excess(asked.limits, {name: size / margin for name, size in most.items()})
         tried = Tried(plan, float(np.mean(scores)), most, max(factors.values(), default=0.0))
         if than is not None and tried.rank > (than.rank[0], than.score + _CLEARLY):
             break

@@ -19,9 +19,9 @@ from jointid.records.resampling import update_interval
 from jointid.records.signals.filtering import lowpass
 
 _LIMIT_SHARE = 0.01  # of the samples may stand at the torque limit: a few peaks cost little information
-# Share of the samples that may lie beyond the limit: peaks of a signal declared to be injected after it. The public
+# Share of the samples that may exceed the limit: peaks of a signal declared to be injected after it. The public
 # EMPS record with pulses has 14 of 24,841: its pulses pass the limit, though its report adds them after it.
-_BEYOND_SHARE = 1e-3
+_EXCESS_SHARE = 1e-3
 _AT_LIMIT = 1e-3  # as a share of the limit, the distance that counts as at it: the resolution of a ten-bit log
 # Speed that no servo-driven joint keeps up: ten times that of a fast linear motor, and 950,000 rpm; it is judged by
 # what a share of the samples exceeds, since a step in the reference is no high speed.
@@ -44,7 +44,7 @@ _MOSTLY = 0.95  # of the positions that are such multiples
 _PARTS = 5  # steps that the smallest gap may be: an axis that never rests may skip some
 _SLOW = 0.04  # of the sampling frequency: where a joint moves, and noise does not
 _FEWEST_SAMPLES = 100
-# What a channel's largest number, in SI, and its sample time lie between: beyond any sensor, and far from where a sum
+# Ranges of a channel's largest number, in SI, and of its sample time: wider than any sensor's, and far from where a sum
 # of their squares ends.
 _NUMBERS, _TIMES = (1e-30, 1e30), (1e-9, 1e6)
 
@@ -83,7 +83,7 @@ def still_faults(record: Record) -> list[str]:
 
 
 def limit_faults(record: Record, limit: float, side: str | None = None) -> list[str]:
-    """Faults of a torque at or beyond the controller's limit.
+    """Faults of a torque at or above the controller's limit.
 
     The known injection is subtracted first.
 
@@ -102,10 +102,10 @@ def limit_faults(record: Record, limit: float, side: str | None = None) -> list[
         output = output - np.interp(record.torque.time, injected.channel.time, injected.channel.values)
     size, here = np.abs(output), "" if side is None else f" on the {side} side"
     # Measured currents carry noise, and filters overshoot: only the command itself never passes the limit.
-    beyond = float(np.mean(size > limit * (1 + _AT_LIMIT)))
-    if record.tap is Tap.COMMAND and beyond > _BEYOND_SHARE:
+    excess = float(np.mean(size > limit * (1 + _AT_LIMIT)))
+    if record.tap is Tap.COMMAND and excess > _EXCESS_SHARE:
         return [
-            f"The torque reaches {size.max():g} {unit_name}{here}, beyond the controller's limit of {limit:g} "
+            f"The torque reaches {size.max():g} {unit_name}{here}, above the controller's limit of {limit:g} "
             f"{unit_name}{here and ' there'}; check the limit, and the torque's unit and gain."
         ]
     share = float(np.mean(size >= limit * (1 - _AT_LIMIT)))
@@ -215,12 +215,29 @@ def find_record_warnings(record: Record, channels: Collection[str]) -> tuple[str
     notes: list[str] = []
     for name, channel in record.items():
         if name in channels:
-            notes += _update_warnings(name, channel)
+            every = update_interval(channel.values) if name == "torque" else 1
+            if every > 1:
+                notes.append(
+                    f"the {name} changes only every {every} samples: it is logged more often than it is refreshed; "
+                    f"give its channel update_time = {every * channel.sample_time:g}, or it is read up to that much "
+                    "too late"
+                )
             notes += _rounding_warnings(name, channel)
-    if {"motor_position", "load_position"} <= set(channels):
-        notes += _lag_warnings(record)
-    if {"torque", "reference"} <= set(channels):
-        notes += _hunting_warnings(record)
+    lag = find_encoder_lag(record) if {"motor_position", "load_position"} <= set(channels) else None
+    if lag is not None:
+        notes.append(
+            f"{lag.share:.0%} of the difference of motor_position and load_position is as if {lag.late} were "
+            f"{1e3 * lag.lag:.2g} ms later than {lag.early}: a spring is hidden behind it, and a stiffness from "
+            "both encoders is not to be trusted"
+        )
+    hunting = find_hunting(record) if {"torque", "reference"} <= set(channels) else None
+    if hunting is not None and record.torque is not None:
+        notes.append(
+            f"the axis hunts at rest (stick-slip): while the reference stands still the torque saws between "
+            f"{number(hunting.low, 2)} and {number(hunting.high, 2)} {record.torque.unit}, every "
+            f"{number(hunting.period, 2)} s, as an integral does against a friction that is larger at rest, which no "
+            "model here has; use a longer integral time, and a record without long rests"
+        )
     return tuple(notes)
 
 
@@ -229,7 +246,6 @@ class EncoderLag:
     """A lag of one encoder that explains nearly all of the difference.
 
     Attributes:
-        late, early: the channels.
         lag: between them, seconds.
         share: of the difference's energy that it explains.
     """
@@ -259,36 +275,6 @@ def find_encoder_lag(record: Record) -> EncoderLag | None:
         return None
     late, early = ("load_position", "motor_position") if lag > 0 else ("motor_position", "load_position")
     return EncoderLag(late, early, abs(lag), share)
-
-
-def _lag_warnings(record: Record) -> Iterator[str]:
-    found = find_encoder_lag(record)
-    if found is not None:
-        yield (
-            f"{found.share:.0%} of the difference of motor_position and load_position is as if {found.late} were "
-            f"{1e3 * found.lag:.2g} ms later than {found.early}: a spring is hidden behind it, and a stiffness from "
-            "both encoders is not to be trusted"
-        )
-
-
-def _hunting_warnings(record: Record) -> Iterator[str]:
-    found = find_hunting(record)
-    if found is not None and record.torque is not None:
-        yield (
-            f"the axis hunts at rest (stick-slip): while the reference stands still the torque saws between "
-            f"{number(found.low, 2)} and {number(found.high, 2)} {record.torque.unit}, every "
-            f"{number(found.period, 2)} s, as an integral does against a friction that is larger at rest, which no "
-            "model here has; use a longer integral time, and a record without long rests"
-        )
-
-
-def _update_warnings(name: str, channel: Channel) -> Iterator[str]:
-    every = update_interval(channel.values) if name == "torque" else 1
-    if every > 1:
-        yield (
-            f"the {name} changes only every {every} samples: it is logged more often than it is refreshed; give its "
-            f"channel update_time = {every * channel.sample_time:g}, or it is read up to that much too late"
-        )
 
 
 def _rounding_warnings(name: str, channel: Channel) -> Iterator[str]:

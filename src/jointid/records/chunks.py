@@ -55,7 +55,7 @@ class LongRecord(Protocol):
 
         Args:
             length: samples between the beginnings of chunks.
-            overlap: samples beyond the length, `length` at most.
+            overlap: further samples, `length` at most.
             every: 1 yields all chunks.
         """
         ...
@@ -141,11 +141,7 @@ class Log:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InMemory:
-    """A record in memory, read in chunks.
-
-    Attributes:
-        record: all channels at one rate.
-    """
+    """A record in memory, read in chunks."""
 
     record: Record
 

@@ -25,7 +25,7 @@ above the jitter of good loggers (0.004 % in EMPS) and of stamps rounded to a mi
 # Clocks of drives and computers differ by 0.01 %; a wrong rate is wrong by far more.
 _RATE_TOLERANCE = 1e-3
 _NEAR = 0.05  # of a mean period over stamps with jumps or gaps
-_LATEST = 1e30  # of a time stamp, in any unit; beyond, the square of a step has no end
+_LATEST = 1e30  # of a time stamp, in any unit; above, the square of a step has no end
 _JUMP = 0.5  # of the sample time: a step this far from it is a jump, with samples missing or doubled
 _GAP = 1.75  # sample times from which on a step leaves out samples: two stamps 30 % early and late are 1.6 apart
 _TIME = re.compile(r"(?:t|time)\s*(?:[\[(].*[\])])?", re.IGNORECASE)
@@ -242,7 +242,7 @@ def clock_faults(stamps: FloatArray, tolerance: float | None = CLOCK_TOLERANCE, 
         first = int(np.argmax(jitter > tolerance))
         faults.append(
             f"{name} jitters by up to {jitter.max():.1%} of the sample time of {sample_time:g} s "
-            f"({np.sqrt(np.mean(jitter**2)):.1%} rms), first beyond {tolerance:.1%} after sample {first}"
+            f"({np.sqrt(np.mean(jitter**2)):.1%} rms), first above {tolerance:.1%} after sample {first}"
             f"{format_instant(stamps, first)}; give resample = {{ sample_time, method }}, or sample_time without time "
             "if only the stamps jitter."
         )

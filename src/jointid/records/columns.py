@@ -16,7 +16,7 @@ from jointid.common.text import counted
 from jointid.common.transmission import Side
 from jointid.records.record import InjectionPoint, Tap, Timing
 
-_SAFE_STEP = 0.4  # of a wrap in one sample: from a half on, forwards and backwards cannot be told apart
+_SAFE_STEP = 0.4  # of a wrap in one sample: from a half on, forwards and backwards cannot be distinguished
 _BEYOND_WRAP = 1e-2  # of a wrap, by which values may span more
 _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
 
@@ -205,5 +205,5 @@ def wrap_faults(name: str, values: FloatArray, wrap: float) -> list[str]:
         return []
     return [
         f"{name} moves by {steps[fast[0]] / wrap:.2f} of its wrap of {wrap:g} after sample {fast[0]} (at most "
-        f"{_SAFE_STEP:g} can be told from a move backwards); log it more often, or correct the wrap."
+        f"{_SAFE_STEP:g} can be distinguished from a move backwards); log it more often, or correct the wrap."
     ]

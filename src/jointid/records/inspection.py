@@ -28,7 +28,7 @@ _ROUNDING = 1e-3  # per cent of jitter; what is less is of the clock's digits
 _STEPS, _PARTS = re.compile(r"[/.]"), 32  # what parts a path, and how often at most
 _LONGEST = 60  # characters of a name in the table
 _LISTED = 1000  # channels; who has more of them reads them by a program
-_DRAWN = 90  # channels; beyond that none could be read
+_DRAWN = 90  # channels; more would be illegible
 _ACROSS = 3  # of their panels
 _TITLE = 40  # characters of the title of one
 _STRETCHES = 1024  # that are kept at most, of equal length; a power of two
@@ -158,13 +158,13 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
     """
     path = Path(path)
     outlining: dict[str, OutlineBuilder] = {}
-    stated, told = dict[str, str](), dict[str, str]()
+    stated, declared = dict[str, str](), dict[str, str]()
     scalars, passed = dict[str, float](), dict[str, str]()
     for table in read_tables(path, _ROWS, **options):
         for name, values in table.columns.items():
             outlining.setdefault(name, OutlineBuilder()).take(values)
         stated.update(table.units)
-        told.update(table.clocks)
+        declared.update(table.clocks)
         scalars, passed = dict(table.scalars), dict(table.passed)
     outlines = {name: made.build() for name, made in outlining.items()}
     of_time = units.units_of("time")
@@ -173,7 +173,7 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
     nearest, channels = _Clocks(clocks), []
     for name, outline in outlines.items():
         channel = InspectedChannel(name, stated.get(name), outline)
-        clock = name if name in clocks else told.get(name) or nearest.find(name, outline)
+        clock = name if name in clocks else declared.get(name) or nearest.find(name, outline)
         if clock is not None and clock in clocks:
             seconds = units.unit(units.spelled(stated.get(clock) or "s")).factor
             step, jitter = clocks[clock].step, clocks[clock].jitter
@@ -324,7 +324,7 @@ class OutlineBuilder:
         """Add numbers, doubling the stretches when there are too many."""
         total = self.rows + values.size
         while total > _STRETCHES * self.length:
-            self.low, self.high = _halved(self.low, np.fmin), _halved(self.high, np.fmax)
+            self.low, self.high = _halve(self.low, np.fmin), _halve(self.high, np.fmax)
             self.length *= 2
         used = -(-total // self.length)
         more = np.full(used - self.low.size, np.nan)
@@ -348,6 +348,6 @@ class OutlineBuilder:
         )  # fmt: skip
 
 
-def _halved(kept: FloatArray, smaller: np.ufunc) -> FloatArray:
+def _halve(kept: FloatArray, smaller: np.ufunc) -> FloatArray:
     """Merge neighbouring stretches."""
     return np.asarray(smaller.reduceat(kept, np.arange(0, kept.size, 2)) if kept.size else kept)

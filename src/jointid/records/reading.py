@@ -139,8 +139,8 @@ class RecordReader:
         if time is None and self.sample_time is None and self.drive.traces is not None:
             time = self.drive.traces.time_column(table.columns)
         # A sample time that is given alone is all that counts, unless a channel names its own column.
-        told = {} if time is None and self.sample_time is not None else table.clocks
-        named = {c.time or told.get(c.column) for c in found.values() if c.sample_time is None}
+        stated = {} if time is None and self.sample_time is not None else table.clocks
+        named = {c.time or stated.get(c.column) for c in found.values() if c.sample_time is None}
         tolerance = None if self.resample else self.clock_tolerance
         common = Clock(self.sample_time)
         if time is not None or None in named:
@@ -150,7 +150,7 @@ class RecordReader:
         for name in sorted(filter(None, named)):
             own[name], wrong = find_clock(table, name, self.time_unit, None, tolerance)
             faults.extend(wrong)
-        return Clocks(common, own, told)
+        return Clocks(common, own, stated)
 
 
 @dataclass(frozen=True, slots=True)

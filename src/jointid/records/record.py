@@ -143,15 +143,15 @@ class Irregularity:
     backward: int = 0
 
     def __str__(self) -> str:
-        told = [
+        parts = [
             f"{1e3 * self.sample_time:.6g} ms, off by up to {self.largest / self.sample_time:.2g} samples "
             f"({self.rms / self.sample_time:.2g} rms)"
         ]
         if self.gaps:
-            told.append(f"{counted(self.gaps, 'gap')} of up to {counted(self.longest_gap, 'sample')}")
-        told += [counted(self.repeats, "repeated stamp")] if self.repeats else []
-        told += [counted(self.backward, "step back", "steps back")] if self.backward else []
-        return ", ".join(told)
+            parts.append(f"{counted(self.gaps, 'gap')} of up to {counted(self.longest_gap, 'sample')}")
+        parts += [counted(self.repeats, "repeated stamp")] if self.repeats else []
+        parts += [counted(self.backward, "step back", "steps back")] if self.backward else []
+        return ", ".join(parts)
 
 
 @dataclass(frozen=True, slots=True)

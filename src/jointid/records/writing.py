@@ -291,8 +291,10 @@ def _fit_table(table: Table, writer: Format, notes: list[str]) -> Table:
         notes.append(f"Left out, as {writer.name} has no place for units: {_list_names(left)}.")
         table = replace(table, units={})
     if table.clocks and Holds.CLOCKS not in writer.holds:
-        told = [f"{name}: {time}" for name, time in table.clocks.items()]
-        notes.append(f"For the joint file, as {writer.name} does not say whose time a column is: {_list_names(told)}.")
+        clocks = [f"{name}: {time}" for name, time in table.clocks.items()]
+        notes.append(
+            f"For the joint file, as {writer.name} does not say whose time a column is: {_list_names(clocks)}."
+        )
     notes += [f"Not read: {shown(name)} ({shown(why)})." for name, why in table.passed.items()]
     return table
 

@@ -19,7 +19,7 @@ from jointid.models.controllers import POSITION, REFERENCE
 from jointid.models.joints import ClosedLoop
 from jointid.models.motion import Motion
 from jointid.models.smooth import SmoothLaws
-from jointid.simulation.loop_input import LoopInput, as_logged, seen_torque
+from jointid.simulation.loop_input import LoopInput, seen_torque, to_log
 from jointid.simulation.simulated import FINISHED
 
 if TYPE_CHECKING:
@@ -114,21 +114,18 @@ class ClosedLoopRun:
     """The kernel's output, period by period.
 
     Attributes:
-        loop, experiment, values: what was run.
         drive: (14,) the joint's coefficients.
         gravity: (5,) those of its gravity, or None.
         segments: (segments, 23) those of its spring or its friction in pieces, or None.
         laws: numbers of smooth laws, with which it was simulated in steps; or None.
         position, velocity: of the motor at the first sample. torque: the controller's there, where that is said.
         sliding: direction of a motion that began before it; 0 of none.
-        before: torque that acted before it.
         command: (periods,) the controller's output. tapped: the same behind its limit, before what filters follow.
         excess: (periods, elements) what limits and gates took away, where it was kept and `command` does not say it.
         states, modes, tape: see `kernels.run`; empty when they were not kept. In steps there are no
             modes, and the tape is that of `kernels.stepped_drive`.
         accelerations: (periods * parts, 2) of motor and load just after each torque begins to act, where the simulation
             went in steps and kept its states.
-        outcome: how it ended.
         counts: events, Taylor steps (rows of the tape), periods simulated, periods at the limit.
     """
 
@@ -169,7 +166,7 @@ class ClosedLoopRun:
 
     def response(self) -> Response:
         """Signals for an estimator."""
-        torque = as_logged(self.experiment, seen_torque(self.experiment, self.command, self.tapped))
+        torque = to_log(self.experiment, seen_torque(self.experiment, self.command, self.tapped))
         events, _, done, clipped = self.counts.tolist()
         return Response(torque, self.outcome, done / self.command.size, events, clipped / max(done, 1))
 
@@ -180,10 +177,10 @@ class ClosedLoopRun:
         states, push = self.states[:, : 4 if flexible else 2], self.command + experiment.after_limit
         accelerations = self.accelerations
         seen = begin = states.T.copy()
-        if experiment.looked.size < len(states) or experiment.lengths.size > 1 or experiment.lags[0] > 0:
-            seen, begin = (states[at].T.copy() for at in (experiment.looked, experiment.begun))
-            push = push[experiment.looked // experiment.lengths.size]
-            accelerations = accelerations[experiment.begun] if self.laws is not None else accelerations
+        if experiment.log_index.size < len(states) or experiment.lengths.size > 1 or experiment.lags[0] > 0:
+            seen, begin = (states[at].T.copy() for at in (experiment.log_index, experiment.torque_index))
+            push = push[experiment.log_index // experiment.lengths.size]
+            accelerations = accelerations[experiment.torque_index] if self.laws is not None else accelerations
 
         def motion(side: int) -> Motion:
             found = np.zeros(push.size)
@@ -245,7 +242,11 @@ def run(
     accelerations = array("accelerations", (kept if laws is not None else 0, 2))
     counts = np.zeros(4, dtype=np.int64)
     outcome, before, sliding = Outcome.INVALID, 0.0, 0.0
-    possible = _possible(drive, gravity) and _ordered(segments) and _smooth(laws, places, drive, periods * law.period)
+    possible = (
+        _possible(drive, gravity)
+        and _check_pieces(segments)
+        and _check_smooth_laws(laws, places, drive, periods * law.period)
+    )
     if possible and math.isfinite(position) and math.isfinite(velocity):
         state, first = first_state(experiment, position, velocity, initial.torque)
         before = first + experiment.after_limit[0]
@@ -268,7 +269,7 @@ def run(
     excess[done:] = 0.0
     states[done * parts :] = states[done * parts - 1] if done and keep else 0.0
     accelerations[done * parts :] = 0.0
-    if outcome is Outcome.DIVERGED:  # what diverges may do so beyond the largest number
+    if outcome is Outcome.DIVERGED:  # divergence may overflow
         for signal in (command, tapped, excess, states, accelerations):
             np.nan_to_num(signal, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     shown = tapped if tapped.size else command
@@ -326,7 +327,7 @@ def _possible(drive: FloatArray, gravity: FloatArray | None) -> bool:
     return all(map(math.isfinite, row)) and min(row[:2]) > 0 and min(row[2:4]) >= 0 and cones
 
 
-def _ordered(segments: FloatArray | None) -> bool:
+def _check_pieces(segments: FloatArray | None) -> bool:
     """Test for ordered pieces with non-negative stiffness and damping.
 
     Piecewise friction holds a mass at rest with a non-negative force.
@@ -341,7 +342,7 @@ def _ordered(segments: FloatArray | None) -> bool:
     return bool(rising and np.min(segments[:, 2:4]) >= 0 and cones >= 0)
 
 
-def _smooth(laws: SmoothLaws | None, places: FloatArray, drive: FloatArray, duration: float) -> bool:
+def _check_smooth_laws(laws: SmoothLaws | None, places: FloatArray, drive: FloatArray, duration: float) -> bool:
     """Test for smooth laws with valid numbers and non-negative friction."""
     if laws is None:
         return True

@@ -177,7 +177,7 @@ def multisine(
     phases = -2 * math.pi * np.cumsum(np.cumsum(shares) - shares) if harmonics.size > 1 else np.zeros(1)
     time = np.arange(samples) * sample_time
     signal = np.sin(2 * math.pi * np.outer(time, frequencies) + phases) @ sizes
-    signal = (signal - signal[0]) * _faded(samples, min(1 / lowest, 0.1 * length) / sample_time)
+    signal = (signal - signal[0]) * _fade(samples, min(1 / lowest, 0.1 * length) / sample_time)
     largest = float(np.max(np.abs(signal)))
     return np.asarray(amplitude * signal / largest) if largest > 0 else signal
 
@@ -199,7 +199,7 @@ def sines(samples: int, sample_time: float, frequencies: Sequence[float], amplit
     shares = sizes**2 / np.sum(sizes**2)
     phases = -2 * math.pi * np.cumsum(np.cumsum(shares) - shares)
     time = np.arange(samples) * sample_time
-    faded = _faded(samples, 1 / (float(f.min()) * sample_time))
+    faded = _fade(samples, 1 / (float(f.min()) * sample_time))
     return np.asarray(faded * (np.sin(2 * math.pi * np.outer(time, f) + phases) @ sizes))
 
 
@@ -227,7 +227,7 @@ def fourier_series(
     return np.asarray((np.cos(angle) - 1.0) @ np.asarray(cosines) + np.sin(angle) @ np.asarray(sines))
 
 
-def smoothed(reference: FloatArray, sample_time: float, seconds: float) -> FloatArray:
+def smooth(reference: FloatArray, sample_time: float, seconds: float) -> FloatArray:
     """Average a reference over `seconds`, which limits its jerk.
 
     A drive calls it jerk limit, or S-curve: the jerk is at most the change of the acceleration over those seconds.
@@ -245,7 +245,7 @@ def smoothed(reference: FloatArray, sample_time: float, seconds: float) -> Float
     return np.asarray((summed[width:] - summed[:-width]) / width)
 
 
-def _faded(samples: int, over: float) -> FloatArray:
+def _fade(samples: int, over: float) -> FloatArray:
     """Factor that fades in and out over `over` samples."""
     at = np.arange(samples, dtype=np.float64)
     ramp = np.minimum(np.clip(at / over, 0.0, 1.0), np.clip(at[::-1] / over, 0.0, 1.0))

@@ -23,7 +23,7 @@ from jointid.models.controllers import (
     SampledLaw,
     law_inputs,
     respond,
-    scaled,
+    scale,
     shift_start,
 )
 from jointid.models.joints import ClosedLoop
@@ -55,14 +55,12 @@ class LoopInput:
         state: (states,) of the feedback at the first period, but for what the position leaves.
         sample_time: of the log, which is every `every`-th period, or shows each period `repeat` times.
         lengths, lags: the parts of a period, see `kernels.run`.
-        looked: (samples,) which of all parts, period after period, begin at the log's instants. begun: (samples,) those
-            at which the newest torque of the same periods begins to act.
+        log_index: (samples,) which of all parts, period after period, begin at the log's instants. torque_index:
+            (samples,) those at which the newest torque of the same periods begins to act.
         far: a motor position that no loop comes back from, reckoned from the initial one.
         tap: where the torque is logged. timing: what a logged value is.
-        samples: of the log.
         begin: seconds from the first sample of the record's file to the first here, see `Record`.
         shows: whether the logged torque contains anything beside the controller's output, see `shown`.
-        sampled: what the kernels read.
     """
 
     law: SampledLaw
@@ -80,8 +78,8 @@ class LoopInput:
     repeat: int
     lengths: FloatArray
     lags: NDArray[np.int64]
-    looked: NDArray[np.intp]
-    begun: NDArray[np.intp]
+    log_index: NDArray[np.intp]
+    torque_index: NDArray[np.intp]
     far: float
     tap: Tap
     timing: Timing
@@ -118,15 +116,15 @@ class LoopInput:
 
     def with_law(self, law: SampledLaw) -> LoopInput:
         """Replace the law by one of the same period and delay."""
-        return _experiment(
+        return _build_input(
             law, self.inputs, self.after_limit, self.logged, self.sample_time, self.samples, self.tap, self.timing,
             self.begin,
         )  # fmt: skip
 
-    def scaled(self, factor: float) -> LoopInput:
+    def scale(self, factor: float) -> LoopInput:
         """Scale the law's output and what is added to it."""
         more = replace(self, after_limit=factor * self.after_limit, logged=factor * self.logged)
-        return more.with_law(scaled(self.law, factor))
+        return more.with_law(scale(self.law, factor))
 
 
 def prepare(loop: ClosedLoop, record: Record) -> LoopInput:
@@ -163,10 +161,10 @@ def prepare(loop: ClosedLoop, record: Record) -> LoopInput:
             logged = signal * record.injected.in_torque
     timing = record.torque.timing if record.torque is not None else Timing.HELD
     samples = math.floor(record.duration / log.sample_time + SNAP)
-    return _experiment(law, inputs, after, logged, log.sample_time, samples, record.tap, timing, record.begin)
+    return _build_input(law, inputs, after, logged, log.sample_time, samples, record.tap, timing, record.begin)
 
 
-def _experiment(
+def _build_input(
     law: SampledLaw,
     inputs: FloatArray,
     after_limit: FloatArray,
@@ -181,20 +179,20 @@ def _experiment(
     lengths, lags = _parts(law, repeat)
     starts = np.cumsum(lengths) - lengths
     inside = [int(np.argmin(np.abs(starts - j * law.period / repeat))) for j in range(repeat)]
-    looked = (np.arange(0, len(inputs), every)[:, np.newaxis] * lengths.size + inside).reshape(-1)[:samples]
+    log_index = (np.arange(0, len(inputs), every)[:, np.newaxis] * lengths.size + inside).reshape(-1)[:samples]
     newest = int(np.argmin(lags))
-    begun = np.minimum(looked // lengths.size + lags[newest], len(inputs) - 1) * lengths.size + newest
-    feedback, feedforward, driven, state = _beforehand(law, inputs)
+    torque_index = np.minimum(log_index // lengths.size + lags[newest], len(inputs) - 1) * lengths.size + newest
+    feedback, feedforward, driven, state = _split_known(law, inputs)
     far = _far(law, feedforward[law.output], after_limit)
     memory = np.column_stack([feedback.memory(POSITION, 1.0, 0.0), feedback.memory(POSITION, 0.0, 1.0)])
     return LoopInput(
         law, feedback, _for_kernel(feedback, driven), memory, feedback.integral(), inputs, after_limit, logged,
         feedforward, state, sample_time, every, repeat, lengths,
-        lags, looked, begun, far, tap, timing, looked.size, begin,
+        lags, log_index, torque_index, far, tap, timing, log_index.size, begin,
     )  # fmt: skip
 
 
-def _beforehand(law: SampledLaw, inputs: FloatArray) -> tuple[SampledLaw, FloatArray, FloatArray, FloatArray]:
+def _split_known(law: SampledLaw, inputs: FloatArray) -> tuple[SampledLaw, FloatArray, FloatArray, FloatArray]:
     """Split a law into motion-dependent part and known signals; see `LoopInput`."""
     feedback, beforehand = law.split()
     moved = law.fed_back()
@@ -250,7 +248,7 @@ def seen_torque(experiment: LoopInput, command: FloatArray, tapped: FloatArray) 
     return behind + experiment.shown if experiment.shows else behind
 
 
-def as_logged(experiment: LoopInput, signal: FloatArray) -> FloatArray:
+def to_log(experiment: LoopInput, signal: FloatArray) -> FloatArray:
     """Convert a controller signal to the log's torque channel; linear.
 
     The signal, (periods,) or (periods, columns), is the output, or behind the limit the torque before the delay:
@@ -258,7 +256,7 @@ def as_logged(experiment: LoopInput, signal: FloatArray) -> FloatArray:
     """
     shown = acting(experiment, signal)
     if experiment.timing is not Timing.AVERAGED:
-        return shown if experiment.looked.size == len(shown) else np.asarray(shown[experiment.looked])
+        return shown if experiment.log_index.size == len(shown) else np.asarray(shown[experiment.log_index])
     lengths = np.tile(experiment.lengths, len(signal)).reshape(-1, *(1,) * (signal.ndim - 1))
     means = averages(experiment, lengths * shown)
     means[0] = shown[0]
@@ -278,6 +276,6 @@ def averages(experiment: LoopInput, integrals: FloatArray) -> FloatArray:
     """Mean over each sample time up to a log instant, from integrals over parts."""
     integral = np.zeros((len(integrals) + 1, *integrals.shape[1:]))
     np.cumsum(integrals, axis=0, out=integral[1:])
-    means = np.zeros((experiment.looked.size, *integrals.shape[1:]))
-    means[1:] = np.diff(integral[experiment.looked], axis=0) / experiment.sample_time
+    means = np.zeros((experiment.log_index.size, *integrals.shape[1:]))
+    means[1:] = np.diff(integral[experiment.log_index], axis=0) / experiment.sample_time
     return means

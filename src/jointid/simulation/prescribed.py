@@ -194,7 +194,7 @@ def simulate_drive_side(
             derivatives[:, i] = columns[:, own.index(name)]
     if not isinstance(joint, FlexibleJoint):
         return DriveSideRun(torque, derivatives, None, None, values[inertia] > 0)
-    load = _Load.simulated(joint, motion, values)
+    load = _Load.simulate(joint, motion, values)
     if load is None:
         nothing = np.zeros(motion.position.size)
         return DriveSideRun(0 * torque, 0 * derivatives, nothing, nothing, False)
@@ -209,7 +209,6 @@ class _Load:
     """A simulated load: states at the edges, and data for derivatives.
 
     Attributes:
-        joint, motion, values: what was simulated.
         drive: (14,) the coefficients of the kernels.
         gravity: (5,) those of the load's gravity, as if it were the motor's, or None.
         push: (edges,) the force held in each part; one more part follows the last edge.
@@ -229,7 +228,7 @@ class _Load:
     taped: int
 
     @classmethod
-    def simulated(cls, joint: FlexibleJoint, motion: PrescribedMotion, values: Mapping[str, float]) -> _Load | None:
+    def simulate(cls, joint: FlexibleJoint, motion: PrescribedMotion, values: Mapping[str, float]) -> _Load | None:
         """Simulate the load; None for impossible values or too fast dynamics."""
         from jointid.simulation.kernels import drive as kernels
 
@@ -273,7 +272,7 @@ class _Load:
         # What enters the push comes last in a block.
         order = sorted(range(len(names)), key=lambda i: names[i] in _PUSHING)
         blocks = (order[i : i + LANES] for i in range(0, len(order), LANES))
-        followed = np.concatenate([self._followed([names[i] for i in block]) for block in blocks], axis=2)
+        followed = np.concatenate([self._differentiate([names[i] for i in block]) for block in blocks], axis=2)
         moved, moved_slip = self._apart(*np.moveaxis(followed[:, :, np.argsort(order)], 1, 0))
         slopes = -stiffness * moved - damping * moved_slip
         for name, column in zip(_PUSHING, (stretch, slip), strict=True):
@@ -287,7 +286,7 @@ class _Load:
         means = ends - self.motion.step / 12 * np.diff(velocity, axis=0)
         return means, np.diff(position, axis=0) / self.motion.step
 
-    def _followed(self, names: list[str]) -> FloatArray:
+    def _differentiate(self, names: list[str]) -> FloatArray:
         """Derivatives of position and velocity at the edges, (edges, 2, names).
 
         Parameters of the push come last.
@@ -390,7 +389,7 @@ def simulate_open_loop(
             ``log_delay`` of the torque channel.
         names: to differentiate by.
     """
-    loop, experiment = _driven(joint, torque, values["log_delay"])
+    loop, experiment = _pass_through(joint, torque, values["log_delay"])
     initial = Initial(values["initial_position"], values["initial_velocity"])
     run = simulate(loop, experiment, values, initial)
     if run.outcome is not Outcome.FINISHED:
@@ -404,7 +403,7 @@ def simulate_open_loop(
     return OpenLoopRun(run.motor_position, slopes * signs, True)
 
 
-def _driven(joint: Joint, torque: Channel, log_delay: float) -> tuple[ClosedLoop, LoopInput]:
+def _pass_through(joint: Joint, torque: Channel, log_delay: float) -> tuple[ClosedLoop, LoopInput]:
     """The joint under a law that passes the torque on, and its input."""
     period = torque.sample_time
     late = torque.timing.begins - log_delay / period

@@ -9,7 +9,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.records.record import Tap
 from jointid.simulation.closed_loop import first_state
-from jointid.simulation.loop_input import as_logged
+from jointid.simulation.loop_input import to_log
 from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, stribeck_share
 from jointid.simulation.robot_start import FirstSample, controllers_at, weigh
 from jointid.simulation.robots import RobotRun
@@ -51,7 +51,7 @@ def differentiate_torques(run: RobotRun, places: tuple[NumberPlace, ...]) -> lis
     found = []
     for j, each in enumerate(experiment.experiments):
         seen = tapped[j] if through and each.tap is Tap.COMMAND else command[j]
-        found.append(as_logged(each, clock.own(j, seen, each.periods))[: clock.samples])
+        found.append(to_log(each, clock.own(j, seen, each.periods))[: clock.samples])
     return found
 
 

@@ -26,7 +26,7 @@ from jointid.records.record import Channel, Injection, InjectionPoint, Record, T
 from jointid.simulation.closed_loop import first_state
 from jointid.simulation.kernels.drive import IntArray
 from jointid.simulation.kernels.robot_loop import Controllers, Driven, RobotTape, Seen
-from jointid.simulation.loop_input import LoopInput, as_logged, prepare, seen_torque
+from jointid.simulation.loop_input import LoopInput, prepare, seen_torque, to_log
 from jointid.simulation.robot_clock import RobotClock, common_clock
 from jointid.simulation.robot_laws import pack_laws
 from jointid.simulation.robot_numbers import Bools, RobotNumbers
@@ -178,7 +178,7 @@ class RobotRun:
         experiment, found = self.experiment, []
         for j, each in enumerate(experiment.experiments):
             seen = (experiment.clock.own(j, signal[j], each.periods) for signal in (self.command, self.tapped))
-            found.append(as_logged(each, seen_torque(each, *seen))[: experiment.clock.samples])
+            found.append(to_log(each, seen_torque(each, *seen))[: experiment.clock.samples])
         return np.column_stack(found)
 
 

@@ -29,7 +29,7 @@ from jointid.simulation.closed_loop import (
     first_state,
     run,
 )
-from jointid.simulation.loop_input import LoopInput, acting, as_logged, averages, seen_torque
+from jointid.simulation.loop_input import LoopInput, acting, averages, seen_torque, to_log
 
 _STEP = 1e-4  # of a controller's number: its output is a low-order polynomial in it
 _FROM_NOTHING = 1e-2  # the step from a number that is 0, to its right alone: of a delay in periods; the law is linear
@@ -50,7 +50,6 @@ class Sensitivities:
     """A run and its derivatives, in the order of names.
 
     Attributes:
-        response: of the loop.
         torque: (samples, names) of the torque as the log shows it.
         motor_position, load_position: (samples, names); empty where positions were not asked for, the second also for a
             rigid joint.
@@ -62,7 +61,7 @@ class Sensitivities:
     load_position: FloatArray
 
 
-def none(response: Response, count: int, positions: bool, flexible: bool) -> Sensitivities:
+def zero_sensitivities(response: Response, count: int, positions: bool, flexible: bool) -> Sensitivities:
     """Zero derivatives."""
     torque = np.zeros((response.torque.size, count))
     position = torque if positions else torque[:, :0]
@@ -94,7 +93,7 @@ def simulate_sensitivities(
     At a delay of whole periods the derivative is one-sided, towards longer delays; at rest, that by the motor's
     velocity includes a load that moves along.
     """
-    return _derived(_taped(loop, experiment, values, names, initial), names, positions)
+    return _differentiate(_run_with_tape(loop, experiment, values, names, initial), names, positions)
 
 
 def simulate_with_sensitivities(
@@ -105,11 +104,11 @@ def simulate_with_sensitivities(
     initial: Initial | None = None,
 ) -> tuple[Simulation, FloatArray]:
     """Result of `simulate`, and the torque's derivatives from the same run."""
-    out = _taped(loop, experiment, values, names, initial)
-    return out.simulation(), _derived(out, names, positions=False).torque
+    out = _run_with_tape(loop, experiment, values, names, initial)
+    return out.simulation(), _differentiate(out, names, positions=False).torque
 
 
-def _taped(
+def _run_with_tape(
     loop: ClosedLoop,
     experiment: LoopInput,
     values: Mapping[str, float],
@@ -130,12 +129,12 @@ def _taped(
     return out
 
 
-def _derived(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> Sensitivities:
+def _differentiate(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> Sensitivities:
     """Derivatives of a run, of the positions on demand."""
     experiment, response = out.experiment, out.response()
     flexible = out.loop.joint.model == "flexible"
     if out.outcome is not Outcome.FINISHED:
-        return none(response, len(names), positions, flexible)
+        return zero_sensitivities(response, len(names), positions, flexible)
     from jointid.simulation.kernels.drive_sensitivities import LANES
 
     # The law's own columns come last in a block.
@@ -146,13 +145,15 @@ def _derived(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> Sensi
     commands, moved = [], []
     for begin in range(0, max(len(names), 1), LANES):
         block = [names[i] for i in order[begin : begin + LANES]]
-        followed = _followed(out, block, positions)
+        followed = _propagate(out, block, positions)
         commands.append(followed[seen][:, : len(block)])
-        moved.append(followed[2][experiment.looked, ::2, : len(block)] if positions else np.empty((0, 2, len(block))))
-    command, states = _joined(commands, order), _joined(moved, order)
-    torque = as_logged(experiment, command)
+        moved.append(
+            followed[2][experiment.log_index, ::2, : len(block)] if positions else np.empty((0, 2, len(block)))
+        )
+    command, states = _join(commands, order), _join(moved, order)
+    torque = to_log(experiment, command)
     if torque.size and not (-_ASTRAY < torque.min() <= torque.max() < _ASTRAY):  # nor a NaN
-        return none(response, len(names), positions, flexible)
+        return zero_sensitivities(response, len(names), positions, flexible)
     if "delay" in names and experiment.tap is Tap.MEASURED and experiment.timing is Timing.AVERAGED:
         # An edge of the torque that moves takes its height from the mean over the sample time it stands in.
         edges = -np.diff(acting(experiment, seen_torque(experiment, out.command, out.tapped)), prepend=out.before)
@@ -165,7 +166,7 @@ def _derived(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> Sensi
     )
 
 
-def _joined(blocks: Sequence[FloatArray], order: Sequence[int]) -> FloatArray:
+def _join(blocks: Sequence[FloatArray], order: Sequence[int]) -> FloatArray:
     """Join blocks of columns (last axis) in `order`, without copying a single block."""
     whole = blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=-1)
     return whole if order == sorted(order) else np.asarray(whole[..., np.argsort(order)])
@@ -175,7 +176,7 @@ def _is_of_law(own: Container[str], name: str) -> bool:
     return name not in _INITIAL and name != "delay" and name not in own
 
 
-def _followed(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _propagate(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Derivatives of output, limited output if distinct, and states.
 
     Shapes: (periods, lanes) and (periods * parts, 4, lanes).
@@ -352,7 +353,7 @@ def _explicit(out: ClosedLoopRun, name: str) -> tuple[FloatArray, FloatArray]:
     low, high = (experiment.law_of(with_numbers(controller, {name: value + by})) for by in steps)
     require_same_structure(low, high, name)
     held, width = _cut(out, inputs), steps[1] - steps[0]
-    above, below = (respond(law, inputs, _begun(law, inputs, out), held) for law in (high, low))
+    above, below = (respond(law, inputs, _start_states(law, inputs, out), held) for law in (high, low))
     slope = (above - below) / width
     with np.errstate(invalid="ignore"):
         limits = np.where(np.isinf(low.limits), 0.0, (high.limits - low.limits) / width)
@@ -378,10 +379,10 @@ def _cut(out: ClosedLoopRun, inputs: FloatArray) -> FloatArray:
     # One limit that is fed back: what it cut off is the difference of the output from the law's own.
     output = out.command[:, np.newaxis]
     back = replace(law, A=law.A - law.F @ law.C, B=law.B - law.F @ law.D)
-    return np.asarray(output - respond(back, inputs, _begun(law, inputs, out), output))
+    return np.asarray(output - respond(back, inputs, _start_states(law, inputs, out), output))
 
 
-def _begun(law: SampledLaw, inputs: FloatArray, out: ClosedLoopRun) -> FloatArray:
+def _start_states(law: SampledLaw, inputs: FloatArray, out: ClosedLoopRun) -> FloatArray:
     """States of a law at the first period of a run, (states,)."""
     state = law.known_memory(inputs) + law.memory(POSITION, out.position, out.velocity)
     integral = law.integral() if out.torque is not None else None

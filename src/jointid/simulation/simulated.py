@@ -35,12 +35,8 @@ class Simulated(Protocol):
 Run = TypeVar("Run", bound=Simulated)
 
 
-def require_finished(run: Run, of_what: str = "The simulation") -> Run:
+def require_success(run: Run, of_what: str = "The simulation") -> Run:
     """Return a run that finished.
-
-    Args:
-        run: of a joint or a robot.
-        of_what: subject of the sentence.
 
     Raises:
         MethodError: it failed; the sentence states progress and reason.

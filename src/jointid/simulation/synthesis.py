@@ -13,8 +13,8 @@ from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
 from jointid.simulation.closed_loop import Initial, Simulation, simulate
-from jointid.simulation.loop_input import as_logged, prepare
-from jointid.simulation.simulated import require_finished
+from jointid.simulation.loop_input import prepare, to_log
+from jointid.simulation.simulated import require_success
 
 
 def simulated_record(
@@ -73,14 +73,14 @@ def simulated_record(
     )
     experiment = prepare(loop, driven)
     if disturbance is None:
-        run = require_finished(simulate(loop, experiment, values, initial))
+        run = require_success(simulate(loop, experiment, values, initial))
     else:
         extra = np.repeat(np.asarray(disturbance, dtype=np.float64), experiment.every)
         extra = extra[:: experiment.repeat][: experiment.after_limit.size]
         forced = replace(experiment, after_limit=experiment.after_limit + extra)
-        run = require_finished(simulate(loop, forced, values, initial))
+        run = require_success(simulate(loop, forced, values, initial))
         # A force from outside is in no current of the motor, though it acts as an injected signal does.
-        run = replace(run, torque=run.torque - as_logged(experiment, forced.shown - experiment.shown))
+        run = replace(run, torque=run.torque - to_log(experiment, forced.shown - experiment.shown))
     return as_record(driven, run, torque_noise=torque_noise, encoder_step=encoder_step)
 
 
@@ -102,15 +102,15 @@ def as_record(
     return replace(
         driven,
         torque=channel(torque, unit, timing),
-        motor_position=channel(_encoded(run.motor_position, encoder_step), position),
+        motor_position=channel(_quantise(run.motor_position, encoder_step), position),
         load_position=None
         if run.load_position is None
-        else channel(_encoded(run.load_position, encoder_step), position),
+        else channel(_quantise(run.load_position, encoder_step), position),
     )
 
 
 _TORQUE_OF = {POSITION_UNIT[kind]: TORQUE_UNIT[kind] for kind in POSITION_UNIT}
 
 
-def _encoded(position: FloatArray, step: float) -> FloatArray:
+def _quantise(position: FloatArray, step: float) -> FloatArray:
     return np.asarray(np.round(position / step) * step) if step else position

@@ -11,7 +11,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from jointid.common.compiled import is_cached
+from jointid.common.compiled import has_cache
 from jointid.common.parallel import Aside
 from jointid.models.controllers import PD, Cascade
 from jointid.models.friction import PreslidingFriction
@@ -33,7 +33,7 @@ def warm_up(*, derivatives: bool = True, wait: bool = False) -> None:
     """
     from jointid.simulation.kernels import drive_sensitivities, stepped_drive
 
-    needed = derivatives and not (is_cached(drive_sensitivities.follow) and is_cached(stepped_drive.run))
+    needed = derivatives and not (has_cache(drive_sensitivities.follow) and has_cache(stepped_drive.run))
     beside = Aside(_compile_derivatives) if needed else None
     compile_drive()
     if beside is not None and (wait or not beside.is_apart):

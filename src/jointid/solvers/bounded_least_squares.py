@@ -43,7 +43,7 @@ class LevenbergMarquardt:
     Attributes:
         tolerance: relative, on the criterion and the parameters.
         evaluations: at most, each with the derivatives.
-        reach: (parameters,) how far one step may move each; as far as its bounds when None. A step far beyond where
+        reach: (parameters,) how far one step may move each; as far as its bounds when None. A step far outside where
             the linear model holds may lower the error, and yet end where the torque depends on a parameter no more.
         worth: relative, of the criterion: a step of which the linear model promises less is not made, and nothing
             evaluated. For problems whose evaluations are dear; 0 makes every step.
@@ -60,7 +60,7 @@ class LevenbergMarquardt:
         """Run one descent; the trace begins with the start."""
         counted, bounds, x = Counted.of(problem), Bounds.of(problem.free), start
         before = counted.evaluations
-        error, J = counted.linearised(x)
+        error, J = counted.linearise(x)
         trace, damping, used = [Step(x, float(np.linalg.norm(error)), counted.evaluations)], _DAMPING, 1
         message = ""
         status, reach, share, idle, refused = None if J.any() else Status.NOT_EVALUABLE, self.reach, 1.0, 0, 0
@@ -75,7 +75,7 @@ class LevenbergMarquardt:
                     f"converged: another step promises to lower the criterion by less than {100 * self.worth:.2g} %"
                 )
                 break
-            after, slopes = counted.linearised(x + step)
+            after, slopes = counted.linearise(x + step)
             used += 1
             gained = _gain(norm, after)
             refused = 0 if gained > 0.0 else refused + 1
@@ -92,7 +92,7 @@ class LevenbergMarquardt:
             elif gained <= 0.0:
                 # At the minimum only rounding decides whether the criterion rises; a harder damping changes nothing.
                 limit = self.tolerance if refused < _PATIENCE else max(self.tolerance, _RESOLVED)
-                if _arrived(bounds, x, error, J, limit / _THERE):
+                if _at_minimum(bounds, x, error, J, limit / _THERE):
                     status, message = Status.COST, "converged: steps change the criterion by no more than rounding"
             if status is None and damping >= _MOST:
                 status = Status.NO_DESCENT
@@ -167,9 +167,9 @@ class TrustRegion:
 
         counted, bounds, trace = Counted.of(problem), Bounds.of(problem.free), list[Step]()
         before, unit, size = counted.evaluations, np.ones(start.size), self.size or 1.0
-        error, J = counted.linearised(start)
+        error, J = counted.linearise(start)
         status = None if J.any() else Status.NOT_EVALUABLE
-        if self.eager and status is None and _arrived(bounds, start, error, J, self.tolerance):
+        if self.eager and status is None and _at_minimum(bounds, start, error, J, self.tolerance):
             status = Status.COST
         if status is not None:
             message = explain(status, 1, self.tolerance)
@@ -180,17 +180,17 @@ class TrustRegion:
             unit = np.where(start != 0.0, np.abs(start), np.where(sizes > 0, sizes, 1.0))
 
         def residual(y: FloatArray) -> FloatArray:
-            return (counted.linearised(y * unit)[0] if self.eager else counted.residual(y * unit)) / size
+            return (counted.linearise(y * unit)[0] if self.eager else counted.residual(y * unit)) / size
 
         def jacobian(y: FloatArray) -> FloatArray:
-            return counted.linearised(y * unit)[1] * (unit / size)
+            return counted.linearise(y * unit)[1] * (unit / size)
 
         def step(intermediate_result: OptimizeResult) -> None:
             at = np.asarray(intermediate_result.x * unit)
             norm = size * math.sqrt(2 * float(intermediate_result.cost))
             trace.append(Step(at, norm, counted.evaluations))
             watch(trace[-1])
-            if self.eager and _arrived(bounds, at, *counted.linearised(at), self.tolerance):
+            if self.eager and _at_minimum(bounds, at, *counted.linearise(at), self.tolerance):
                 raise StopIteration
 
         scaled = bounds.in_units(unit)
@@ -206,7 +206,7 @@ class TrustRegion:
         return Solution(x, error, J, status, message, tuple(trace), counted.evaluations - before)
 
 
-def _arrived(bounds: Bounds, x: FloatArray, error: FloatArray, J: FloatArray, tolerance: float) -> bool:
+def _at_minimum(bounds: Bounds, x: FloatArray, error: FloatArray, J: FloatArray, tolerance: float) -> bool:
     """Test whether the possible gain is within rounding of the tolerance."""
     moving = ~bounds.blocked(x, -(J.T @ error))
     columns = J[:, moving] / column_norms(J[:, moving])

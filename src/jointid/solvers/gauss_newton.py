@@ -52,8 +52,6 @@ class Ended(Generic[_Iterate]):
     """Final iterate and reason for stopping.
 
     Attributes:
-        at: the iterate.
-        status: why it ended there.
         change: of the residual's norm in the last step, or foreseen for the next one, a share of it.
         step: the largest of a parameter, a share of its scale.
     """
@@ -93,7 +91,7 @@ class GaussNewton:
         before, names = counted.evaluations, tuple(p.name for p in problem.free)
 
         def evaluate(x: FloatArray) -> _Point:
-            return _Point(x, *counted.linearised(x))
+            return _Point(x, *counted.linearise(x))
 
         def step(at: _Point) -> FloatArray:
             return at.x - solution(at.jacobian, at.residual, names)

@@ -49,7 +49,7 @@ class NelderMead:
 
         best, runs = math.inf, list[str]()
         for restart in range(self.restarts + 1):
-            begun = counted.evaluations
+            count = counted.evaluations
             found = minimize(
                 criterion,
                 x / scales,
@@ -65,14 +65,14 @@ class NelderMead:
             x, cost = np.asarray(found.x * scales), float(found.fun)
             gained = (best - cost) / max(cost, 1e-300) if math.isfinite(best) else math.inf
             best = min(best, cost)
-            runs.append(f"{found.nit} iterations and {counted.evaluations - begun} simulations")
+            runs.append(f"{found.nit} iterations and {counted.evaluations - count} simulations")
             if restart and gained < _IMPROVED:
                 break
         why = (
             f"its tolerance of {self.tolerance:g}" if found.success else f"its limit of {self.evaluations} simulations"
         )
         status = Status.STEP_AND_COST if found.success else Status.EVALUATION_LIMIT
-        error, J = counted.linearised(x)
+        error, J = counted.linearise(x)
         message = f"Nelder-Mead stopped by {why} after {', then '.join(runs)}"
         status = status if J.any() else Status.NOT_EVALUABLE
         return Solution(x, error, J, status, message, tuple(trace), counted.evaluations - before)

@@ -71,7 +71,7 @@ def least_squares(W: FloatArray, Y: FloatArray, names: tuple[str, ...]) -> Fit:
     the sample variance, r - 1: a relative difference of (b - 1) / 2r in the deviations, 0.06 % there.)
     """
     rows, count = W.shape
-    values, norms, R = _solved(W, Y, names)
+    values, norms, R = _solve(W, Y, names)
     residual = Y - W @ values
     sigma = float(np.linalg.norm(residual) / np.sqrt(rows - count))
     spread = np.linalg.norm(np.linalg.inv(R), axis=1) / norms
@@ -83,10 +83,10 @@ def least_squares(W: FloatArray, Y: FloatArray, names: tuple[str, ...]) -> Fit:
 
 def solution(W: FloatArray, Y: FloatArray, names: tuple[str, ...]) -> FloatArray:
     """Solution of `least_squares`, parameters only, (parameters,)."""
-    return _solved(W, Y, names)[0]
+    return _solve(W, Y, names)[0]
 
 
-def _solved(W: FloatArray, Y: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _solve(W: FloatArray, Y: FloatArray, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the solution, the column norms and the triangle of the scaled columns."""
     rows, count = W.shape
     if rows <= count:
@@ -96,7 +96,13 @@ def _solved(W: FloatArray, Y: FloatArray, names: tuple[str, ...]) -> tuple[Float
     refuse_idle(W, names)
     norms = np.linalg.norm(W, axis=0)
     Q, R = np.linalg.qr(W / norms)
-    _refuse_collinear(R, names)
+    _, sizes, directions = np.linalg.svd(R)  # the triangle of columns of norm 1 has their singular values
+    if not sizes[-1] > _RANK * sizes[0]:
+        involved = [name for name, share in zip(names, directions[-1], strict=True) if abs(share) > 1e-3]
+        raise MethodError(
+            f"{', '.join(involved)} cannot be distinguished in this record (their columns are collinear); fix one of "
+            "them."
+        )
     return np.linalg.solve(R, Q.T @ Y) / norms, norms, R
 
 
@@ -109,17 +115,6 @@ def refuse_idle(columns: FloatArray, names: tuple[str, ...]) -> None:
             f"Nothing in this record excites {', '.join(idle)}; fix {'it' if len(idle) == 1 else 'them'}, or use a "
             "motion that moves at several speeds, both ways; if it does, correct units, gains and sides of the loop."
         )
-
-
-def _refuse_collinear(R: FloatArray, names: tuple[str, ...]) -> None:
-    """Refuse collinear columns, by the triangle of the scaled columns."""
-    _, sizes, directions = np.linalg.svd(R)
-    if sizes[-1] > _RANK * sizes[0]:
-        return
-    involved = [name for name, share in zip(names, directions[-1], strict=True) if abs(share) > 1e-3]
-    raise MethodError(
-        f"{', '.join(involved)} cannot be told apart in this record (their columns are collinear); fix one of them."
-    )
 
 
 Deviations: TypeAlias = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
@@ -159,7 +154,7 @@ class InstrumentalVariables:
         """Solve within the bounds; parameters at a bound stay there."""
         counted, bounds, x, trace = Counted.of(problem), Bounds.of(problem.free), start, list[Step]()
         before, status = counted.evaluations, Status.EVALUATION_LIMIT
-        error, J = counted.linearised(x)
+        error, J = counted.linearise(x)
         while True:
             Z = problem.instruments(x)
             step, moving = self._step(bounds, x, error, J, Z)
@@ -173,7 +168,7 @@ class InstrumentalVariables:
             if np.all(np.abs(after - x)[moving] <= _TOLERANCE * spread):
                 status = Status.STEP
             x = after
-            error, J = counted.linearised(x)
+            error, J = counted.linearise(x)
             trace.append(Step(x, float(np.linalg.norm(error)), counted.evaluations))
             watch(trace[-1])
         message = status.sentence if status.converged else f"not converged: {status.sentence}"

@@ -28,7 +28,7 @@ class Problem(Protocol):
     def residual(self, x: FloatArray) -> FloatArray:
         """Residual, (rows,); large and finite where simulation fails."""
 
-    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Residual, (rows,), and derivatives, (rows, free); the latter 0 where simulation fails."""
 
 
@@ -81,8 +81,6 @@ class Step:
     """One accepted step.
 
     Attributes:
-        x: the free parameters after it.
-        norm: of the residual there.
         evaluations: of the problem up to then, in all that was solved with it.
     """
 
@@ -92,7 +90,7 @@ class Step:
 
 
 Watch: TypeAlias = Callable[[Step], None]
-"""Is told every step."""
+"""Callback for every step."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,7 +134,6 @@ class Counted:
     """Wrapper that counts evaluations and caches the last linearised point.
 
     Attributes:
-        problem: that is evaluated.
         tally: where its evaluations are counted, with or without derivatives.
     """
 
@@ -164,11 +161,11 @@ class Counted:
         self.tally.evaluations += 1
         return self.problem.residual(x)
 
-    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Residual, (rows,), and derivatives, (rows, free)."""
         if self._last is None or not np.array_equal(self._last[0], x):
             self.tally.evaluations += 1
-            self._last = (x.copy(), self.problem.linearised(x))
+            self._last = (x.copy(), self.problem.linearise(x))
         return self._last[1]
 
     def remember(self, x: FloatArray, residual: FloatArray, derivatives: FloatArray) -> None:
@@ -189,11 +186,7 @@ class Solver(Protocol[_Solved_contra]):
 
 @dataclass(frozen=True, slots=True)
 class Multistart:
-    """One solver with several starts.
-
-    Attributes:
-        solver: of one start.
-    """
+    """One solver with several starts."""
 
     solver: Solver[Problem]
 

@@ -31,7 +31,7 @@ _LEAST = 1e-3  # of an inertia or a stiffness: what an interval reaches at least
 _DIRECTIONS = 20  # random ones for each parameter
 _SPRINGS = 30  # tried between a bound and half the sampling frequency
 _ROUNDS = 4  # of looking for a worse joint
-_NEAR = 6  # joints looked at around the worst one, for every margin
+_NEAR = 6  # joints tried around the worst one, for every margin
 _TURNED = 0.3  # how far these are from it, in the unit ball
 
 
@@ -40,7 +40,6 @@ class Interval:
     """The possible joints.
 
     Attributes:
-        joint: their model.
         nominal: the parameters of the estimate, or of the softest spring, by name.
         names: of the parameters that span the ellipsoid, factor: (names, names) from a unit ball to it, lower: bounds.
         others: joints beside it: those of a spring that is refused.
@@ -175,7 +174,7 @@ def find_worst_case(
     rng = np.random.default_rng(seed)
     for _ in range(_ROUNDS):
         before = np.min(margins, axis=0)
-        more = np.concatenate([_downhill(points, margins), _around(points, margins, rng)])
+        more = np.concatenate([_downhill(points, margins), _sample_near(points, margins, rng)])
         margins = np.concatenate([margins, joint_set(interval.joint, interval.at(more), law).margins(law)])
         points = np.concatenate([points, more])
         after = np.min(margins, axis=0)
@@ -198,7 +197,7 @@ def _downhill(points: FloatArray, margins: FloatArray) -> FloatArray:
     return np.array(found).reshape(-1, points.shape[1])
 
 
-def _around(points: FloatArray, margins: FloatArray, rng: np.random.Generator) -> FloatArray:
+def _sample_near(points: FloatArray, margins: FloatArray, rng: np.random.Generator) -> FloatArray:
     worst_ones = points[np.unique(np.argmin(margins, axis=0))]
     drawn = np.repeat(worst_ones, _NEAR, axis=0)
     drawn = drawn + _TURNED * rng.standard_normal(drawn.shape)

@@ -30,7 +30,7 @@ class DetectableChange:
         name: of a parameter, or of a sum in words. formula: in symbols. unit: of both.
         value: in the estimate. std: its deviation there.
         size: the smallest change that is detected with the stated power.
-        limit: of the difference of two estimates, beyond which a change is reported.
+        limit: of the difference of two estimates, above which a change is reported.
     """
 
     name: str
@@ -47,7 +47,6 @@ class MinimumDetectableChange(Documented):
     """Smallest detectable changes of a joint.
 
     Attributes:
-        record: its name.
         false_alarm: share of comparisons that report a change where there is none.
         power: share that report one where there is one of that size.
         changes: of each identified parameter, and of the sums and differences of both sides.
@@ -72,7 +71,7 @@ class MinimumDetectableChange(Documented):
             (c.formula, c.name, number(c.value), number(c.size, 2), _percent(c), number(c.limit, 2), c.unit)
             for c in self.changes
         )
-        header = ("symbol", "quantity", "value", "detectable", "%", "alarm beyond", "unit")
+        header = ("symbol", "quantity", "value", "detectable", "%", "alarm above", "unit")
         said = (
             f"Smallest change detectable with another record of this motion ({100 * self.false_alarm:g} % false "
             f"alarms, {100 * self.power:g} % detected)"

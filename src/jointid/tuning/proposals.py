@@ -160,9 +160,7 @@ class StiffestLoop:
 
     Attributes:
         joints: sampled for the controller's period and delay.
-        inertia: of the whole joint.
         sample_time: of the log, the controller's where it has none of its own.
-        settings: the margins.
         band: Hz, which the loop's crossover may not pass; None where it may.
     """
 
@@ -200,7 +198,7 @@ class StiffestLoop:
         present = rate_of(controller, self.inertia) or 0.02 / period
         rates = [float(rate) for rate in present * _RATES if rate * period < math.pi]
         least = 0.0 if best is None else _BETTER * math.sqrt(best.stiffness) * damping
-        # What fails where it would begin to be of use is looked at no further.
+        # What fails where it would begin to be of use is not examined further.
         if least and not self._first_keeps(self._law(controller, least, damping)):
             return None
         for place, rate in enumerate(rates):
@@ -270,12 +268,10 @@ class FeedForward:
 
     Attributes:
         key: its name in a joint file's [controller].
-        formula: from the estimate, in symbols.
         value, std: in SI, on the joint's side; unit: of these. std is None where nothing of it was free.
         before: what the controller has, in its own units. after, after_std: what is proposed, in the same.
         in_drive: before, after, the latter's deviation, and their unit as the drive shows them.
         drive: in per mille of the rated torque, and per count of the encoder; None where they are not known.
-        drive_unit: of that.
     """
 
     key: str
@@ -314,13 +310,15 @@ def feedforward(
         per = 1.0 / (controller.gain * ratio**power)
         before, after = float(getattr(controller, key, 0.0)), per * total.value
         std = None if total.std is None else abs(per) * total.std
-        told = before, after, std, unit_of_number(controller, key, POSITION_UNIT[kind], torque)
+        shown_as = before, after, std, unit_of_number(controller, key, POSITION_UNIT[kind], torque)
         if (there := shown.get(key)) is not None and there.unit:
             by = there.of(1.0, {})
-            told = by * before, by * after, None if std is None else by * std, there.unit
+            shown_as = by * before, by * after, None if std is None else by * std, there.unit
         per_mille = _per_mille(name, total.value, estimate, drive)
         si = unit_of(quantity, kind, torque)
-        found.append(FeedForward(key, total.formula, total.value, total.std, si, before, after, std, told, *per_mille))
+        found.append(
+            FeedForward(key, total.formula, total.value, total.std, si, before, after, std, shown_as, *per_mille)
+        )
     return tuple(found)
 
 

@@ -67,9 +67,9 @@ class _Case:
         law = controller.law(self.estimate.data.sample_time)
         at = joint_set(self.interval.joint, [self.interval.nominal], law).margins(law)[0]
         worst, _ = find_worst_case(self.interval, law, self.points, self.settings.seed)
-        looked = self.interval.sample(self.points, law)
-        response = looked.response(law)
-        highest, band = crossover(response, looked.hertz), _band(looked.hertz, response)
+        sampled = self.interval.sample(self.points, law)
+        response = sampled.response(law)
+        highest, band = crossover(response, sampled.hertz), _band(sampled.hertz, response)
         return LoopMargins(controller, Margins(*at.tolist()), Margins(*worst.tolist()), highest, band)
 
 
@@ -113,7 +113,7 @@ def tune(
     controller = estimate.settings.loop.controller
     if not isinstance(controller, ServoController):
         raise MethodError(
-            f"Feed-forward is told in a controller's own units, and a {type(controller).__name__} has none; use one of "
+            f"Feed-forward has a controller's own units, and a {type(controller).__name__} has none; use one of "
             "the package's laws, StateSpaceController for any linear one."
         )
     period = controller.law(estimate.data.sample_time).period
@@ -122,7 +122,7 @@ def tune(
     work = Work(progress, "tuning", 2 + _ROUNDS, "steps")
     present = case.evaluate(controller)
     work.add()
-    layout, proposed, refusal = _proposed(case, controller, present, work)
+    layout, proposed, refusal = _propose(case, controller, present, work)
     work.reach(1 + _ROUNDS)
     notch = None if layout is None else layout.notch
     whole, in_drive = lumped_parameters(estimate), {one.number: one for one in shown}
@@ -152,7 +152,7 @@ def tune(
     )
 
 
-def _proposed(
+def _propose(
     case: _Case, controller: Controller, present: LoopMargins, work: Work
 ) -> tuple[Layout | None, LoopMargins | None, list[str]]:
     """The stiffest loop that keeps the margins, or the reasons for none."""
@@ -198,10 +198,10 @@ def _gains(estimate: Estimate, before: Any, layout: Layout, shown: Mapping[str, 
     for key, formula in rows.items():
         unit = unit_of_number(before, key, position, estimate.data.torque_unit)
         now, then = (law[key] for law in known)
-        told = key, now, then, unit
+        shown_as = key, now, then, unit
         if (there := shown.get(key)) is not None:
-            told = there.name, there.of(now, known[0]), there.of(then, known[1]), there.unit or unit
-        gains.append(Gain(key, formula, unit, now, then, told))
+            shown_as = there.name, there.of(now, known[0]), there.of(then, known[1]), there.unit or unit
+        gains.append(Gain(key, formula, unit, now, then, shown_as))
     return tuple(gains)
 
 
@@ -214,7 +214,7 @@ def _notes(case: _Case, present: LoopMargins, proposed: LoopMargins | None) -> l
     if estimate.checks.bounds:
         found.append(
             'the stiffness is refused: what stands "at the estimate" is of the softest spring it leaves possible, and '
-            "the worst case is that of the springs looked at, each with the friction as it was found: no statement of "
+            "the worst case is that of the springs considered, each with the friction as it was found: no statement of "
             "one confidence"
         )
     held = [p.name for p in estimate.params if p.free and not p.of_joint and of_law(p.name)]
@@ -230,7 +230,7 @@ def _notes(case: _Case, present: LoopMargins, proposed: LoopMargins | None) -> l
         band = estimate.settings.filtering.cutoff
         upto = "" if band is None else f" (up to {number(band, 3)} Hz, which no proposed crossover passes)"
         found.append(
-            f"a rigid joint says nothing beyond the band it was compared in{upto}: no mode is in these margins"
+            f"a rigid joint says nothing outside the band it was compared in{upto}: no mode is in these margins"
         )
         found.append(_with_a_mode(case, "the loop as it is stays stable", present, asked=False))
         if proposed is not None:

@@ -172,7 +172,7 @@ class Tuned(Charted, Documented):
         worst = ("worst case over", self.interval)
         change = self.detectable.document()
         blocks: list[Block] = [Facts((worst, *common_facts(None, self.transmission))), *self.proposal()]
-        blocks += [self._feedforward(), *self._unit_of_its_own(), Heading(change.title), *change.blocks]
+        blocks += [self._feedforward(), *self._describe_unit(), Heading(change.title), *change.blocks]
         notes = Facts(tuple(("note", note) for note in self.notes))
         return Document(f"Tuning for {self.record}, a {self.model} joint", (*blocks, notes))
 
@@ -246,8 +246,8 @@ class Tuned(Charted, Documented):
         si = []
         for g, (_, _, after, _) in zip(self.gains, shown, strict=True):
             by, unit = (scale, in_torque(g.unit, self.torque_unit)) if CONTROLLER_UNITS in g.unit else (1.0, g.unit)
-            told = f"{g.key} {number(by * g.before)}, {number(by * g.after)} {unit}"
-            si.append("" if number(g.after) == number(after) else told)
+            text = f"{g.key} {number(by * g.before)}, {number(by * g.after)} {unit}"
+            si.append("" if number(g.after) == number(after) else text)
         beside = any(si)  # what is simulated, where the drive shows another number
         rows = tuple(
             (name, number(before), number(after), unit, *((plain or "as shown",) if beside else ()), gain.formula)
@@ -270,7 +270,7 @@ class Tuned(Charted, Documented):
         )  # fmt: skip
         return Table(header, tuple(rows), words=(0, 3, 7, 9))
 
-    def _unit_of_its_own(self) -> Iterator[Paragraph]:
+    def _describe_unit(self) -> Iterator[Paragraph]:
         """Yield the controller unit, if numbers use it."""
         units = [f.in_drive[-1] for f in self.feedforward] + [g.in_drive[-1] for g in self.gains]
         if any(CONTROLLER_UNITS in one for one in units):

@@ -279,8 +279,8 @@ def residual_left_out(
         return np.add.reduceat(rows, first)
 
     shares = _products(Z, slopes, first)
-    told = summed(Z * before[:, np.newaxis])
-    moved = _inverses(np.eye(len(spread)) - spread @ shares) @ (spread @ told[..., np.newaxis])
+    scores = summed(Z * before[:, np.newaxis])
+    moved = _inverses(np.eye(len(spread)) - spread @ shares) @ (spread @ scores[..., np.newaxis])
     rows = np.diff(first, append=len(order))
     after = before + np.einsum("ij,ij->i", slopes, np.repeat(moved[..., 0], rows, axis=0))
     # A block that a parameter rests on alone, as the first does for the initial state, cannot be left out.
@@ -316,7 +316,7 @@ def _inverses(matrices: FloatArray) -> FloatArray:
     return np.asarray(found)
 
 
-def different(names: Sequence[str], naive: Covariance, robust: Covariance) -> Message | None:
+def compare_deviations(names: Sequence[str], naive: Covariance, robust: Covariance) -> Message | None:
     """Message on parameters whose robust and white deviations differ; None if none.
 
     The ratio has to exceed 1.25 either way. Chance keeps it within about 10 % for a white residual. The result can

@@ -49,10 +49,6 @@ class Combination:
     """A weighted sum of parameters.
 
     Attributes:
-        name: in words.
-        formula: in symbols.
-        unit: of the sum.
-        weights: of the parameters, by name.
         kind: a parameter by itself; the sum or difference of both sides; a direction of the sensitivities' singular
             vectors; or what somebody asked for.
         quantity: of a sum or difference of both sides, the parameter's name without its side: "viscous_forwards".
@@ -83,10 +79,6 @@ def physical(parameters: Sequence[Parameter], units: Mapping[str, str]) -> tuple
     """Physically meaningful combinations of both sides of a joint.
 
     These are sum and difference of the frictions, by kind and direction, and the total inertia; none for a rigid joint.
-
-    Args:
-        parameters: the free ones.
-        units: by name.
     """
     known = {p.name: p for p in parameters}
     found = []
@@ -110,9 +102,6 @@ class Known:
     """A combination of parameters, its value and its accuracy.
 
     Attributes:
-        combination: of parameters.
-        value: of it.
-        std: standard deviation.
         relative: standard deviation over the size of what is combined, a ratio.
     """
 

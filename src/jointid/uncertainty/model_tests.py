@@ -162,11 +162,9 @@ class ChiSquareTest:
     """A statistical test.
 
     Attributes:
-        name: as statistics calls it.
         statistic: its value; degrees: of freedom of its chi-square distribution.
         p_value: how likely so large a statistic is if nothing is wrong.
         rejected: True if the hypothesis that nothing is wrong is rejected, at 5 %.
-        sentence: the conclusion.
     """
 
     name: str

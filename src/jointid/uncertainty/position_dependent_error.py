@@ -32,7 +32,7 @@ from jointid.uncertainty.covariance import (
     Covariance,
     bandwidth,
     bartlett_sum,
-    different,
+    compare_deviations,
     larger,
     residual_left_out,
     robust,
@@ -86,7 +86,6 @@ class Repeatable:
             are visited in both.
         p_value: how often a residual that does not repeat would show as much; None where the record is too short, or
             nothing is visited twice.
-        unit: of the residual.
     """
 
     rms: float
@@ -121,7 +120,6 @@ class Uncertainty:
     Attributes:
         robust: over time, whatever the residual's autocorrelation.
         covariance: to be reported: the robust one, widened where the residual repeats with the motion.
-        repeatable: the verdict on that.
         basis: how the deviations were obtained, in words.
         warnings: limits of the deviations, for the reader.
         shifts: (parameters,) each, of the estimate, for which the deviations were widened.
@@ -249,7 +247,7 @@ def by_place(Z: FloatArray, J: FloatArray, error: FloatArray, where: Cells) -> C
     return scaled_sandwich(Z, J, meat, _LAGS)
 
 
-def widened(
+def widen(
     covariance: Covariance, Z: FloatArray, J: FloatArray, error: FloatArray, where: Cells, unit: str = ""
 ) -> tuple[Covariance, Repeatable]:
     """Widen a covariance by `by_place` if the residual repeats; return both."""
@@ -278,7 +276,7 @@ def uncertainty(
         series: rows of each record, stacked.
     """
     over_time = robust(Z, J, error, series)
-    judged, verdict = widened(over_time, Z, J, error, where, unit)
+    judged, verdict = widen(over_time, Z, J, error, where, unit)
     basis = f"{words(over_time)}, and by the residual's spectrum where that says more"
     if verdict.p_value is not None:
         basis = (
@@ -289,5 +287,5 @@ def uncertainty(
         basis += (
             ", widened for what repeats with the motion (scores summed over cells of position, direction and speed)"
         )
-    differs = different(names, white(J, error), over_time)
+    differs = compare_deviations(names, white(J, error), over_time)
     return Uncertainty(over_time, judged, verdict, basis, () if differs is None else (differs,))

@@ -32,7 +32,7 @@ from jointid.uncertainty.identifiability import Combination
 _HELD = 100.0  # times stiffer than the criterion is c held: it then yields by 1e-4 of its distance
 _FIRST = 0.5  # of the way to where a linear problem would end
 _BEYOND = 1.05  # of the threshold's root, aimed at
-_FAR = 1.5  # times the threshold's root: a point beyond is not used to interpolate unless nothing nearer is found
+_FAR = 1.5  # times the threshold's root: a point above is not used to interpolate unless nothing nearer is found
 _NARROW = 0.02  # of the way from the estimate: a bracket this narrow needs no more points
 _UNSEEN = 1e-9  # of the largest: a normalised singular value whose direction leaves no trace in the residual
 _IMPROVED = 1e-3  # of the threshold: a fit so much below the estimate says that it was no minimum
@@ -145,7 +145,7 @@ class ByCompliance:
         found[self._at] = Parameter("compliance", symbol, Quantity.COMPLIANCE, start=start, lower=lower, upper=upper)
         return tuple(found)
 
-    def exchanged(self, x: FloatArray) -> FloatArray:
+    def exchange(self, x: FloatArray) -> FloatArray:
         """Exchange stiffness and compliance in a parameter vector."""
         found = np.array(x, dtype=np.float64)
         found[self._at] = 1.0 / found[self._at]
@@ -153,11 +153,11 @@ class ByCompliance:
 
     def residual(self, x: FloatArray) -> FloatArray:
         """Return the residual, (rows,)."""
-        return self.problem.residual(self.exchanged(x))
+        return self.problem.residual(self.exchange(x))
 
-    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Residual, (rows,), and derivatives, (rows, free)."""
-        residual, J = self.problem.linearised(self.exchanged(x))
+        residual, J = self.problem.linearise(self.exchange(x))
         J = J.copy()
         J[:, self._at] *= -1.0 / x[self._at] ** 2
         return residual, J
@@ -192,8 +192,8 @@ class _Held(_Changed):
     def residual(self, x: FloatArray) -> FloatArray:
         return np.append(self.problem.residual(x), self._row(x))
 
-    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        residual, J = self.problem.linearised(x)
+    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        residual, J = self.problem.linearise(x)
         return np.append(residual, self._row(x)), np.vstack([J, self.stiffness * self.weights])
 
 
@@ -206,12 +206,12 @@ class _Weighted(_Changed):
     def residual(self, x: FloatArray) -> FloatArray:
         return self.root * self.problem.residual(x)
 
-    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        residual, J = self.problem.linearised(x)
+    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        residual, J = self.problem.linearise(x)
         return self.root * residual, self.root[:, np.newaxis] * J
 
 
-def refit_weighted(problem: Problem, x: FloatArray, weights: FloatArray) -> FloatArray:
+def refit_with_weights(problem: Problem, x: FloatArray, weights: FloatArray) -> FloatArray:
     """Minimise ``sum w r^2`` near a point, (free,), weights (rows,)."""
     return solve(_Weighted(problem, np.sqrt(weights)), TrustRegion(evaluations=30, eager=False), x).x
 
@@ -244,7 +244,7 @@ def profile(
     settings = settings or Profiling()
     weights = combination.vector(problem.free)
     counted = Counted(problem)
-    residual, J = counted.linearised(x)
+    residual, J = counted.linearise(x)
     std = (covariance or robust(J, J, residual)).std_of(weights)
     direction, flat = _least_rise(J, weights)
     centre = _Point(float(weights @ x), float(residual @ residual), np.array(x, dtype=np.float64))
@@ -311,7 +311,7 @@ def is_parabola(
 
     settings = settings or Profiling()
     weights = combination.vector(problem.free)
-    residual, J = problem.linearised(x)
+    residual, J = problem.linearise(x)
     std = covariance.std_of(weights)
     direction, flat = _least_rise(J, weights)
     if flat is None or std == 0.0:
@@ -350,7 +350,7 @@ def profile_compliance(
     turned = covariance_of(turn @ covariance.matrix @ turn.T, covariance.bandwidth)
     by = ByCompliance(problem, _LEAST / float(x[at]))
     wanted = Combination("compliance", "1/K12", unit(by.free[at]), {"compliance": 1.0})
-    return profile(by, by.exchanged(x), wanted, turned, settings)
+    return profile(by, by.exchange(x), wanted, turned, settings)
 
 
 def _least_rise(J: FloatArray, weights: FloatArray) -> tuple[FloatArray, float | None]:

@@ -6,8 +6,8 @@ group; groups are independent. Leaving out each group gives::
     d_g = -(A - A_g)^-1 (b - b_g)        V = (G - 1) / G  sum_g (d_g - mean)(d_g - mean)'
 
 with A = sum_g J_g'J_g and b = sum_g J_g'e_g, 0 at the estimate. It holds for any correlation and variance within a
-group and is conservative for few groups. Directions that a single group determines, and those beyond G - 1, get the
-intervals of a white residual. Columns are scaled first, since J's condition number is squared.
+group and is conservative for few groups. Directions that a single group determines, and those after the first G - 1,
+get the intervals of a white residual. Columns are scaled first, since J's condition number is squared.
 
 **Bootstrap.** Rows are drawn in overlapping blocks of time (moving blocks, Kunsch 1989) or by cells of position,
 direction and speed, which keeps repeatable errors. With w the number of times each row was drawn::
@@ -48,7 +48,6 @@ class Sums:
 
     Attributes:
         A: (free, free) J'J. b: (free,) J'e. square: e'e. size: y'y of the filtered torque that e is left of.
-        rows: how many there are.
     """
 
     A: FloatArray
@@ -138,9 +137,7 @@ class Bootstrapping:
     """Settings of a bootstrap.
 
     Attributes:
-        draws: resamples.
         level: of the percentile intervals; 0.9545 is that of 2 sigma.
-        seed: of the draws.
     """
 
     draws: int = 1000
@@ -160,10 +157,8 @@ class Bootstrap(Documented):
     """Estimates from resamples of a record.
 
     Attributes:
-        parameters: that were estimated.
         estimate: (free,) from the record itself.
         draws: (draws, free) from its resamples.
-        level: of the intervals.
         blocks: the rows were drawn in so many different ones.
         how: the parts that were drawn, in words.
     """

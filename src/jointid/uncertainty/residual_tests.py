@@ -53,8 +53,6 @@ class Whiteness:
     """A test of the residual's autocorrelation within the filter's pass band.
 
     Attributes:
-        statistic: Q of the module.
-        lags: that were tested together.
         p_value: how often white noise gives as much.
     """
 
@@ -83,8 +81,6 @@ class ResidualReport:
         centred: the same with the mean taken from both: a constant the torque stands on does not flatter it.
         rms: of the residual, in its unit.
         mean: of the residual, in its unit.
-        unit: of the torque.
-        bands: from low to high frequencies.
         against_rigid: norm of the residual over that of a rigid model's; None where none was given.
         whiteness: within the pass band; None where the record is too short.
         repeatable: the part of it that repeats with the motion; None where the motion was not given.

@@ -64,8 +64,8 @@ def widened_to_second(
     """
     shift, noise = np.zeros(inside.size), np.zeros(inside.size)
     shift[inside], noise[inside] = second_solution(Z[:, inside], J[:, inside], error)
-    beyond = np.abs(shift) > _NOISE * noise
-    if not np.any(beyond):
+    significant = np.abs(shift) > _NOISE * noise
+    if not np.any(significant):
         return known
     why = "how far the solution by the regressor lies away, which noise does not explain"
-    return known.widened_by(np.where(beyond, shift, 0.0), why)
+    return known.widened_by(np.where(significant, shift, 0.0), why)

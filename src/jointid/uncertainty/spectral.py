@@ -79,7 +79,7 @@ def spectral_covariance(
     power = np.concatenate([b.power for b in bands])
     M = np.einsum("aij,bji->ab", K, H, optimize=True) + np.diag(np.concatenate([b.left for b in bands]))
     freedom = np.maximum(np.diag(M), 1e-3)
-    level = _solved(M, power, freedom)
+    level = _solve_levels(M, power, freedom)
     covariance = np.einsum("b,bij->ij", level, sought)
     own = np.einsum("bii->bi", sought)
     answers = np.linalg.lstsq(M.T, own, rcond=None)[0]  # of each deviation squared, to the power of each band
@@ -127,7 +127,7 @@ def _borders(left: FloatArray, rows: int) -> NDArray[np.intp]:
         first.append(after)
 
 
-def _solved(M: FloatArray, power: FloatArray, freedom: FloatArray) -> FloatArray:
+def _solve_levels(M: FloatArray, power: FloatArray, freedom: FloatArray) -> FloatArray:
     """Solve for non-negative band levels, weighted by degrees of freedom."""
     from scipy.optimize import nnls
 

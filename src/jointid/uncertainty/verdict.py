@@ -100,8 +100,6 @@ class Verdict:
     """The answer to one question.
 
     Attributes:
-        subject: the question.
-        status: the answer.
         reasons: why, at least one; a limitation of the record is a reason, too, with a code of its own.
     """
 
@@ -159,7 +157,7 @@ def residual_verdicts(report: ResidualReport) -> tuple[Verdict, Verdict]:
         clause = "" if white.white else "the residual is not white within the pass band"
         noise = _judge(Subject.WHITENESS, white.white, code, str(white), values, clause)
     if repeats is None:
-        return noise, not_tested(Subject.REPEATABLE, "not looked at")
+        return noise, skip_test(Subject.REPEATABLE, "not looked at")
     if repeats.p_value is None:
         return noise, _judge(Subject.REPEATABLE, None, Reason.NO_PLACE_REVISITED, str(repeats))
     code = Reason.RESIDUAL_REPEATS if repeats.significant else Reason.NOTHING_REPEATS
@@ -195,7 +193,7 @@ def bounds_verdict(touched: Sequence[str]) -> Verdict:
     return _judge(Subject.BOUNDS, False, Reason.AT_BOUND, said, {"parameters": list(touched)}, clause)
 
 
-def not_tested(subject: Subject, why: str) -> Verdict:
+def skip_test(subject: Subject, why: str) -> Verdict:
     """Verdict for a question that was not tested, with the reason."""
     return _judge(subject, None, Reason.NOT_TESTED, why)
 

@@ -27,6 +27,7 @@ from jointid.output.report import Repetition, Report, repetition
 from jointid.uncertainty.verdict import Reason, Status, Subject, Verdict
 from tests.apps.cli.test_commands import EMPS, run
 from tests.browser import opened
+from tests.estimates import amended
 from tests.output.report import reports
 
 SECTIONS = (
@@ -69,7 +70,7 @@ def test_every_section_is_there(made: object) -> None:
 
 def test_a_refused_stiffness_of_a_short_record_is_told_too(stiff_axis: tuple[ji.Record, ji.Estimate]) -> None:
     record, estimate = stiff_axis
-    told = ji.Report.of(estimate, record, profiles=[], loop=False)
+    told = ji.Report.of(estimate, record, profiles=[])
     text = told.markdown()
     assert "Stiffness not determined by this record" in text
     assert "at least" in text.split("## Parameters")[0]
@@ -115,7 +116,7 @@ def test_a_check_that_fails_says_whether_the_value_may_be_used() -> None:
         assert said.startswith("Do not use" if bad else "The inertia may be used"), subject
     moves = Message(Reason.LOOP_NOT_AS_DECLARED, "the delay is wrong", {"changes": {"inertia": 1.0}})
     loop = Verdict(Subject.LOOP, Status.FAILED, (moves,))
-    moved = estimate.amended(checks={"verdicts": (loop,)})
+    moved = amended(estimate, checks={"verdicts": (loop,)})
     assert consequence(moved, loop).startswith("Do not use the inertia before this is corrected")
     assert "changes it by +1 N m" not in consequence(moved, loop)
     assert f"+1.0 {estimate['inertia'].unit}" in consequence(moved, loop)
@@ -126,14 +127,14 @@ def test_a_check_that_spares_a_doubted_value_does_not_say_that_it_may_be_used() 
     estimate = reports.rigid().estimate
     moves = Message(Reason.LOOP_NOT_AS_DECLARED, "the delay is wrong", {"changes": {"coulomb": 1.0}})
     loop = Verdict(Subject.LOOP, Status.FAILED, (moves,))
-    doubted = replace(estimate, fit=replace(estimate.fit, converged=False)).amended(checks={"verdicts": (loop,)})
+    doubted = amended(replace(estimate, fit=replace(estimate.fit, converged=False)), checks={"verdicts": (loop,)})
     assert not doubted.answer.reliable
     assert consequence(doubted, loop).startswith("This says nothing against the inertia: correcting this does not")
     coloured = Verdict(Subject.WHITENESS, Status.FAILED, (Message(Reason.RESIDUAL_COLOURED, "coloured"),))
     assert consequence(doubted, coloured) == "This says nothing against the inertia."
     undecided = Message(Reason.LAW_UNDECIDED, "it may be", {"changes": {"inertia": 1.0}, "condition": "it is so"})
     open_ = Verdict(Subject.LOOP, Status.UNKNOWN, (undecided,))
-    unknown = estimate.amended(checks={"verdicts": (open_,)})
+    unknown = amended(estimate, checks={"verdicts": (open_,)})
     assert consequence(unknown, open_) == "Do not use the inertia before this is known."
 
 
@@ -145,7 +146,7 @@ def test_the_section_on_the_loop_says_the_same_as_its_check() -> None:
     blamed = replace(given.loop, findings=(Finding(first, None, (), {}),), tests=(first, *given.loop.tests[1:]))
     cause = Message(Reason.CAUSE_FOUND, "the torque is about 2.0 times too large")
     verdict = Verdict(Subject.LOOP, Status.FAILED, (cause,))
-    told = replace(given, loop=blamed, estimate=given.estimate.amended(checks={"verdicts": (verdict,)}))
+    told = replace(given, loop=blamed, estimate=amended(given.estimate, checks={"verdicts": (verdict,)}))
     section = Report(told).markdown().split("## Controller and log")[1].split("\n## ")[0]
     assert "The torque is about 2.0 times too large." in section
     assert "than declared" not in section.split("|")[0]
@@ -161,7 +162,7 @@ def test_the_appendix_names_suspects_in_words() -> None:
 
 def test_a_profile_that_would_say_what_the_table_says_is_left_out() -> None:
     record, loop = reports.rigid_record()
-    told = ji.Report.of(ji.identify(record, loop), record, loop=False)
+    told = ji.Report.of(ji.identify(record, loop), record)
     left = told.dossier.parabolic
     assert "offset" in left
     assert set(left).isdisjoint(one.name for one in told.dossier.profiles)
@@ -201,7 +202,7 @@ def test_convergence_says_of_a_jump_what_is_true() -> None:
     down = [replace(line, residual_norm=10.0 - i) for i, line in enumerate(trace)]
     up = [*down[:-1], replace(down[-1], residual_norm=20.0)]
     for lines, jumps in ((down, False), (up, True)):
-        dossier = replace(told.dossier, estimate=told.estimate.amended(fit={"trace": tuple(lines)}))
+        dossier = replace(told.dossier, estimate=amended(told.estimate, fit={"trace": tuple(lines)}))
         caption = replace(told, dossier=dossier).charts["convergence"].caption
         assert ("Where it jumps up" in caption) is jumps
         assert "another start begins" not in caption
@@ -426,11 +427,12 @@ def test_thinning_keeps_gaps_and_the_peaks_beside_them() -> None:
 def test_a_long_record_says_what_is_left_out() -> None:
     told = reports.rigid()
     many = 40_000
-    estimate = told.estimate.amended(
+    estimate = amended(
+        told.estimate,
         fit={
             "measured": np.resize(told.estimate.fit.measured, many),
             "predicted": np.resize(told.estimate.fit.predicted, many),
-        }
+        },
     )
     longer = Report(replace(told.dossier, estimate=estimate, motion=None))
     assert f"of {many} samples are drawn" in longer.charts["torque"].caption
@@ -453,7 +455,7 @@ def test_side_and_direction_are_said_of_what_they_change() -> None:
     values |= {"viscous_backwards": 0.08, "coulomb_backwards": 0.2}
     reference = ji.excitation.trapezoids([0.5, 1.0, 2.0], 8.0, 2.0, 1e-3, duration=6.0)
     record = ji.simulated_record(loop, reference, values, sample_time=1e-3, name="geared")
-    told = ji.Report.of(ji.identify(record, loop), record, profiles=[], loop=False)
+    told = ji.Report.of(ji.identify(record, loop), record, profiles=[])
     result = told.markdown().split("## Parameters")[0]
     assert "The transmission is 10:1, without loss (efficiency taken as 1); values are on the load side." in result
     charts = told.charts

@@ -52,7 +52,7 @@ def run(
     asked = _load(campaign, listener)
     with fresh_folder(out, "--out"), open_database(out) as database:
         if again:
-            database.forget_unidentified()
+            database.forget_failures()
         ready(listener)
         ran = run_cases(asked.cases, engine, database, name=asked.name, progress=listener)
     show(ran)

@@ -72,8 +72,8 @@ class Inputs:
             outputs.spare_records(joint, file)
         return file
 
-    def identify(self, file: JointFile) -> tuple[Record, Estimate]:
-        """Identify a joint from the record, as its file says, and return the record, too.
+    def identify(self, file: JointFile, *, checks: bool = True) -> tuple[Record, Estimate]:
+        """Identify a joint from the record, as its file says, and return the record, too; without checks if so asked.
 
         Raises:
             JointidError: the record cannot be read, or the joint cannot be identified from it.
@@ -83,13 +83,13 @@ class Inputs:
         record = file.record(self.record)
         ready(self.progress)
         try:
-            return record, file.identify(record, self.progress)
+            return record, file.identify(record, self.progress, checks=checks)
         except JointidError as error:
             raise explain_failure(error, record, file.loop, self.progress, file.declared_numbers) from error
 
     def identify_by_didim(self, joint: Path, outputs: Outputs = NOTHING) -> tuple[Record, Estimate]:
-        """Load the joint file, identify the joint by didim whatever the file says, and return the record, too."""
-        return self.identify(self.load(joint, outputs, method="didim"))
+        """Identify the joint by didim whatever its file says, without checks, and return the record, too."""
+        return self.identify(self.load(joint, outputs, method="didim"), checks=False)
 
 
 @Parameter(name="*")

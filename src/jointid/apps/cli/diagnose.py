@@ -139,7 +139,7 @@ def intervals(
     file = options.load(joint, method="didim")
     if file.loop is not None:
         require_quantities(of or (), file.loop)
-    logged, estimate = options.identify(file)
+    logged, estimate = options.identify(file, checks=False)
     show(run(estimate, logged, of or (), bootstrap=bootstrap or refit, refit=refit, progress=options.progress))
 
 
@@ -155,7 +155,7 @@ def loop(joint: Path, /, *, options: Options = DEFAULTS) -> None:
     from jointid import check_loop
 
     file = options.load(joint, options.outputs, method="didim")
-    record, estimate = options.identify(file)
+    record, estimate = options.identify(file, checks=False)
     deliver(check_loop(estimate, record, shown=file.declared_numbers), options.json)
 
 

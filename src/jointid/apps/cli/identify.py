@@ -110,7 +110,6 @@ def identify(
         quiet: say nothing of the progress.
     """
     from jointid import Windowing, figures
-    from jointid.diagnostics.check_loop import add_loop_verdict
 
     outputs = Outputs({"--json": json}, {"--figure": figure})
     records = record or []
@@ -130,8 +129,6 @@ def identify(
         estimate = _from_several(file, records, options.progress)
     else:
         logged, estimate = options.identify(file)
-        if file.tells_of_its_loop:
-            estimate = add_loop_verdict(estimate, logged, options.progress, file.declared_numbers)
     deliver(estimate, json, (figure, figures.torque), details=details)
     if logged is not None and estimate.checks.bounds:
         from jointid import design_stiffness_test
@@ -245,12 +242,9 @@ def tune(
     """
     from jointid import Tuning, figures
     from jointid import tune as run
-    from jointid.diagnostics.check_loop import add_loop_verdict
 
     settings = Tuning(gain_margin, phase_margin, modulus, confidence, notch, false_alarm, power)
     file = options.load(joint, Outputs({"--json": options.json}, {"--figure": figure}), method="didim")
-    record, estimate = options.identify(file)
-    if file.tells_of_its_loop:  # margins are of the loop as it is declared
-        estimate = add_loop_verdict(estimate, record, options.progress, file.declared_numbers)
+    _, estimate = options.identify(file)
     tuned = run(estimate, settings, drive=file.drive, shown=file.declared_numbers, progress=options.progress)
     deliver(tuned, options.json, (figure, figures.draw))

@@ -173,7 +173,7 @@ def design(
             (what is known worst) or "all".
         duration: of the test, in s; without it that of the record.
         seconds: that the search may take.
-        motion: a test of your own, foretold in the place of one that is looked for: a table with the columns t (s),
+        motion: a test of your own, predicted in the place of one that is looked for: a table with the columns t (s),
             reference (m or rad) and, if a signal is added to the torque, injected (N, N m, or the torque's unit); or a
             past record, logged as the joint file says.
         out: also write the test into this folder: a CSV, a MAT file, and a page on how to run it; of a robot a CSV as
@@ -204,7 +204,7 @@ def design(
     if rough.stated:
         found = rough.plan(file, options.record, asked)
     else:
-        record, estimate = options.identify(file)
+        record, estimate = options.identify(file, checks=False)
         found = plan_from_estimate(estimate, record, **asked)
     deliver(found, options.json, (figure, figures.draw))
     if out is not None:

@@ -99,8 +99,8 @@ def report(
     record, estimate = options.identify(file)
     tuning = None if no_tuning else Aside(partial(tune_to_limit, estimate, file.drive, file.declared_numbers))
     told = Report.of(
-        estimate, record, name=file.name or "", profiles=() if no_profiles else None, loop=file.tells_of_its_loop,
-        shown=file.declared_numbers, repetition=again, progress=options.progress,
+        estimate, record, name=file.name or "", profiles=() if no_profiles else None, repetition=again,
+        progress=options.progress,
     )  # fmt: skip
     tuned = None if tuning is None else tuning.result()
     if isinstance(tuned, str):
@@ -124,7 +124,7 @@ def report(
 
 def _require_goal(file: JointFile, plan: str) -> None:
     """Raise a `MethodError` if no test can be planned for this goal, before the record is read."""
-    from jointid.planning.goals import goal_named
+    from jointid.planning.goals import parse_goal
 
     if file.method.name != "didim":
         raise MethodError(
@@ -132,7 +132,7 @@ def _require_goal(file: JointFile, plan: str) -> None:
             "--method didim, or leave --plan out."
         )
     own = [file.parameters.get(p.name, p) for p in file.joint.parameters]
-    goal_named(plan, {p.name: file.joint.unit(p) for p in own if p.free})
+    parse_goal(plan, {p.name: file.joint.unit(p) for p in own if p.free})
 
 
 def validate(

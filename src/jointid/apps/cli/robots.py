@@ -61,11 +61,11 @@ def simulate_robot_file(path: Path, options: Options, out: Path | None, outputs:
     from jointid.output.json import documents
     from jointid.output.json import write as write_answer
     from jointid.simulation.robots import robot_records, simulate_robot, strays
-    from jointid.simulation.simulated import require_finished
+    from jointid.simulation.simulated import require_success
 
     file = _loaded(path, options.changes, outputs, options.record)
     loop, records = file.loop, file.driven(options.record, logged=False)
-    found = require_finished(simulate_robot(loop, records), f"The simulation of {file.robot.name}")
+    found = require_success(simulate_robot(loop, records), f"The simulation of {file.robot.name}")
     peaks = ", ".join(
         f"{name} {peak:.4g} {file.robot.torque_unit(k)}"
         for k, (name, peak) in enumerate(zip(file.robot.names, abs(found.torque).max(axis=0), strict=True))

@@ -32,7 +32,6 @@ def demo(folder: Path = Path("jointid-demo"), /, *, seed: int = 1, quiet: Quiet 
     from jointid import figures, twin, write
     from jointid.common.files import write_whole
     from jointid.common.text import aligned, number
-    from jointid.diagnostics.check_loop import add_loop_verdict
     from jointid.output import json as answers
     from jointid.paper.twin import JOINT_FILE
 
@@ -47,8 +46,7 @@ def demo(folder: Path = Path("jointid-demo"), /, *, seed: int = 1, quiet: Quiet 
     write(axis.record, folder / "record.csv")
     listener("identifying it from motor force and reference alone")
     file = options.load(joint)
-    record, estimate = options.identify(file)
-    estimate = add_loop_verdict(estimate, record, shown=file.declared_numbers)
+    _, estimate = options.identify(file)
     answers.write(answers.to_dict(estimate), folder / "estimate.json")
     figures.save(figures.torque(estimate), folder / "torque.png")
     show(estimate)
@@ -146,7 +144,7 @@ def _simulate_joint(joint: Path, estimate: Path | None, out: Path | None, option
     from jointid.common.transmission import transmission_lines
     from jointid.models.disturbances import EncoderOffset
     from jointid.output import json as answers
-    from jointid.simulation.simulated import require_finished
+    from jointid.simulation.simulated import require_success
 
     friction = None if estimate is None else answers.read_friction(estimate)
     file = options.load(joint, outputs, friction=friction)
@@ -162,7 +160,7 @@ def _simulate_joint(joint: Path, estimate: Path | None, out: Path | None, option
         if any(not isinstance(effect, EncoderOffset) for effect in identified.effects):
             options.progress("the estimate's ripple and drift are left out, which the simulated loop does not have")
     ready(options.progress, derivatives=False)
-    simulation = require_finished(run(file.loop, prepare(file.loop, logged), values))
+    simulation = require_success(run(file.loop, prepare(file.loop, logged), values))
     peak = float(abs(simulation.torque).max())
     for line in transmission_lines(file.joint.transmission):
         show(line)

@@ -25,7 +25,6 @@ from jointid.common.files import is_full, write_whole
 if TYPE_CHECKING:
     from jointid import Estimate, Record
     from jointid.config import JointFile
-    from jointid.diagnostics.loop_findings import LoopCheck
 
 REFUSED, NO_ROOM = 2, 3
 
@@ -102,10 +101,8 @@ def identify(folder: Path) -> None:
     The answer is written as soon as it is known and checked, and the page shows it; the report follows.
     """
     from jointid.config import load
-    from jointid.diagnostics.check_loop import add_loop_check
     from jointid.diagnostics.find_causes import explain_failure
     from jointid.simulation.warm_up import warm_up
-    from jointid.uncertainty.verdict import Subject, not_tested
 
     work = _read_work(folder)
     if work["learn"]:
@@ -117,21 +114,15 @@ def identify(folder: Path) -> None:
     warm_up()
     _tell("identifying")
     try:
-        estimate = file.identify(record, _tell)
+        estimate = file.identify(record, _tell, unchecked=partial(_write_answer, folder))
     except JointidError as error:
         raise explain_failure(error, record, file.loop, _tell, file.declared_numbers) from error
-    check = None
-    if file.tells_of_its_loop:
-        unchecked = not_tested(Subject.LOOP, "not checked yet")
-        _write_answer(folder, estimate.amended(checks={"verdicts": (*estimate.checks.verdicts, unchecked)}))
-        _tell("checking loop and log")
-        estimate, check = add_loop_check(estimate, record, _tell, file.declared_numbers)
     _write_answer(folder, estimate)
     _tell("writing the report")
-    _write_report(folder, file, estimate, record, check)
+    _write_report(folder, file, estimate, record)
 
 
-def _write_report(folder: Path, file: JointFile, estimate: Estimate, record: Record, check: LoopCheck | None) -> None:
+def _write_report(folder: Path, file: JointFile, estimate: Estimate, record: Record) -> None:
     """Write the report, first without profiles and tuning where these take longer than a moment."""
     from jointid import Report
     from jointid.common.parallel import Aside
@@ -139,8 +130,7 @@ def _write_report(folder: Path, file: JointFile, estimate: Estimate, record: Rec
 
     again = repetition(folder / "joint.toml", Path(file.record_path()), {})
     again = replace(again, command="jointid report joint.toml --html report.html")
-    loop = False if check is None else check
-    tell = partial(Report.of, estimate, record, name=file.name or "", loop=loop, repetition=again, progress=_tell)
+    tell = partial(Report.of, estimate, record, name=file.name or "", repetition=again, progress=_tell)
 
     def tell_all() -> Report:
         tuned = tune_to_limit(estimate, file.drive, file.declared_numbers)
@@ -186,7 +176,7 @@ def plan(folder: Path) -> None:
     record = file.record(folder / work["file"])
     warm_up()
     _tell("identifying again")
-    estimate = file.identify(record, _tell)
+    estimate = file.identify(record, _tell, checks=False)
     asked = {"goal": work["goal"], "seconds": work["seconds"], "limits": file.limits}
     found = plan_from_estimate(estimate, record, progress=_tell, **asked)
     for name, content in {**found.files(), "test.png": png(found.chart())}.items():

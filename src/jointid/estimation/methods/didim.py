@@ -36,8 +36,8 @@ from jointid.estimation.methods.force_in_loop import instruments, uncertainty_of
 from jointid.estimation.methods.registry import SURROUNDINGS, Method, Task
 from jointid.estimation.methods.regressor_steps import REPRODUCED, RegressorSteps, describe_unstable
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
-from jointid.estimation.result.build_estimate import build_closed_loop_estimate
-from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.assemble import FitResult
+from jointid.estimation.result.build_result import build_closed_loop_result
 from jointid.estimation.starts.nonlinear_laws import from_linear_laws, with_linear_laws
 from jointid.estimation.starts.rigid_joint import Start, rigid_starts
 from jointid.models.controllers import REFERENCE
@@ -93,7 +93,7 @@ class DIDIM(Method):
         """Return the settings of the paper: form (11), regular start, stop at 2.5 % or after 10 iterations."""
         return cls("paper", "regular", 1, 0.025, 0.025, 10, "reference")
 
-    def identify(self, task: Task) -> Estimate:
+    def identify(self, task: Task) -> FitResult:
         """Identify a rigid joint from torque and reference; a motor position in the record is not read.
 
         The filter goes over torque and columns alike. With a cut-off well below the loop's bandwidth, the regressor is
@@ -130,12 +130,12 @@ class DIDIM(Method):
         else:
             Z = instruments(problem, run, J)
             known = uncertainty(Z, J, error, problem.cells(run), names, problem.torque_unit)
-        found = build_closed_loop_estimate(task.record, problem, x, run, (end.message, end.converged), known, J)
         began = next(iter(starts))
-        return found.amended(
-            settings={"variant": f"DIDIM {how} from {'an' if began == 'inversion' else 'a'} {began} start"},
-            fit={"trace": tuple(history.trace), "simulations": history.tally.evaluations},
-        )
+        variant = f"DIDIM {how} from {'an' if began == 'inversion' else 'a'} {began} start"
+        return build_closed_loop_result(
+            task.record, problem, x, run, (end.message, end.converged), known, J, variant, history.trace,
+            history.tally.evaluations,
+        )  # fmt: skip
 
     def solve(self, task: Task, history: History) -> Solved:
         """Search for the least torque error from all starts; nonlinear laws from the end with linear ones."""
@@ -217,7 +217,7 @@ class DIDIM(Method):
         homes = dict.fromkeys((there["initial_position"], beginning_position(problem)))
         begun = [problem.vector(there | {"initial_position": home}) for home in homes]
         begun.sort(key=lambda one: float(np.linalg.norm(counted.residual(one))))
-        if not np.any(counted.linearised(begun[0])[1]):
+        if not np.any(counted.linearise(begun[0])[1]):
             steps.evaluate(problem, begun[0]).require_simulated()
             raise MethodError(describe_unstable(problem, begun[0]))
         return begun

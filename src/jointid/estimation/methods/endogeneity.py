@@ -136,13 +136,13 @@ class InstrumentedProblem:
         """Return the residual, (rows,)."""
         return self.problem.residual(x)
 
-    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the residual, (rows,), and its derivatives, (rows, free), along the measured motion."""
-        return self.problem.linearised(x)
+        return self.problem.linearise(x)
 
     def instruments(self, x: FloatArray) -> FloatArray:
         """Return Z, (rows, free)."""
-        first, second = (half.linearised(x)[1] for half in self.halves)
+        first, second = (half.linearise(x)[1] for half in self.halves)
         middle = len(first) // 2
         return np.concatenate([second[:middle], first[middle:]])
 

@@ -20,7 +20,7 @@ from typing import Literal
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.parameters import ADDED, Parameter
+from jointid.common.parameters import Parameter
 from jointid.common.settings import documented, setting
 from jointid.estimation.descent import History, Solved, free_more
 from jointid.estimation.methods.force_in_loop import widened_for_force
@@ -28,17 +28,15 @@ from jointid.estimation.methods.registry import SURROUNDINGS, Method, Task
 from jointid.estimation.methods.stiffness_search import StiffnessSearch, search_by_simplex
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
-from jointid.estimation.result.build_estimate import build_closed_loop_estimate
-from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.stiffness_identifiability import Visibility, visible
+from jointid.estimation.result.assemble import FitResult
+from jointid.estimation.result.build_result import build_closed_loop_result
+from jointid.estimation.result.stiffness_identifiability import visible
 from jointid.estimation.starts.nonlinear_laws import from_linear_laws, with_linear_laws
-from jointid.models.joints import ClosedLoop, FlexibleJoint, acts_on_whole
+from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.solvers.nelder_mead import NelderMead
 from jointid.uncertainty.covariance import Covariance
-from jointid.uncertainty.identifiability import Combination, Kind, Known
 from jointid.uncertainty.position_dependent_error import uncertainty
-from jointid.uncertainty.verdict import only_sums_verdict
 
 _LEAST_SQUARES = 'set method.minimiser = "least-squares"'
 _TOLERANCE, _SIMPLEX_TOLERANCE = 1e-8, 1e-4  # the latter is that of fminsearch
@@ -104,7 +102,7 @@ class FlexibleDIDIM(Method):
         """True by least squares: the paper's search need not end there, and its loop would be blamed for that."""
         return self.minimiser == "least-squares"
 
-    def identify(self, task: Task) -> Estimate:
+    def identify(self, task: Task) -> FitResult:
         """Identify a flexible joint from torque and reference; its mode must lie below the cut-off.
 
         Raises:
@@ -118,7 +116,7 @@ class FlexibleDIDIM(Method):
         if self.free:
             solved = free_more(solved, self.free, stopping_tolerance(self), history)
         problem, x = solved.problem, solved.solution.x
-        error, J = history.counted(problem).linearised(x)
+        error, J = history.counted(problem).linearise(x)
         run = problem.simulate(x)
         history.tally.evaluations += 1
         stop, converged = solved.solution.message, solved.solution.converged
@@ -129,25 +127,20 @@ class FlexibleDIDIM(Method):
         known = uncertainty(J, J, error, problem.cells(run), names, problem.torque_unit)
         paper = self.minimiser == "nelder-mead"
         how = "Nelder-Mead" if paper else "least squares"
+        spring = covariance = None
         if self.statistics == "inverse-model":
-            found = build_closed_loop_estimate(record, problem, x, run, (stop, converged), known, J)
-            history.tally.evaluations += 1
             covariance = inverse_model_covariance(problem, x, error)
-            found = _with_paper_statistics(found, covariance, len(problem.free_joint))
+            history.tally.evaluations += 1
         else:
             spring = visible(problem, x, J, known, starts, progress)
             history.tally.evaluations += spring.simulations
-            end = (stop, converged)
             if spring.shown:  # what is refused has no interval to widen
                 known = widened_for_force(known, problem, x, J, history)
-            found = build_closed_loop_estimate(record, problem, x, run, end, known, J, spring.rigid_error)
-            found = found.amended(checks={"verdicts": (*found.checks.verdicts, spring.verdict)})
-            found = found if spring.shown else refused(found, spring)
         variant = f"DIDIM by {how} {'from the pseudo-regular start' if paper else 'from a grid of starts'}"
-        return found.amended(
-            settings={"variant": variant},
-            fit={"trace": tuple(history.trace), "simulations": history.tally.evaluations + simulations},
-        )
+        return build_closed_loop_result(
+            record, problem, x, run, (stop, converged), known, J, variant, history.trace,
+            history.tally.evaluations + simulations, spring=spring, paper=covariance,
+        )  # fmt: skip
 
     def solve(self, task: Task, history: History) -> tuple[Solved, int]:
         """Search, and return the end and the number of simulations of the rigid joints it began with.
@@ -175,51 +168,6 @@ class FlexibleDIDIM(Method):
 def stopping_tolerance(settings: FlexibleDIDIM) -> float:
     """Return the tolerance that settings stop at: their own, or their minimiser's."""
     return settings.tolerance or (_TOLERANCE if settings.minimiser == "least-squares" else _SIMPLEX_TOLERANCE)
-
-
-def refused(estimate: Estimate, spring: Visibility) -> Estimate:
-    """Return the estimate without what the record does not tell: all that parts the motor from the load.
-
-    What a rigid joint tells takes its place: the sums of both sides.
-    """
-    joint = estimate.settings.joint
-    assert isinstance(joint, FlexibleJoint)
-    whole = tuple(
-        Known(_sum_of(p, joint.unit(p)), spring.rigid[p.name], std, std / (abs(spring.rigid[p.name]) or 1.0))
-        for p in joint.rigid.parameters
-        if (std := spring.rigid_std.get(p.name)) is not None and not acts_on_whole(p.name) and p.quantity in ADDED
-    )
-    parted = ("motor_", "load_", *(p.name for p in joint.spring.parameters))
-    lost = tuple(
-        replace(p, value=None, stderr=None, identifiable=False) if p.name.startswith(parted) and p.free else p
-        for p in estimate.params
-    )
-    assert estimate.checks.known is not None
-    known = replace(estimate.checks.known, parameters=(), physical=whole, directions=(), limitations=())
-    only = only_sums_verdict()
-    verdicts = tuple(only if v.subject is only.subject else v for v in estimate.checks.verdicts)
-    return estimate.amended(
-        params={"rows": lost}, checks={"known": known, "bounds": spring.bounds, "verdicts": verdicts}
-    )
-
-
-def _sum_of(p: Parameter, unit: str) -> Combination:
-    """Return the sum of both sides that a rigid joint's parameter is."""
-    formula = f"{p.symbol}1 + {p.symbol}2" if p.symbol[-1] not in "+-" else f"{p.symbol} of both sides"
-    weights = {f"motor_{p.name}": 1.0, f"load_{p.name}": 1.0}
-    return Combination(f"total {p.name}", formula, unit, weights, Kind.SUM, p.name)
-
-
-def _with_paper_statistics(estimate: Estimate, covariance: Covariance, joint: int) -> Estimate:
-    """Return the estimate with the deviations of the paper, and none for what surrounds the joint."""
-    found, index = [], 0
-    for p in estimate.params:
-        std = None
-        if p.free and index < joint:
-            std, index = float(covariance.std[index]), index + 1
-        found.append(replace(p, stderr=std))
-    basis = "the paper's: of the inverse model on the simulated motion, which was not solved; far too small"
-    return estimate.amended(params={"rows": tuple(found), "correlation": covariance.correlation, "basis": basis})
 
 
 def _at_rest(record: Record, settings: FlexibleDIDIM) -> tuple[Parameter, ...]:

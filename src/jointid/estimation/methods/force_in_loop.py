@@ -37,7 +37,7 @@ from jointid.common.text import number
 from jointid.estimation.descent import History
 from jointid.estimation.problems.base import EVEN, filter_rows
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.estimation.result.build_estimate import find_at_bound
+from jointid.estimation.result.build_result import find_at_bound
 from jointid.estimation.starts.flexible_joint import crossover
 from jointid.models.joints import RigidJoint
 from jointid.models.linear import frequency_response
@@ -191,7 +191,7 @@ def allow_for_force(
         at = bounds.clip(at + step)
         if not np.any(np.abs(step) > _MATTERS * np.hypot(std, at - x)):
             break
-        J = filter_rows(taps, -problem.linearised(at)[1])
+        J = filter_rows(taps, -problem.linearise(at)[1])
         run = problem.simulate(at)
         history.tally.evaluations += 2
         force = _find_large_force(problem, at, run, problem.measured - mean)

@@ -38,8 +38,9 @@ from jointid.estimation.methods.registry import Method, Task
 from jointid.estimation.problems.closed_loop import require_free
 from jointid.estimation.problems.inverse_model import InverseModel, idim_channels, motion_of, through_window
 from jointid.estimation.problems.rest import SAID
-from jointid.estimation.result.build_estimate import build_data, build_rows, poor_fit
-from jointid.estimation.result.estimate import Estimate, relative_error
+from jointid.estimation.result.assemble import FitResult
+from jointid.estimation.result.build_result import build_data, build_rows, poor_fit
+from jointid.estimation.result.estimate import relative_error
 from jointid.estimation.result.parts import Checks, Fit, Params, Settings
 from jointid.models.controllers import Controller
 from jointid.models.disturbances import (
@@ -114,7 +115,7 @@ class IDIM(Method):
         weighted = (("IDIM-WLS", cls("weighted")),) if model == "flexible" else ()
         return (("IDIM-LS", cls()), *weighted, ("IDIM-IRLS", cls("robust")), ("IDIM-IV", cls("iv")))
 
-    def identify(self, task: Task) -> Estimate:
+    def identify(self, task: Task) -> FitResult:
         """Identify a joint from torque and motor position, and load position where it is flexible.
 
         The standard deviations are those of the regression, robust to autocorrelation. What repeats with the motion is
@@ -135,7 +136,7 @@ class IDIM(Method):
                 "IDIM-IV simulates the closed loop for its instruments, so it needs the controller; give a ClosedLoop, "
                 "or use another estimator."
             )
-        filtering = task.filtering.resolved(sample_time, joint.model)
+        filtering = task.filtering.resolve(sample_time, joint.model)
 
         def regression(effects: tuple[Effect, ...]) -> _Regression:
             model = motion_of(record, delay, filtering, joint, effects)
@@ -243,7 +244,7 @@ def _with_periods(
     return _Found(found.regression, found.solution, effects, periods)
 
 
-def _answer(task: Task, settings: IDIM, filtering: Filtering, delay: float, found: _Found) -> Estimate:
+def _answer(task: Task, settings: IDIM, filtering: Filtering, delay: float, found: _Found) -> FitResult:
     record, joint, loop = task.record, task.joint, task.loop
     assert record.torque is not None
     regression, solution = found.regression, found.solution
@@ -254,7 +255,7 @@ def _answer(task: Task, settings: IDIM, filtering: Filtering, delay: float, foun
     injected = ("injected",) if record.injected is not None else ()
     named = dict(zip((p.name for p in regression.parameters), map(float, values), strict=True)) | found.periods
     std = dict(zip(regression.rows.names, map(float, solution.covariance.std), strict=True))
-    return Estimate(
+    return FitResult(
         params=Params(
             build_rows(regression.parameters, named, std, joint.unit, named.keys() - found.periods.keys()),
             regression.rows.names,

@@ -35,8 +35,8 @@ from jointid.estimation.problems.base import LOG_DELAY, log_delay
 from jointid.estimation.problems.closed_loop import initial_of
 from jointid.estimation.problems.prescribed import CURRENT_LAG, DriveSideProblem, motion_problem, position_problem
 from jointid.estimation.problems.rest import SAID
-from jointid.estimation.result.build_estimate import build_prescribed_estimate
-from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.assemble import FitResult
+from jointid.estimation.result.build_result import build_prescribed_result
 from jointid.models.joints import acts_on_whole
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.prescribed import DriveSide, OpenLoop
@@ -98,7 +98,7 @@ class DriveSideFit(Method):
         lag = replace(CURRENT_LAG, free=True, start=0.3 * sample_time, lower=1e-3 * sample_time, upper=delay.upper)
         return delay, lag if self.current_lag is None else CURRENT_LAG.fixed(self.current_lag)
 
-    def identify(self, task: Task) -> Estimate:
+    def identify(self, task: Task) -> FitResult:
         """Identify a joint from torque and motor position, whatever its controller.
 
         Reference and injected signal serve as instruments. The position's cut-off should be five times the free-free
@@ -120,15 +120,15 @@ class DriveSideFit(Method):
         resting = 1 - float(np.mean(problem.weights))
         rest = f"the motor rests in {100 * resting:.0f} % of the record, where its torque says nothing of it"
         how = "least squares" if verdict.x is None else "instrumental variables"
-        evaluations = solution.evaluations + simulations + verdict.simulations
-        return build_prescribed_estimate(
+        return build_prescribed_result(
             record,
             problem,
             solution.x if verdict.x is None else verdict.x,
-            replace(solution, evaluations=evaluations),
+            solution,
             verdict.covariance or _covariance_of(solution),
             ("torque", "motor_position", *verdict.channels),
             ("drive_side", f"drive-side by {how}"),
+            earlier=simulations + verdict.simulations,
             after=(*((rest,) if resting > SAID else ()), *verdict.warnings),
         )
 
@@ -177,7 +177,7 @@ def _linear(problem: DriveSideProblem, frequency: float | None) -> tuple[float, 
     sought = (replace(p, free=True) if p.name in names else p.fixed(unit[p.name]) for p in problem.parameters)
     trial = replace(problem, parameters=tuple(sought))
     x = np.array([unit[p.name] for p in trial.free])
-    error, J = trial.linearised(x)
+    error, J = trial.linearise(x)
     W = [-column for column in J.T]
     if flexible:
         W.append(trial.filtered(problem.measured) - error + J[:, 0])  # the prediction, less the motor's inertia
@@ -239,7 +239,7 @@ class OpenLoopFit(Method):
     frequency: float | None = _frequency()
     tolerance: float = setting(1e-8, "change of the criterion or the parameters to stop at, as a share", above=0)
 
-    def identify(self, task: Task) -> Estimate:
+    def identify(self, task: Task) -> FitResult:
         """Identify a joint from the torque that drives it in open loop, and the motor position that follows.
 
         The filter's borders should outlast the transient of a load that was not in steady motion at the first sample.
@@ -257,14 +257,15 @@ class OpenLoopFit(Method):
         start, solver = problem.vector({**found, **given}), LevenbergMarquardt(self.tolerance)
         solution = solve(problem, solver, start, _reported(task.progress))
         drift = f"positions slower than {problem.highpass:g} Hz are drift in open loop, and were not compared"
-        estimate = build_prescribed_estimate(
+        return build_prescribed_result(
             task.record,
             problem,
             solution.x,
-            replace(solution, evaluations=solution.evaluations + first.fit.simulations),
+            solution,
             _covariance_of(solution),
             ("torque", "motor_position"),
             ("open_loop", "open loop by least squares"),
+            earlier=first.simulations,
+            initial=initial_of(problem.values(solution.x)),
             before=(drift,),
         )
-        return estimate.amended(fit={"initial": initial_of(problem.values(solution.x))})

@@ -20,7 +20,7 @@ from jointid.common.settings import check_settings
 if TYPE_CHECKING:
     from jointid.common.messages import Progress
     from jointid.common.parameters import Parameter
-    from jointid.estimation.result.estimate import Estimate
+    from jointid.estimation.result.assemble import FitResult
     from jointid.models.controllers import Controller
     from jointid.models.joints import ClosedLoop, Joint
     from jointid.records.record import Record
@@ -122,7 +122,7 @@ class Method(Protocol):
         """True if a check of the loop may begin at its estimate."""
         return True
 
-    def identify(self, task: Task) -> Estimate:
+    def identify(self, task: Task) -> FitResult:
         """Identify a joint from a record."""
         ...
 

@@ -180,7 +180,7 @@ class RegressorSteps:
     def evaluate(self, problem: ClosedLoopProblem, x: FloatArray, gain_scale: float = 1.0) -> State:
         """Simulate a candidate with its derivatives, with the controller's gains scaled."""
         values, names = problem.values(x), [p.name for p in problem.free]
-        experiment = problem.experiment if gain_scale == 1.0 else problem.experiment.scaled(gain_scale)
+        experiment = problem.experiment if gain_scale == 1.0 else problem.experiment.scale(gain_scale)
         simulation, J = simulate_with_sensitivities(problem.loop, experiment, values, names, initial_of(values))
         self.history.tally.evaluations += 1
         error, W_seen, J_seen = problem.seen(simulation, problem.regressor(simulation), J)

@@ -30,7 +30,7 @@ from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.registry import Task
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
-from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.starts.flexible_joint import (
     FASTEST,
     Candidate,
@@ -110,7 +110,7 @@ class StiffnessSearch:
             tell(f"with other inertias than that joint's: {error}")
             solved = self._refine(explore_widely(self._on_band(math.inf), rigid.values, self.history))
         assert rigid.settings.filtering.cutoff is not None
-        edge, simulations = rigid.settings.filtering.cutoff, rigid.fit.simulations
+        edge, simulations = rigid.settings.filtering.cutoff, rigid.simulations
         for lower in () if self.cutoff else _LOWER_AGAIN:
             left = self.history.counted(solved.problem).residual(solved.x)
             if np.linalg.norm(left) <= _NOTHING * solved.problem.size:
@@ -122,11 +122,11 @@ class StiffnessSearch:
             except MethodError as error:  # a short record shows too little there
                 tell(f"not below {edge / lower:.3g} Hz: {error}")
                 break
-            simulations += rigid.fit.simulations
+            simulations += rigid.simulations
             solved = self._from_rigid_joint(rigid)
         return solved, simulations
 
-    def _from_rigid_joint(self, rigid: Estimate) -> Solved:
+    def _from_rigid_joint(self, rigid: FitResult) -> Solved:
         found = self._refine(explore(self._on_band(math.inf), rigid.values, self.frequency, self.history))
         return _or_moving(found, rigid, least_squares(found.problem, self.tolerance), self.history)
 
@@ -215,10 +215,10 @@ def search_by_simplex(
         start = problem.vector(explore(problem, rigid.values, frequency, history)[0].values)
     solver = replace(solver, scales=sizes_of(start), size=problem.size)
     found = _or_moving(history.solve(problem, solver, start), rigid, solver, history, free=False)
-    return found, rigid.fit.simulations
+    return found, rigid.simulations
 
 
-def rough_rigid_joint(task: Task, cutoff: float | None, progress: Progress) -> Estimate:
+def rough_rigid_joint(task: Task, cutoff: float | None, progress: Progress) -> FitResult:
     """Return a rough identification of a flexible joint as rigid, below its resonance.
 
     Its cut-off, Hz, where None: 0.5 % of the sampling frequency, or less for a loop that is slow for its log.
@@ -228,7 +228,7 @@ def rough_rigid_joint(task: Task, cutoff: float | None, progress: Progress) -> E
     assert record.torque is not None
     sample_time = record.torque.sample_time
 
-    def identified(edge: float) -> Estimate:
+    def identified(edge: float) -> FitResult:
         progress(f"identifying the joint as rigid, below {edge:.3g} Hz")
         return _ROUGH.identify(
             Task(record, rigid.joint, rigid, rigid.joint.parameters, Filtering(cutoff=edge), progress)
@@ -248,8 +248,7 @@ def rough_rigid_joint(task: Task, cutoff: float | None, progress: Progress) -> E
     law = rigid.controller.law(sample_time)
     slow = max(_RIGID_BELOW * crossover(law, found.values["inertia"]), least)
     if cutoff is None and slow < 0.7 * edge:
-        first, found = found, identified(slow)
-        found = found.amended(fit={"simulations": first.fit.simulations + found.fit.simulations})
+        return replace(identified(slow), earlier=found.simulations)
     return found
 
 
@@ -267,10 +266,10 @@ def on_band(problem: ClosedLoopProblem, filtering: Filtering, mode: float) -> Cl
     sample_time = problem.experiment.sample_time
     if FASTEST / sample_time < mode < math.inf:
         mode = 0.0
-    default = Filtering().resolved(sample_time, "flexible").cutoff
+    default = Filtering().resolve(sample_time, "flexible").cutoff
     assert default is not None
     cutoff = min(max(default, _MODES * mode), _WIDE / sample_time)
-    return replace(problem, filtering=replace(filtering, cutoff=cutoff).resolved(sample_time, "flexible"))
+    return replace(problem, filtering=replace(filtering, cutoff=cutoff).resolve(sample_time, "flexible"))
 
 
 def _agree(end: tuple[float, float], best: tuple[float, float], size: float) -> bool:
@@ -317,7 +316,7 @@ def _from_beside(found: Solved, history: History) -> Solution:
 
 
 def _or_moving(
-    resting: Solved, rigid: Estimate, solver: Solver[Counted], history: History, *, free: bool = True
+    resting: Solved, rigid: FitResult, solver: Solver[Counted], history: History, *, free: bool = True
 ) -> Solved:
     """Descend with the motor moving as the rigid joint's does, if it does; see `or_moving`.
 

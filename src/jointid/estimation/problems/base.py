@@ -250,11 +250,11 @@ class SumProblem(Generic[_Member]):
         members = enumerate(zip(self.problems, self.weights, strict=True))
         return np.concatenate([filter_rows(taps, p.residual(self.of_member(x, k))) for k, (p, taps) in members])
 
-    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free)."""
         errors, slopes = [], []
         for k, (problem, taps) in enumerate(zip(self.problems, self.weights, strict=True)):
-            error, J = problem.linearised(self.of_member(x, k))
+            error, J = problem.linearise(self.of_member(x, k))
             errors.append(filter_rows(taps, error))
             slopes.append(np.zeros((error.size, len(self.free))))
             slopes[-1][:, self.places[k]] = filter_rows(taps, J)

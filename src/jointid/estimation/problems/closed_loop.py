@@ -126,7 +126,7 @@ class ClosedLoopProblem(RecordProblem):
         response = simulate_torque(c.loop, experiment, c.values, c.initial)
         return replace(response, torque=self._shown(response.torque, c))
 
-    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free), from one run."""
         response, columns = self.sensitivities(x)
         error, slopes = self.seen(response, columns)
@@ -308,7 +308,7 @@ def torque_problem(
     return ClosedLoopProblem(
         (*parameters, *with_torque(surroundings, experiment, measured)),
         measured,
-        filtering.resolved(experiment.sample_time, loop.joint.model),
+        filtering.resolve(experiment.sample_time, loop.joint.model),
         loop,
         experiment,
     )

@@ -222,10 +222,10 @@ class LogProblem:
         return self.window.free
 
     def residual(self, x: FloatArray) -> FloatArray:
-        """Return the residual in as few rows as say the same; see `linearised`."""
-        return self.linearised(x)[0]
+        """Return the residual in as few rows as say the same; see `linearise`."""
+        return self.linearise(x)[0]
 
-    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return residual and derivatives in as few rows as have the same sums, (free + 1,) and (free + 1, free)."""
         return compress(self.pass_over(x).sums)
 
@@ -362,7 +362,7 @@ def moves(record: Record) -> bool:
 def motion(problem: ClosedLoopProblem) -> tuple[FloatArray, FloatArray]:
     """Return the reference's position and velocity at the log's instants, (samples,) each."""
     experiment = problem.experiment
-    position = experiment.inputs[experiment.looked // experiment.lengths.size, REFERENCE]
+    position = experiment.inputs[experiment.log_index // experiment.lengths.size, REFERENCE]
     return position, np.gradient(position, experiment.sample_time)
 
 

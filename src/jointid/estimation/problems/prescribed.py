@@ -84,7 +84,7 @@ class PrescribedProblem(RecordProblem):
         """Return the filtered, decimated error, (rows,); of a candidate that fails, something large."""
         return self._compared(x, ())[0]
 
-    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the residual, (rows,), and its derivatives by the free parameters, (rows, free)."""
         return self._compared(x, tuple(p.name for p in self.free))
 
@@ -185,7 +185,7 @@ def motion_problem(
     require_free(parameters)
     torque, (position,) = torque_and_positions(record, closing.joint, ("motor_position",), "Drive-side identification")
     sample_time = torque.sample_time
-    filtering = filtering.resolved(sample_time, closing.joint.model)
+    filtering = filtering.resolve(sample_time, closing.joint.model)
     assert filtering.position_cutoff is not None
     smooth = lowpass(position, filtering.position_cutoff, sample_time)
     motion = _from_rest(prescribed_motion(smooth, sample_time))
@@ -296,7 +296,7 @@ def position_problem(
     require_free(parameters)
     torque, (position,) = torque_and_positions(record, closing.joint, ("motor_position",), "Open-loop identification")
     period = torque.sample_time
-    filtering = filtering.resolved(period, closing.joint.model)
+    filtering = filtering.resolve(period, closing.joint.model)
     assert filtering.cutoff is not None
     highpass = highpass or _DRIFT * filtering.cutoff
     most = float(np.max(np.abs(torque.values)))

@@ -11,16 +11,13 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from jointid.common.messages import Message
 from jointid.common.text import interval, listed, number, rounded
+from jointid.estimation.result.parts import EstimatedParameter, EstimateParts
 from jointid.models.joints import FlexibleJoint
 from jointid.uncertainty.verdict import POOR_FIT, Reason, Status, StiffnessBound, Subject, Verdict
-
-if TYPE_CHECKING:
-    from jointid.estimation.result.estimate import Estimate
-    from jointid.estimation.result.parts import EstimatedParameter
 
 _ASKED = ("stiffness", "inertia", "load_inertia", "motor_inertia")  # the first of them that is free is the answer
 _OF_MECHANICS = (Reason.SPRING_NOT_LINEAR, Reason.LOAD_NOT_RIGID, Reason.FRICTION_NOT_AS_MODELLED)
@@ -70,7 +67,7 @@ class Answer:
         return f"{self.found}. {self.trust}."
 
 
-def answer_of(estimate: Estimate) -> Answer:
+def answer_of(estimate: EstimateParts) -> Answer:
     """Return the first line of an estimate."""
     rows = estimate.params
     free = [
@@ -89,7 +86,7 @@ def answer_of(estimate: Estimate) -> Answer:
     return Answer(_value(estimate, asked), _trust(estimate, asked))
 
 
-def _value(estimate: Estimate, asked: EstimatedParameter) -> Message:
+def _value(estimate: EstimateParts, asked: EstimatedParameter) -> Message:
     assert asked.value is not None
     if asked.at_bound is not None:
         shown = f"{number(asked.at_bound)} {asked.unit}, at its bound"
@@ -103,7 +100,7 @@ def _value(estimate: Estimate, asked: EstimatedParameter) -> Message:
     return Message(Found.VALUE, words, _values(asked, mode))
 
 
-def _with_pieces(estimate: Estimate, asked: EstimatedParameter, shown: str) -> str:
+def _with_pieces(estimate: EstimateParts, asked: EstimatedParameter, shown: str) -> str:
     """Return a shown stiffness with what else a spring in pieces is made of."""
     joint = estimate.settings.joint
     if asked.name != "stiffness" or not isinstance(joint, FlexibleJoint):
@@ -120,7 +117,7 @@ def _shown(row: EstimatedParameter) -> str:
     return f"{value} {row.unit}"
 
 
-def _not_determined(estimate: Estimate, asked: EstimatedParameter) -> Message:
+def _not_determined(estimate: EstimateParts, asked: EstimatedParameter) -> Message:
     """Return what is known of a value that is refused: of a stiffness the softest that the record allows."""
     words = f"{_called(asked.name)} not determined by this record"
     told = told_bounds(estimate)
@@ -135,7 +132,7 @@ def _not_determined(estimate: Estimate, asked: EstimatedParameter) -> Message:
     return Message(Found.LOWER_BOUND, words, _values(asked, mode) | {"lower_bound": least})
 
 
-def told_bounds(estimate: Estimate) -> tuple[StiffnessBound, ...]:
+def told_bounds(estimate: EstimateParts) -> tuple[StiffnessBound, ...]:
     """Return the bounds of a refused stiffness; none where the model does not explain the torque they come from."""
     return estimate.checks.bounds if estimate.fit.filtered_error <= POOR_FIT else ()
 
@@ -151,7 +148,7 @@ def _values(asked: EstimatedParameter, mode: float | None) -> dict[str, Any]:
     }
 
 
-def _mode(estimate: Estimate) -> float | None:
+def _mode(estimate: EstimateParts) -> float | None:
     """Return the free-free frequency of a flexible joint, Hz; None where there is none."""
     needed = ("motor_inertia", "load_inertia", "stiffness")
     values = estimate.values
@@ -161,7 +158,7 @@ def _mode(estimate: Estimate) -> float | None:
     return FlexibleJoint.frequencies(values)["free_free"]
 
 
-def _refused(estimate: Estimate) -> Message:
+def _refused(estimate: EstimateParts) -> Message:
     """Return what can be relied on where the value itself is refused."""
     loop, known = loop_verdict(estimate), estimate.checks.known
     if loop is not None and loop.status is Status.FAILED:
@@ -176,7 +173,7 @@ def _refused(estimate: Estimate) -> Message:
     return Message(Trust.REFUSED, words, {"reasons": [], "parameters": []})
 
 
-def _trust(estimate: Estimate, asked: EstimatedParameter) -> Message:
+def _trust(estimate: EstimateParts, asked: EstimatedParameter) -> Message:
     """Return whether to rely on a value, and what speaks against it."""
     against = _failed(estimate, asked)
     if against:
@@ -230,7 +227,7 @@ class Against(StrEnum):
     ENCODER_LAG = "encoder_lag"
 
 
-def _failed(estimate: Estimate, asked: EstimatedParameter) -> list[Message]:
+def _failed(estimate: EstimateParts, asked: EstimatedParameter) -> list[Message]:
     """Return what speaks against a value, the cause before its effects."""
     loop = loop_verdict(estimate)
     found = list(_effects(estimate, asked))
@@ -256,7 +253,7 @@ def _failed(estimate: Estimate, asked: EstimatedParameter) -> list[Message]:
     return [*mechanics, *found]
 
 
-def _effects(estimate: Estimate, asked: EstimatedParameter) -> Iterator[Message]:
+def _effects(estimate: EstimateParts, asked: EstimatedParameter) -> Iterator[Message]:
     fit, checks = estimate.fit, estimate.checks
     if fit.interrupted:
         yield Message(Against.INTERRUPTED, "it was interrupted, and is of the record's beginning only")
@@ -290,12 +287,12 @@ def _effects(estimate: Estimate, asked: EstimatedParameter) -> Iterator[Message]
         yield Message(Against.WIDE, f"it is known {share}")
 
 
-def loop_verdict(estimate: Estimate) -> Verdict | None:
+def loop_verdict(estimate: EstimateParts) -> Verdict | None:
     """Return the verdict on controller and log, None where there is none."""
     return next((v for v in estimate.checks.verdicts if v.subject is Subject.LOOP), None)
 
 
-def moved_by_loop(estimate: Estimate, beyond: float = 0.0) -> Mapping[str, float]:
+def moved_by_loop(estimate: EstimateParts, beyond: float = 0.0) -> Mapping[str, float]:
     """Return by how much the parameters change when the faults of loop and log that were found are corrected.
 
     Where none was found, it is by how much another law would change them that the record does not exclude.

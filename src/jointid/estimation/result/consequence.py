@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 from jointid.common.text import listed, signed
-from jointid.estimation.result.answer import Trust, moved_by_loop
-from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.result.parts import EstimatedParameter
+from jointid.estimation.result.answer import Trust, answer_of, moved_by_loop
+from jointid.estimation.result.parts import EstimatedParameter, EstimateParts
 from jointid.uncertainty.verdict import Reason, Subject, Verdict
 
 
-def spares_answer(estimate: Estimate, verdict: Verdict) -> bool:
+def spares_answer(estimate: EstimateParts, verdict: Verdict) -> bool:
     """Return True if a check that did not pass says nothing against a value that can otherwise be relied on."""
-    asked = estimate[estimate.answer.found.values["parameter"]]
+    asked = estimate[answer_of(estimate).found.values["parameter"]]
     return verdict.good is None or verdict.subject is Subject.LOOP or not _against(asked, verdict)
 
 
-def consequence(estimate: Estimate, verdict: Verdict) -> str:
+def consequence(estimate: EstimateParts, verdict: Verdict) -> str:
     """Return what a check that did not pass means for the value that was asked for, in a sentence.
 
     Where something else speaks against the value, no check says that it may be used.
     """
-    asked = estimate[estimate.answer.found.values["parameter"]]
+    asked = estimate[answer_of(estimate).found.values["parameter"]]
     value = asked.name.replace("_", " ")
     if asked.value is None:
         return f"Do not use a value of the {value}, only what is said of it above."
@@ -28,7 +27,7 @@ def consequence(estimate: Estimate, verdict: Verdict) -> str:
         return _consequence_of_loop(estimate, asked, verdict)
     if verdict.good is False and (why := _against(asked, verdict)):
         return f"Do not use the {value}: {why}."
-    if verdict.good is None or estimate.answer.trust.code is Trust.NOT_YET:
+    if verdict.good is None or answer_of(estimate).trust.code is Trust.NOT_YET:
         return f"This says nothing against the {value}."
     wide = verdict.subject in (Subject.WHITENESS, Subject.REPEATABLE)
     return f"The {value} may be used{': its interval is wide enough for this' if wide else ''}."
@@ -50,8 +49,8 @@ def _against(asked: EstimatedParameter, verdict: Verdict) -> str:
     return why.get(verdict.subject, "")
 
 
-def _consequence_of_loop(estimate: Estimate, asked: EstimatedParameter, verdict: Verdict) -> str:
-    value, trust = asked.name.replace("_", " "), estimate.answer.trust
+def _consequence_of_loop(estimate: EstimateParts, asked: EstimatedParameter, verdict: Verdict) -> str:
+    value, trust = asked.name.replace("_", " "), answer_of(estimate).trust
     doubted = trust.code is Trust.NOT_YET
     speaks = doubted and any(str(one.code) in trust.values["reasons"] for one in verdict.reasons)
     by, far = moved_by_loop(estimate).get(asked.name), moved_by_loop(estimate, 2.0)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,15 +13,13 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented, data_frame, write
 from jointid.common.errors import MethodError, RecordError
-from jointid.common.transmission import OtherSide, other_side
 from jointid.estimation.result.answer import Answer, answer_of
-from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Params, Settings, on_other_side
+from jointid.estimation.result.parts import EstimateParts
 from jointid.models.disturbances import Effect
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.signals.filtering import Filtering
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from pandas import DataFrame
 
     import jointid
@@ -61,7 +59,7 @@ class IdentifiedJoint:
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Estimate(Documented):
+class Estimate(EstimateParts, Documented):
     """The result of an identification.
 
     Attributes:
@@ -80,12 +78,6 @@ class Estimate(Documented):
         >>> round(estimate.params["inertia"].value, 6), estimate.success
         (30.0, True)
     """
-
-    params: Params
-    fit: Fit
-    checks: Checks
-    data: Data
-    settings: Settings
 
     @property
     def success(self) -> bool:
@@ -107,28 +99,9 @@ class Estimate(Documented):
         """Covariance of the errors of the free parameters, in the order of `params.names`."""
         return self.params.covariance
 
-    @property
-    def values(self) -> dict[str, float]:
-        """The parameters of joint and effects by name, fixed ones included; a refused one is missing."""
-        return {p.name: p.value for p in self.params if p.of_joint and p.value is not None}
-
     def __repr__(self) -> str:
         """Return model, method and answer: one line, or two."""
         return f"<Estimate of a {self.settings.joint.model} joint by {self.settings.method}: {self.answer}>"
-
-    def __getitem__(self, name: str) -> EstimatedParameter:
-        """Return a parameter by its name or symbol; ``name@2`` is the second record's own."""
-        return self.params[name]
-
-    @property
-    def other(self) -> OtherSide | None:
-        """The other side of the transmission; None without one."""
-        return other_side(self.settings.joint.transmission, self.data.torque_unit)
-
-    @property
-    def other_side(self) -> tuple[EstimatedParameter, ...]:
-        """The parameters on the other side of the transmission, in the same order; none without one."""
-        return on_other_side(self.params, self.other)
 
     @property
     def identified(self) -> IdentifiedJoint:
@@ -149,10 +122,6 @@ class Estimate(Documented):
             settings.method, settings.joint, settings.loop, self.values, settings.filtering, settings.delay,
             data.record, data.fingerprint, law, settings.effects,
         )  # fmt: skip
-
-    def amended(self, **parts: Mapping[str, Any]) -> Estimate:
-        """Return the estimate with some entries of its parts exchanged: ``amended(checks={"warnings": ()})``."""
-        return replace(self, **{name: replace(getattr(self, name), **entries) for name, entries in parts.items()})
 
     def document(self, *, details: bool = False) -> Document:
         """Return the estimate as a document: table, combinations, errors, verdicts that did not pass, and warnings.
@@ -204,9 +173,11 @@ class Estimate(Documented):
         return Path(path)
 
     @property
-    def plot(self) -> Plots:
-        """The figures: ``estimate.plot.torque()``, ``estimate.plot.residual(record)``."""
-        return Plots(self)
+    def plot(self) -> jointid.figures.Plots:
+        """The figures: ``estimate.plot.torque()``, ``.residual(record)``, ``.spectrum()``, ``.response()`` and more."""
+        import jointid
+
+        return jointid.figures.Plots(self)
 
     def report(self, record: Record, *, name: str = "", profiles: Sequence[str] | None = None) -> jointid.Report:
         """Return the report: one page with figures, see `jointid.Report.of`.
@@ -219,33 +190,6 @@ class Estimate(Documented):
         import jointid
 
         return jointid.Report.of(self, record, name=name, profiles=profiles)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Plots:
-    """The figures of an estimate, of matplotlib: ``figure.savefig(path)`` writes one."""
-
-    estimate: Estimate
-
-    def __call__(self) -> Figure:
-        """Return the first of them, `torque`."""
-        return self.torque()
-
-    def torque(self) -> Figure:
-        """Return measured, simulated and error torque over time."""
-        import jointid
-
-        return jointid.figures.torque(self.estimate)
-
-    def residual(self, record: Record) -> Figure:
-        """Return the torque error against velocity and position, and its autocorrelation.
-
-        Args:
-            record: that it was identified from, or another one of the joint; an estimate keeps no motion.
-        """
-        import jointid
-
-        return jointid.figures.residual(jointid.validate(self.estimate, record))
 
 
 def fingerprint(torque: FloatArray) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 
 from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.result.answer import is_another_law, loop_verdict, moved_by_loop
-from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.result.parts import EstimateParts
 
 SHOWN_SHIFT = 0.5
 """Standard errors that a fault moves a parameter by at least to be marked beside it."""
@@ -22,7 +22,7 @@ def field_symbol(name: str, unit: str) -> str:
     return letter.replace("J", "m") if unit == "kg" else letter
 
 
-def legend(estimate: Estimate, *, initial: bool = True) -> Iterator[str]:
+def legend(estimate: EstimateParts, *, initial: bool = True) -> Iterator[str]:
     """Yield what a reader of the table of parameters has to know, in lines of a screen's width.
 
     Args:

@@ -10,9 +10,10 @@ from typing import Literal, overload
 import numpy as np
 
 from jointid.common.arrays import FloatArray
+from jointid.common.document import Documented
 from jointid.common.errors import UnknownName
 from jointid.common.messages import suggest
-from jointid.common.transmission import OtherSide
+from jointid.common.transmission import OtherSide, other_side
 from jointid.estimation.result.agreement import Agreement, DriftTest
 from jointid.models.disturbances import Effect
 from jointid.models.joints import ClosedLoop, Joint
@@ -289,6 +290,7 @@ class Checks:
         agreement: whether several records, each by itself, agree.
         drift: whether the segments of a long log agree.
         encoder_lag: that hides the spring between both encoders, where they were read.
+        loop: the check of the controller and the log, a `LoopCheck`; None where it was not made.
         warnings: one sentence each.
         notes: on how the intervals were obtained, one sentence each.
     """
@@ -301,6 +303,7 @@ class Checks:
     agreement: Agreement | None = None
     drift: DriftTest | None = None
     encoder_lag: EncoderLag | None = None
+    loop: Documented | None = None
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -415,3 +418,41 @@ class Settings:
     delay: float = 0.0
     effects: tuple[Effect, ...] = ()
     weighting: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class EstimateParts:
+    """The five parts of an estimate, without what is computed from them.
+
+    Attributes:
+        params: the parameters with their standard errors and correlation.
+        fit: measured and predicted torque, errors, residual, and how the search went.
+        checks: verdicts, identifiable combinations, tests, bounds, warnings.
+        data: the record or records.
+        settings: the model and the method, defaults filled in.
+    """
+
+    params: Params
+    fit: Fit
+    checks: Checks
+    data: Data
+    settings: Settings
+
+    def __getitem__(self, name: str) -> EstimatedParameter:
+        """Return a parameter by its name or symbol; ``name@2`` is the second record's own."""
+        return self.params[name]
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The parameters of joint and effects by name, fixed ones included; a refused one is missing."""
+        return {p.name: p.value for p in self.params if p.of_joint and p.value is not None}
+
+    @property
+    def other(self) -> OtherSide | None:
+        """The other side of the transmission; None without one."""
+        return other_side(self.settings.joint.transmission, self.data.torque_unit)
+
+    @property
+    def other_side(self) -> tuple[EstimatedParameter, ...]:
+        """The parameters on the other side of the transmission, in the same order; none without one."""
+        return on_other_side(self.params, self.other)

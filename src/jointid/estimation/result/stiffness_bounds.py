@@ -101,9 +101,9 @@ class SpringProblem:
         """Return the residual, (rows,)."""
         return self.problem.residual(self.problem.vector(self._values(x)))
 
-    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the residual, (rows,), and its derivatives, (rows, free)."""
-        error, J = self.problem.linearised(self.problem.vector(self._values(x)))
+        error, J = self.problem.linearise(self.problem.vector(self._values(x)))
         if not np.isfinite(np.vdot(J, J)):
             # The derivatives of a diverging loop overflow when they are squared; there is no way down from it.
             return error, np.zeros((error.size, len(self.free)))
@@ -213,7 +213,7 @@ def profile_modes(
     """
     sample_time, law, cutoff = problem.experiment.sample_time, problem.experiment.law, problem.filtering.cutoff
     assert cutoff is not None
-    band = Filtering(cutoff=max(_BAND / sample_time, cutoff)).resolved(sample_time, "flexible")
+    band = Filtering(cutoff=max(_BAND / sample_time, cutoff)).resolve(sample_time, "flexible")
     high = _STIFFEST * cutoff
     low = min(_SOFTEST * crossover(law, rigid["inertia"]), 0.5 * high)
     names = tuple(p.name for p in problem.free if p.name not in _SPRING)
@@ -285,7 +285,7 @@ def _threshold(made: ModeProfile) -> float:
     names = tuple(name for name in made.names if not name.startswith("load_"))
     x = np.array([made.stiff.at[name] for name in ("inertia", "ratio", *names)])
     stiff = SpringProblem(made.problem, names, _SHARE, made.room[1], made.room)
-    error, J = stiff.linearised(x)
+    error, J = stiff.linearise(x)
     bent = replace(stiff, mode=made.room[1] / 1.2).residual(x) - error
     made.simulations += 2
     J = np.column_stack([np.delete(J, 1, axis=1), bent])

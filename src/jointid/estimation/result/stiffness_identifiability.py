@@ -21,7 +21,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.messages import Message, Progress
 from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
-from jointid.estimation.result.build_estimate import find_lost
+from jointid.estimation.result.build_result import Visibility, find_lost
 from jointid.estimation.result.stiffness_bounds import (
     SHARES,
     ModeProfile,
@@ -63,31 +63,6 @@ _APART = 3.0  # deviations: stiffnesses that are not the same
 _BOTH_SIDES = 1.42  # times a bound's threshold is an interval's at 95 %: 3.841 / 2.706
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Visibility:
-    """What a record shows of a joint's spring.
-
-    Attributes:
-        verdict: whether its stiffness is reported, and why not.
-        rigid: values of the rigid joint on the same band. rigid_std: standard deviations of those that move its torque.
-        rigid_error: (rows,) what it leaves.
-        bounds: where the stiffness is refused.
-        simulations: that all this took.
-    """
-
-    verdict: Verdict
-    rigid: Mapping[str, float]
-    rigid_std: Mapping[str, float]
-    rigid_error: FloatArray
-    bounds: tuple[StiffnessBound, ...]
-    simulations: int
-
-    @property
-    def shown(self) -> bool:
-        """Whether the stiffness is reported."""
-        return self.verdict.status is Status.PASSED
-
-
 def visible(
     problem: ClosedLoopProblem,
     x: FloatArray,
@@ -109,7 +84,7 @@ def visible(
         shares: of the load in the inertia, for which bounds are looked for.
     """
     rigid, at = _fit_rigid(problem, problem.values(x))
-    error, slopes = rigid.linearised(at.x)
+    error, slopes = rigid.linearise(at.x)
     where = rigid.cells(rigid.simulate(at.x))
     values, found, runs = rigid.values(at.x), problem.values(x), at.evaluations + 4
     reasons, said, made = _doubts(problem, x, J, known, error, together), "", None

@@ -10,11 +10,10 @@ from jointid.common.text import listed, number, signed, uniform
 from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.problems.log_windows import VISITS
 from jointid.estimation.result.agreement import DriftTest
-from jointid.estimation.result.answer import moved_by_loop, told_bounds
+from jointid.estimation.result.answer import answer_of, moved_by_loop, told_bounds
 from jointid.estimation.result.consequence import spares_answer
-from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.legend import SHOWN_SHIFT, field_symbol, legend
-from jointid.estimation.result.parts import EstimatedParameter, known_on_other_side
+from jointid.estimation.result.parts import EstimatedParameter, EstimateParts, known_on_other_side
 from jointid.models.joints import FlexibleJoint, Joint
 from jointid.uncertainty.identifiability import Kind
 from jointid.uncertainty.verdict import Status
@@ -23,7 +22,7 @@ _SHOWN = 2.0  # standard errors that a trend has at least to be printed as one
 _LOST = 2000.0  # %: a deviation so much larger than its value says nothing in percent
 
 
-def estimate_document(estimate: Estimate, *, details: bool = False) -> Document:
+def estimate_document(estimate: EstimateParts, *, details: bool = False) -> Document:
     """Return an estimate as a document.
 
     Args:
@@ -43,7 +42,7 @@ def estimate_document(estimate: Estimate, *, details: bool = False) -> Document:
     notes = [] if checks.verdicts and not details else [("note", note) for note in checks.notes]
     warnings = [("warning", warning) for warning in checks.warnings]
     return Document(
-        str(estimate.answer),
+        str(answer_of(estimate)),
         (
             *_tables(estimate, details=details),
             *_verdicts(estimate, details=details),
@@ -53,21 +52,21 @@ def estimate_document(estimate: Estimate, *, details: bool = False) -> Document:
     )
 
 
-def _counted_checks(estimate: Estimate) -> str:
+def _counted_checks(estimate: EstimateParts) -> str:
     """Return how many checks passed, and, beside an answer that can be relied on, that the others leave it so."""
     verdicts = estimate.checks.verdicts
     others = [verdict for verdict in verdicts if verdict.status is not Status.PASSED]
     if not others:
         return f"all {len(verdicts)} passed"
     said = f"{len(verdicts) - len(others)} of {len(verdicts)} passed"
-    if not (estimate.answer.reliable and all(spares_answer(estimate, verdict) for verdict in others)):
+    if not (answer_of(estimate).reliable and all(spares_answer(estimate, verdict) for verdict in others)):
         return said
-    value = estimate.answer.found.values["parameter"].partition("@")[0].replace("_", " ")
+    value = answer_of(estimate).found.values["parameter"].partition("@")[0].replace("_", " ")
     named = listed([str(one.subject) for one in others])
     return f"{said}; {named} {'do' if len(others) > 1 else 'does'} not speak against the {value}"
 
 
-def _sources(estimate: Estimate) -> Iterator[tuple[str, str]]:
+def _sources(estimate: EstimateParts) -> Iterator[tuple[str, str]]:
     """Return how it was identified and from what, and on which side the values are."""
     data, joint = estimate.data, estimate.settings.joint
     gear = joint.transmission
@@ -89,7 +88,7 @@ def _sources(estimate: Estimate) -> Iterator[tuple[str, str]]:
         yield "scale", f"values scale with torque_constant {data.torque_constant}, which no record checks"
 
 
-def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
+def _tables(estimate: EstimateParts, *, details: bool) -> Iterator[Block]:
     if estimate.data.records:
         yield _shared(estimate)
         own = tuple((str(k), *_cells(p)) for k, rows in enumerate(estimate.params.own, 1) for p in rows)
@@ -116,7 +115,7 @@ def _tables(estimate: Estimate, *, details: bool) -> Iterator[Block]:
         yield _segments(estimate, drift)
 
 
-def _results(estimate: Estimate, *, details: bool) -> Iterator[tuple[str, str]]:
+def _results(estimate: EstimateParts, *, details: bool) -> Iterator[tuple[str, str]]:
     fit, checks, windows = estimate.fit, estimate.checks, estimate.data.windows
     if checks.agreement is not None:
         if not checks.agreement.differs:  # else it is a warning
@@ -142,7 +141,7 @@ def _results(estimate: Estimate, *, details: bool) -> Iterator[tuple[str, str]]:
         yield "drift", describe_drift(checks.drift, estimate.params)
 
 
-def _effort(estimate: Estimate) -> Iterator[tuple[str, str]]:
+def _effort(estimate: EstimateParts) -> Iterator[tuple[str, str]]:
     fit = estimate.fit
     if fit.conditioning is not None:
         c = fit.conditioning
@@ -159,7 +158,7 @@ def _effort(estimate: Estimate) -> Iterator[tuple[str, str]]:
     yield "intervals", estimate.params.basis
 
 
-def _limits(estimate: Estimate, *, details: bool) -> Iterator[tuple[str, str]]:
+def _limits(estimate: EstimateParts, *, details: bool) -> Iterator[tuple[str, str]]:
     """Return what no verdict says: the residual and the limitations of a long log, and the method's own tests."""
     checks, windows = estimate.checks, estimate.data.windows
     if windows is not None and checks.repeatable is not None:
@@ -177,7 +176,7 @@ def _limits(estimate: Estimate, *, details: bool) -> Iterator[tuple[str, str]]:
         yield from (("test", f"{test.name}: {test.sentence}") for test in checks.tests)
 
 
-def _verdicts(estimate: Estimate, *, details: bool) -> Iterator[Block]:
+def _verdicts(estimate: EstimateParts, *, details: bool) -> Iterator[Block]:
     """Return the verdicts that did not pass, with the first of their reasons; or all of them."""
     listed = []
     for verdict in estimate.checks.verdicts:
@@ -191,7 +190,7 @@ def _verdicts(estimate: Estimate, *, details: bool) -> Iterator[Block]:
         yield Verdicts(tuple(listed))
 
 
-def _shared(estimate: Estimate) -> Table:
+def _shared(estimate: EstimateParts) -> Table:
     """Return the table of the parameters that records share, beside the estimate of each record by itself."""
     assert estimate.checks.agreement is not None
     alone = [{p.name: p for p in record.alone} for record in estimate.data.records]
@@ -241,7 +240,7 @@ def describe_drift(drift: DriftTest, params: Sequence[EstimatedParameter]) -> st
     return f"between {count} segments parameters change by more than their intervals allow: {listed}"
 
 
-def _segments(estimate: Estimate, drift: DriftTest) -> Table:
+def _segments(estimate: EstimateParts, drift: DriftTest) -> Table:
     """Return the table of the segments: each free parameter with two standard errors."""
     free = [p for p in estimate.params if p.free]
     header = ("from h", "to h", *(f"{p.symbol} {p.unit}" for p in free), "error %")
@@ -277,7 +276,7 @@ def parameter_row(p: EstimatedParameter) -> tuple[str, ...]:
     return p.symbol, words, number(p.value), number(2 * p.deviation, 2), relative, p.unit
 
 
-def remarks(estimate: Estimate) -> dict[str, str]:
+def remarks(estimate: EstimateParts) -> dict[str, str]:
     """Return what the checks say of single parameters, by name: at a bound, moved by a fault, known only with another.
 
     Of a fault of loop or log it is by how much the value changes, in its unit, when the fault is corrected.
@@ -297,7 +296,9 @@ def remarks(estimate: Estimate) -> dict[str, str]:
     return {name: ", ".join(said) for name, said in found.items()}
 
 
-def parameters_table(estimate: Estimate, caption: str = "", *, initial: bool = True, letters: bool = False) -> Table:
+def parameters_table(
+    estimate: EstimateParts, caption: str = "", *, initial: bool = True, letters: bool = False
+) -> Table:
     """Return every parameter with its interval, and with a transmission what it is on the other side.
 
     Args:
@@ -325,7 +326,7 @@ def parameters_table(estimate: Estimate, caption: str = "", *, initial: bool = T
 
 
 def combinations_table(
-    estimate: Estimate, caption: str = "", *, directions: bool = False, differences: bool = True
+    estimate: EstimateParts, caption: str = "", *, directions: bool = False, differences: bool = True
 ) -> Table | None:
     """Return sums and differences of both sides; None where there are none.
 
@@ -355,7 +356,7 @@ def combinations_table(
     return Table(header, tuple(rows), caption, words=(0, 3, 4, 5))
 
 
-def bounds_table(estimate: Estimate, caption: str = "") -> Table | None:
+def bounds_table(estimate: EstimateParts, caption: str = "") -> Table | None:
     """Return the lower bounds of a refused stiffness; None where it is not refused, or the fit says nothing of it."""
     bounds, other = told_bounds(estimate), estimate.other
     if not bounds:
@@ -372,7 +373,7 @@ def bounds_table(estimate: Estimate, caption: str = "") -> Table | None:
     return Table(header, tuple(rows), caption)
 
 
-def bands_table(estimate: Estimate, caption: str = "") -> Table | None:
+def bands_table(estimate: EstimateParts, caption: str = "") -> Table | None:
     """Return the residual in each band of frequencies; None where it was not looked at."""
     if estimate.fit.residuals is None:
         return None
@@ -392,7 +393,7 @@ def _spring(joint: Joint) -> str:
     return f", {joint.spring.name} spring" if isinstance(joint, FlexibleJoint) and not joint.spring.linear else ""
 
 
-def settings_facts(estimate: Estimate) -> Facts:
+def settings_facts(estimate: EstimateParts) -> Facts:
     """Return how it was identified."""
     f, joint, fit = estimate.settings.filtering, estimate.settings.joint, estimate.fit
     position = "none" if f.position_cutoff is None else f"{f.position_cutoff:g} Hz"

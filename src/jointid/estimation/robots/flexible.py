@@ -272,14 +272,14 @@ class _End:
         finer = problem.roughly() is not problem
         return replace(self, problem=problem.weighted(self.problem.sigma), finer=finer)
 
-    def linearised(self) -> tuple[FloatArray, FloatArray]:
+    def linearise(self) -> tuple[FloatArray, FloatArray]:
         """Return the error, (rows,), and its derivatives, (rows, free), not weighted."""
         weights = self.problem.weights(self.solution.residual.size)
         return self.solution.residual / weights, self.solution.jacobian / weights[:, np.newaxis]
 
     def reweighted(self) -> RobotProblem[Any]:
         """Return the problem with the sizes of the errors that are left."""
-        error, slopes = self.linearised()
+        error, slopes = self.linearise()
         return self.problem.reweighted(error, slopes.shape[1])
 
     @property
@@ -302,7 +302,7 @@ class _End:
         trace = self.solution.trace
         if not self.solution.converged:
             return len(trace) > 1 and trace[-1].norm < _FALLING * trace[-2].norm
-        left = self.problem.norms(self.linearised()[0])
+        left = self.problem.norms(self.linearise()[0])
         return not np.any(left > _POOR * self.problem.sizes)
 
     def fit(self, made: int) -> RobotFit | None:
@@ -311,7 +311,7 @@ class _End:
         run = self.problem.run(x)
         if run.outcome is not RobotOutcome.FINISHED:
             return None
-        J = -self.linearised()[1]
+        J = -self.linearise()[1]
         return conclude(self.problem, x, run, J, J, made, self.solution.converged)
 
 
@@ -360,7 +360,7 @@ class _Descents:
         """Descend from where another descent ended, with other weights."""
         counted, x = Counted(problem), end.solution.x
         if not end.finer:
-            error, slopes = end.linearised()
+            error, slopes = end.linearise()
             weights = problem.weights(error.size)
             counted.remember(x, error * weights, slopes * weights[:, np.newaxis])
         return self._descend(counted, x, end.reach, aim, self.evaluations)

@@ -179,7 +179,7 @@ class RobotProblem(ABC, Generic[Run]):
         error = self.error(run)
         return np.asarray(error * self.weights(error.size))
 
-    def linearised(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the weighted residual, (rows,), and its derivatives, (rows, free); 0 of what cannot be simulated."""
         run = self.run(x)
         if run.outcome is not RobotOutcome.FINISHED:
@@ -303,7 +303,7 @@ def robot_problem(
     measured = np.column_stack([r.torque.values[:samples] for r in records if r.torque is not None])
     require_torques(loop.robot, measured)
     model = "flexible" if any(loop.robot.flexible) else "rigid"
-    resolved = (filtering or Filtering()).resolved(experiment.clock.sample_time, model)
+    resolved = (filtering or Filtering()).resolve(experiment.clock.sample_time, model)
     return RobotLoopProblem(measured, resolved, parameters, np.std(measured, axis=0) + 1e-300, experiment)
 
 

@@ -138,7 +138,7 @@ def motion_of_robot(
             "sample time: resample them."
         )
     sample_time, size = channels[0].sample_time, min(map(len, positions))
-    filtering = filtering.resolved(sample_time, model)
+    filtering = filtering.resolve(sample_time, model)
     assert filtering.position_cutoff is not None
     motors = np.column_stack([position[:size] for position in positions])
     smooth = lowpass(motors, filtering.position_cutoff, sample_time)

@@ -82,7 +82,7 @@ def regular_start(problem: ClosedLoopProblem, given: Mapping[str, float] | None 
     reference, as if the axis tracked it perfectly.
     """
     experiment = problem.experiment
-    periods = experiment.looked // experiment.lengths.size
+    periods = experiment.log_index // experiment.lengths.size
     reference = experiment.inputs[periods, REFERENCE]
     torque = problem.measured - experiment.logged[periods] + experiment.after_limit[periods]
     tracked = _regress(problem, torque, reference, np.ones(torque.size, dtype=np.bool_))

@@ -33,10 +33,10 @@ from jointid.models.controllers.sampled import (
     SampledLaw,
     invert,
     law_inputs,
-    referred,
+    refer,
     respond,
     run,
-    scaled,
+    scale,
 )
 from jointid.models.controllers.servo_base import (
     CONTROLLER_UNITS,
@@ -59,8 +59,8 @@ __all__ = [
     "POSITION", "REFERENCE", "REFERENCE_VELOCITY",
     "Cascade", "Controller", "DiagramController", "DigitalFilter", "Filter", "FirstOrder", "Interpolation",
     "LawRun", "MovingAverage", "Notch", "SampledLaw", "SecondOrder", "ServoController", "StateSpaceController",
-    "as_filter", "declared_unit", "in_torque", "invert", "law_inputs", "number", "numbers_of", "referred", "respond",
-    "run", "scaled", "shift_start", "unit_of_number", "with_numbers", "with_present_sample",
+    "as_filter", "declared_unit", "in_torque", "invert", "law_inputs", "number", "numbers_of", "refer", "respond",
+    "run", "scale", "shift_start", "unit_of_number", "with_numbers", "with_present_sample",
 ]  # fmt: skip
 
 LAWS: Mapping[str, type[Any]] = {"cascade": Cascade, "pd": PD, "pid": PID, "state_space": StateSpaceController}

@@ -33,7 +33,7 @@ from jointid.models.controllers.sampled import (
     REFERENCE,
     REFERENCE_VELOCITY,
     SampledLaw,
-    referred,
+    refer,
 )
 from jointid.models.controllers.servo_base import BlockSignal, Controller, Diagram, DiagramController, ServoController
 
@@ -99,9 +99,9 @@ class Cascade(DiagramController):
         """Return the state-space form."""
         diagram = self._diagram(self.period or sample_time)
         position = diagram.input(POSITION)
-        command = diagram.held((self._reference(diagram) - position) * self.position_gain + self._fed(diagram))
+        command = diagram.hold((self._reference(diagram) - position) * self.position_gain + self._feed_forward(diagram))
         if self.velocity_limit < math.inf:
-            command, _ = diagram.limited(command, self.velocity_limit)
+            command, _ = diagram.limit(command, self.velocity_limit)
         slip = command - self._velocity(diagram, position)
         controlled = slip * self.velocity_gain
         if self.integral_gain:
@@ -128,13 +128,13 @@ class Cascade(DiagramController):
         first = math.ceil(self.position_offset / period - _DRIFT)
         return Diagram(period, round(phases), first % round(phases))
 
-    def _fed(self, diagram: Diagram) -> BlockSignal:
+    def _feed_forward(self, diagram: Diagram) -> BlockSignal:
         if not self.velocity_feedforward:
             return BlockSignal({})
         if self.reference_velocity == "channel":
             late = self.reference_delay + self.velocity_feedforward_delay
-            return diagram.delayed(diagram.input(REFERENCE_VELOCITY), late) * self.velocity_feedforward
-        reference = diagram.delayed(self._reference(diagram), self.velocity_feedforward_delay)
+            return diagram.delay(diagram.input(REFERENCE_VELOCITY), late) * self.velocity_feedforward
+        reference = diagram.delay(self._reference(diagram), self.velocity_feedforward_delay)
         return diagram.difference(reference, slow=True) * self.velocity_feedforward
 
 
@@ -161,11 +161,11 @@ class PD(DiagramController):
     def law(self, sample_time: float) -> SampledLaw:
         """Return the state-space form."""
         diagram = Diagram(self.period or sample_time)
-        _, controlled = self._controlled(diagram)
+        _, controlled = self._draw_feedback(diagram)
         output, limit = self._torque(diagram, controlled)
         return self._lower(diagram, output, limit)
 
-    def _controlled(self, diagram: Diagram) -> tuple[BlockSignal, BlockSignal]:
+    def _draw_feedback(self, diagram: Diagram) -> tuple[BlockSignal, BlockSignal]:
         """Position error and output without an integral."""
         reference, position = self._reference(diagram), diagram.input(POSITION)
         error = reference - position
@@ -173,7 +173,7 @@ class PD(DiagramController):
             return error, error * self.position_gain + self._velocity(diagram, error) * self.derivative_gain
         controlled = error * self.position_gain - self._velocity(diagram, position) * self.derivative_gain
         if self.reference_velocity == "channel":
-            velocity = diagram.delayed(diagram.input(REFERENCE_VELOCITY), self.reference_delay)
+            velocity = diagram.delay(diagram.input(REFERENCE_VELOCITY), self.reference_delay)
             controlled = controlled + velocity * self.derivative_gain
         return error, controlled
 
@@ -189,7 +189,7 @@ class PID(PD):
     def law(self, sample_time: float) -> SampledLaw:
         """Return the state-space form."""
         diagram = Diagram(self.period or sample_time)
-        error, controlled = self._controlled(diagram)
+        error, controlled = self._draw_feedback(diagram)
         if not self.integral_gain:
             return self._lower(diagram, *self._torque(diagram, controlled))
         state, integral = diagram.state()
@@ -236,7 +236,7 @@ def with_present_sample(controller: Cascade | PID, period: float) -> Cascade | P
 def _with_anti_windup(diagram: Diagram, into: BlockSignal, limit: int, anti_windup: str, weight: float) -> BlockSignal:
     """Integral increment per period with anti-windup; `weight` scales it to torque."""
     if anti_windup == "hold":
-        return diagram.gated(into, limit)
+        return diagram.gate(into, limit)
     # An integral of no weight has no share in what was cut off.
     return into + diagram.excess(limit) * (1.0 / weight) if anti_windup == "track" and weight else into
 
@@ -302,4 +302,4 @@ class StateSpaceController(ServoController):
             np.array([self.limit * self.gain]), np.array([LIMIT]), np.array([True]), 0, 0,
             self.period or sample_time, self.delay,
         )  # fmt: skip
-        return referred(law, self.ratio)
+        return refer(law, self.ratio)

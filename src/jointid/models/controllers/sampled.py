@@ -81,7 +81,7 @@ class SampledLaw:
         """Torque limit, possibly infinite."""
         return float(self.limits[self.tap])
 
-    def limited(self, level: float) -> SampledLaw:
+    def with_limit(self, level: float) -> SampledLaw:
         """Replace the torque limit."""
         limits = self.limits.copy()
         limits[self.tap] = level
@@ -111,9 +111,9 @@ class SampledLaw:
             whole, still, rising = A @ whole, A @ still + by_value, A @ rising + by_slope
             drift = A @ drift + by_slope * (j * self.period)
         rest = (np.eye(self.order) - whole)[np.ix_(moving, moving)]
-        at_slope = _solved(rest, rising[moving])
+        at_slope = _solve(rest, rising[moving])
         change = drift[moving] - self.phases * self.period * at_slope
-        memory[moving] = _solved(rest, still[moving] + change)
+        memory[moving] = _solve(rest, still[moving] + change)
         return memory
 
     def known_memory(self, inputs: FloatArray) -> FloatArray:
@@ -135,7 +135,7 @@ class SampledLaw:
         states[integrators[0]] = 1.0
         moving = ~self._integrators()
         rest = (np.eye(self.order) - whole)[np.ix_(moving, moving)]
-        states[moving] = _solved(rest, whole[moving, integrators[0]])
+        states[moving] = _solve(rest, whole[moving, integrators[0]])
         out = float(self.C[0, self.output] @ states)
         return states / out if out else None
 
@@ -149,7 +149,7 @@ class SampledLaw:
         edges = whole != 0.0
         np.fill_diagonal(edges, False)
         for i in np.flatnonzero(found):
-            found[i] = not edges[i] @ _reached(edges, edges[:, i])
+            found[i] = not edges[i] @ _find_reachable(edges, edges[:, i])
         return np.asarray(found)
 
     def feedback(self, hertz: FloatArray) -> NDArray[np.complex128]:
@@ -214,7 +214,7 @@ class SampledLaw:
     def fed_back(self) -> NDArray[np.bool_]:
         """States moved by the position or a limit."""
         moved = np.any(self.B[:, :, POSITION] != 0.0, axis=0) | np.any(self.F != 0.0, axis=(0, 2))
-        return _reached(np.any(self.A != 0.0, axis=0), moved)
+        return _find_reachable(np.any(self.A != 0.0, axis=0), moved)
 
 
 def _over_cycle(A: FloatArray) -> FloatArray:
@@ -225,15 +225,15 @@ def _over_cycle(A: FloatArray) -> FloatArray:
     return whole
 
 
-def _reached(edges: NDArray[np.bool_], begun: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _find_reachable(edges: NDArray[np.bool_], sources: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """States reachable from given ones, including these; `edges` (to, from)."""
-    reached = begun
-    while not np.array_equal(begun := reached | (edges @ reached), reached):
-        reached = begun
+    reached = sources
+    while not np.array_equal(sources := reached | (edges @ reached), reached):
+        reached = sources
     return reached
 
 
-def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
+def _solve(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """Solve, by least squares if a double integrator makes it singular."""
     if not right.size:
         return right
@@ -248,7 +248,7 @@ def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0])
 
 
-def scaled(law: SampledLaw, factor: float) -> SampledLaw:
+def scale(law: SampledLaw, factor: float) -> SampledLaw:
     """Scale output and torque limit.
 
     The loop of a joint with `factor` times the inertia then has the same bandwidth.
@@ -264,7 +264,7 @@ def scaled(law: SampledLaw, factor: float) -> SampledLaw:
     )
 
 
-def referred(law: SampledLaw, ratio: float) -> SampledLaw:
+def refer(law: SampledLaw, ratio: float) -> SampledLaw:
     """Refer a law through a transmission to the joint.
 
     The law sees ``ratio`` times the joint's positions, and the joint ``ratio`` times its torques; a negative ratio
@@ -275,7 +275,7 @@ def referred(law: SampledLaw, ratio: float) -> SampledLaw:
     seen = np.ones(INPUTS)
     seen[[REFERENCE, REFERENCE_VELOCITY, POSITION]] = ratio
     seen[DIRECTION], seen[INJECTED] = np.sign(ratio), 1.0 / ratio
-    turned = scaled(law, ratio)
+    turned = scale(law, ratio)
     return replace(turned, B=turned.B * seen, D=turned.D * seen, limits=np.abs(turned.limits))
 
 

@@ -34,7 +34,7 @@ from jointid.models.controllers.sampled import (
     LIMIT,
     REFERENCE,
     SampledLaw,
-    referred,
+    refer,
 )
 
 Interpolation = Literal["hold", "linear", "cubic"]
@@ -101,7 +101,7 @@ class Diagram:
         """Return an input of the law."""
         return BlockSignal({("in", column): np.ones(self.phases)})
 
-    def filtered(
+    def filter(
         self,
         signal: BlockSignal,
         numerator: Sequence[float],
@@ -129,9 +129,9 @@ class Diagram:
     def difference(self, signal: BlockSignal, *, slow: bool = False) -> BlockSignal:
         """Return the backward difference over a period, or a cycle, per second."""
         span = self.period * (self.phases if slow else 1)
-        return self.filtered(signal, [1.0, -1.0], slow=slow) * (1.0 / span)  # so the difference itself is exact
+        return self.filter(signal, [1.0, -1.0], slow=slow) * (1.0 / span)  # so the difference itself is exact
 
-    def delayed(self, signal: BlockSignal, seconds: float) -> BlockSignal:
+    def delay(self, signal: BlockSignal, seconds: float) -> BlockSignal:
         """Delay a signal by any time, with linear interpolation."""
         if seconds == 0.0:
             return signal
@@ -141,7 +141,7 @@ class Diagram:
                 f"period of {self.period:g} s: correct one of them."
             )
         whole, part = divmod(seconds / self.period, 1.0)
-        return self.filtered(signal, [0.0] * int(whole) + [1.0 - part, part])
+        return self.filter(signal, [0.0] * int(whole) + [1.0 - part, part])
 
     def state(self) -> tuple[int, BlockSignal]:
         """Add a state; return its index and signal. `follow` sets its update."""
@@ -153,7 +153,7 @@ class Diagram:
         """Give a state its next value."""
         self._next[state] = signal
 
-    def held(self, signal: BlockSignal) -> BlockSignal:
+    def hold(self, signal: BlockSignal) -> BlockSignal:
         """Hold the value of the first phase over the cycle."""
         if self.phases == 1:
             return signal
@@ -167,21 +167,21 @@ class Diagram:
         others: FloatArray = 1.0 - first
         return signal * first + otherwise * others
 
-    def limited(
+    def limit(
         self, signal: BlockSignal, limit: float = math.inf, *, of_torque: bool = False
     ) -> tuple[BlockSignal, int]:
         """Limit a signal; return it and its element's index."""
-        return self._element(signal, limit, LIMIT, of_torque)
+        return self._append(signal, limit, LIMIT, of_torque)
 
-    def gated(self, signal: BlockSignal, watched: int) -> BlockSignal:
+    def gate(self, signal: BlockSignal, watched: int) -> BlockSignal:
         """Zero a signal while it would push a limit further."""
-        return self._element(signal, math.inf, watched, self._elements[watched].of_torque)[0]
+        return self._append(signal, math.inf, watched, self._elements[watched].of_torque)[0]
 
     def excess(self, element: int) -> BlockSignal:
         """Return the excess over a limit, negative above the upper one."""
         return BlockSignal({("e", element): np.ones(self.phases)})
 
-    def _element(self, signal: BlockSignal, limit: float, gate: int, of_torque: bool) -> tuple[BlockSignal, int]:
+    def _append(self, signal: BlockSignal, limit: float, gate: int, of_torque: bool) -> tuple[BlockSignal, int]:
         self._elements.append(_Element(signal, limit, gate, of_torque))
         number = len(self._elements) - 1
         return signal + self.excess(number), number
@@ -299,41 +299,41 @@ class DiagramController(ServoController):
     def _velocity(self, diagram: Diagram, position: BlockSignal) -> BlockSignal:
         """Filtered backward difference, ``H(z) (1 - z^-1) / T``, in minimal states."""
         b, a = as_filter(self.velocity_filter).coefficients(diagram.period)
-        return diagram.filtered(position, tuple(np.convolve(b, [1.0, -1.0]) / diagram.period), a)
+        return diagram.filter(position, tuple(np.convolve(b, [1.0, -1.0]) / diagram.period), a)
 
     def _reference(self, diagram: Diagram) -> BlockSignal:
-        return diagram.delayed(diagram.input(REFERENCE), self.reference_delay)
+        return diagram.delay(diagram.input(REFERENCE), self.reference_delay)
 
     def _torque(self, diagram: Diagram, controlled: BlockSignal) -> tuple[int, int]:
         """Draw the output stages; return the acting and the limit's element."""
         torque = (controlled + self._feedforward(diagram)) * self.gain + diagram.input(INJECTED)
         late = self.filters_at == "after_limit"
         if not late:
-            torque = self._filtered(diagram, torque)
-        torque, limit = diagram.limited(torque, self.limit * self.gain, of_torque=True)
+            torque = self._filter_torque(diagram, torque)
+        torque, limit = diagram.limit(torque, self.limit * self.gain, of_torque=True)
         if not (late and self.torque_filters):
             return limit, limit
-        return diagram.limited(self._filtered(diagram, torque), of_torque=True)[1], limit
+        return diagram.limit(self._filter_torque(diagram, torque), of_torque=True)[1], limit
 
     def _lower(self, diagram: Diagram, output: int, limit: int) -> SampledLaw:
         """Build the law with the elements of `_torque`, referred to the joint."""
-        return referred(diagram.law(output=output, tap=limit, delay=self.delay), self.ratio)
+        return refer(diagram.law(output=output, tap=limit, delay=self.delay), self.ratio)
 
-    def _filtered(self, diagram: Diagram, torque: BlockSignal) -> BlockSignal:
+    def _filter_torque(self, diagram: Diagram, torque: BlockSignal) -> BlockSignal:
         for one in self.torque_filters:
-            torque = diagram.filtered(torque, *one.coefficients(diagram.period))
+            torque = diagram.filter(torque, *one.coefficients(diagram.period))
         return torque
 
     def _feedforward(self, diagram: Diagram) -> BlockSignal:
         total = diagram.input(CONSTANT) * self.constant_feedforward if self.constant_feedforward else BlockSignal({})
         late = self.reference_delay + self.torque_feedforward_delay
         if self.acceleration_feedforward or self.viscous_feedforward:
-            velocity = diagram.difference(diagram.delayed(diagram.input(REFERENCE), late))
+            velocity = diagram.difference(diagram.delay(diagram.input(REFERENCE), late))
             total = total + velocity * self.viscous_feedforward
             if self.acceleration_feedforward:
                 total = total + diagram.difference(velocity) * self.acceleration_feedforward
         if self.coulomb_feedforward:
-            total = total + diagram.delayed(diagram.input(DIRECTION), late) * self.coulomb_feedforward
+            total = total + diagram.delay(diagram.input(DIRECTION), late) * self.coulomb_feedforward
         return total
 
 

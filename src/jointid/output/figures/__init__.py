@@ -6,26 +6,26 @@ Each is described once, as a chart (`common.charts`). `save` writes one, the sam
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from jointid.common.arrays import FloatArray
-from jointid.common.charts import ERROR, MEASURED, SIMULATED, Band, Chart, Charted, Dots, Line, Panel
+from jointid.common.charts import Chart, Charted
 from jointid.common.errors import RecordError
 from jointid.common.files import write_whole
-from jointid.diagnostics.validation import Validation
+from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.result.estimate import Estimate
+from jointid.output.figures import charts
+from jointid.output.figures.charts import AxisSignals
 from jointid.output.figures.matplotlib_backend import draw as draw_chart
+from jointid.records.record import Record
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FORMATS = (".png", ".svg", ".pdf")
 """The formats of a saved figure."""
-
-_ZOOM = 0.08  # of the record, in the lower panel
 
 
 def draw(result: Charted) -> Figure:
@@ -34,52 +34,86 @@ def draw(result: Charted) -> Figure:
 
 
 def torque(answer: Estimate | Validation) -> Figure:
-    """Return measured, simulated and error torque over time: the whole record, and a zoom on its liveliest part."""
+    """Return the measured and the predicted torque over time, and their difference."""
     return draw_chart(torque_chart(answer))
 
 
 def torque_chart(answer: Estimate | Validation) -> Chart:
-    """Return what `torque` draws."""
+    """Return the chart of `torque`."""
     if isinstance(answer, Estimate):
-        fit, data, settings = answer.fit, answer.data, answer.settings
-        measured, predicted, error = fit.measured, fit.predicted, fit.relative_error
-        unit, sample_time, method = data.torque_unit, data.sample_time, settings.method
-        gear, title = settings.joint.transmission, f"{data.record}: {settings.joint.model} joint by {method.upper()}"
+        title = f"{answer.data.record}: {answer.settings.joint.model} joint by {answer.settings.method.upper()}"
     else:
-        measured, predicted, error = answer.measured, answer.predicted, answer.relative_error
-        unit, sample_time, method = answer.torque_unit, answer.sample_time, answer.method
-        gear, title = answer.transmission, f"{answer.record}: {answer.test} test"
-    label = f"{torque_word(unit)}{'' if gear is None else f', {gear.side} side'} [{unit}]"
-    word = "simulated" if method == "didim" else "inverse model"
-    time = np.asarray(np.arange(measured.size) * sample_time, dtype=np.float64)
-    low, high = liveliest(measured)
-    near = slice(low, high)
-    zoom = f"zoom on {time[low]:.4g} to {time[high - 1]:.4g} s"
-    title = f"{title}, error {100 * error:.2f} % of the raw torque"
-    panels = (
-        Panel("", label, _lines(time, measured, predicted, word), title),
-        Panel("time [s]", label, _lines(time[near], measured[near], predicted[near], ""), zoom),
-    )
-    return Chart("torque", "", panels)
+        title = f"{answer.record}: {answer.test} test"
+    axis = AxisSignals.of(answer)
+    title = f"{title}, error {100 * axis.relative_error:.2f} % of the raw {axis.quantity}"
+    return replace(charts.torque_chart(axis), title=title)
 
 
 def residual(validation: Validation) -> Figure:
     """Return the torque error against velocity and position, and its autocorrelation: a white one shows nothing."""
-    inside = slice(validation.borders[0], validation.measured.size - validation.borders[1])
-    error = (validation.measured - validation.predicted)[inside]
-    length, label = validation.position_unit, f"error [{validation.torque_unit}]"
-    lags = np.arange(validation.autocorrelation.size, dtype=np.float64)
-    white = np.full(lags.size, validation.white_band)
-    correlation = (
-        Band(lags, -white, white, "#999999"),
-        Line(lags, validation.autocorrelation, ERROR, dots=True),
-    )
-    panels = (
-        Panel(f"velocity [{length}/s]", label, (Dots(validation.motor.velocity[inside], error, ERROR),)),
-        Panel(f"position [{length}]", label, (Dots(validation.motor.position[inside], error, ERROR),)),
-        Panel("lag [filtered samples]", "autocorrelation of the error", correlation),
-    )
-    return draw_chart(Chart("residual", "", panels, columns=3))
+    return _draw(charts.residual_chart([AxisSignals.of(validation)], "", validation))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plots:
+    """The figures of an estimate, by matplotlib: ``figure.savefig(path)`` writes one."""
+
+    estimate: Estimate
+
+    def __call__(self) -> Figure:
+        """Return `torque`."""
+        return self.torque()
+
+    def torque(self) -> Figure:
+        """Return the measured and the predicted torque over time, and their difference."""
+        return torque(self.estimate)
+
+    def residual(self, record: Record) -> Figure:
+        """Return the torque error against velocity and position, and its autocorrelation.
+
+        Args:
+            record: of the identification, or another one of the joint; an estimate keeps no motion.
+        """
+        return residual(validate(self.estimate, record))
+
+    def spectrum(self) -> Figure:
+        """Return the amplitude spectra of measured and predicted torque, and of their difference.
+
+        Raises:
+            RecordError: the record is too short.
+        """
+        from jointid.diagnostics.report_data import estimate_spectra
+
+        fit = self.estimate.fit
+        inside = slice(fit.borders[0], fit.measured.size - fit.borders[1])
+        found = estimate_spectra(fit.measured[inside], fit.predicted[inside], self.estimate.data.sample_time)
+        cutoff, axis = self.estimate.settings.filtering.cutoff, AxisSignals.of(self.estimate)
+        return _draw(charts.spectra_chart([axis], [found], cutoff, {}))
+
+    def response(self) -> Figure:
+        """Return the frequency response of the joint, with the band of the estimate's covariance.
+
+        Raises:
+            MethodError: a parameter of the joint is not identifiable.
+        """
+        from jointid.diagnostics.report_data import compute_response
+
+        return _draw(charts.response_chart(self.estimate, compute_response(self.estimate)))
+
+    def profile(self, record: Record, quantities: Sequence[str]) -> Figure:
+        """Return the profiles of quantities, as `jointid.intervals` takes them.
+
+        Raises:
+            MethodError: the estimate is not by DIDIM, or a quantity is unknown.
+        """
+        from jointid.diagnostics.intervals import intervals
+
+        return _draw(charts.profiles_chart(self.estimate, intervals(self.estimate, record, quantities)))
+
+
+def _draw(chart: Chart | None) -> Figure:
+    assert chart is not None  # it has its data
+    return draw_chart(chart)
 
 
 def save(figure: Figure, path: str | Path) -> Path:
@@ -104,25 +138,3 @@ def require_format(path: Path) -> None:
     """Raise a `RecordError` if a figure cannot be saved under that name."""
     if path.suffix.lower() not in FORMATS:
         raise RecordError(f'A figure is saved as {", ".join(FORMATS)}; received "{path.name}": change its suffix.')
-
-
-def _lines(time: FloatArray, measured: FloatArray, predicted: FloatArray, word: str) -> tuple[Line, ...]:
-    """Return the three lines; without a word for the predicted one, none has a label."""
-    return (
-        Line(time, measured, MEASURED, "measured" if word else ""),
-        Line(time, predicted, SIMULATED, word),
-        Line(time, measured - predicted, ERROR, "error" if word else "", 0.8),
-    )
-
-
-def torque_word(unit: str) -> str:
-    """Return what the torque is called in its unit."""
-    return {"N": "force", "N m": "torque"}.get(unit, "motor signal")
-
-
-def liveliest(torque: FloatArray) -> tuple[int, int]:
-    """Return the stretch in which the torque varies most."""
-    size = max(int(_ZOOM * torque.size), min(torque.size, 10))
-    starts = range(0, max(torque.size - size, 1), max(size // 4, 1))
-    best = max(starts, key=lambda start: float(np.std(torque[start : start + size])))
-    return best, min(best + size, torque.size)

@@ -112,7 +112,7 @@ SHAPES: Mapping[str, Shape] = {
         "record goal sentence description transmission tests reached limits passed present_passes from_present floor "
         "modes interrupted",
     ),
-    "Foretold": keys("name values std units covariance.correlation"),
+    "PredictedTest": keys("name values std units covariance.correlation"),
     "Examination": document(
         "jointid.examination/1", "record healthy sentence logged transmission questions=looked parameters changes"
     ),

@@ -19,15 +19,14 @@ from jointid.common.document import Document, dumps
 from jointid.common.errors import JointidError, RecordError
 from jointid.common.messages import Progress, silent
 from jointid.common.typography import typeset_block
-from jointid.diagnostics.loop_findings import LoopCheck
 from jointid.diagnostics.report_data import ReportData, collect_report_data
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers.drive_numbers import DriveNumber
+from jointid.output.figures.charts import report_charts
 from jointid.output.json import plain
 from jointid.output.json.documents import REPORT_SCHEMA
 from jointid.output.report.pages import Pages
-from jointid.output.report.pictures import draw_charts
 from jointid.output.report.sections import report_blocks
 from jointid.output.report.summary import report_title
 from jointid.planning.design import Design
@@ -38,7 +37,7 @@ _TUNING = (
     "interval, the circle about -1 the distance that was asked."
 )
 _TEST = (
-    "What is to be played, the torque that is foretold, and its spectrum beside the modes of the joint as it was "
+    "What is to be played, the torque that is predicted, and its spectrum beside the modes of the joint as it was "
     "identified."
 )
 _CREATED = re.compile(rb"Created on: \w{3} (\w{3} +\d+ \d\d:\d\d:\d\d \d{4})")  # of the header of a .mat file
@@ -156,8 +155,6 @@ class Report(Pages):
         *,
         name: str = "",
         profiles: Sequence[str] | None = None,
-        loop: LoopCheck | bool = True,
-        shown: Sequence[DriveNumber] = (),
         tuned: Tuned | None = None,
         repetition: Repetition | None = None,
         progress: Progress = silent,
@@ -172,9 +169,6 @@ class Report(Pages):
             profiles: quantities whose criterion is followed, as `intervals` takes them; none when empty. When None,
                 every free parameter of the joint along which the criterion is no parabola, and its compliance. Of DIDIM
                 only.
-            loop: whether loop and log are checked; see `jointid.diagnostics.report_data.collect_report_data`.
-            shown: how the drive shows the numbers of its controller, as `jointid.config.JointFile.declared_numbers` has
-                it; what is wrong with them is told in percent without it.
             tuned: margins and gains of the drive from `tune`, which then have a section.
             repetition: what it takes to do it again, where the files are known.
             progress: is told each step.
@@ -188,9 +182,7 @@ class Report(Pages):
             >>> "## Checks" in told.markdown()
             True
         """
-        found = collect_report_data(
-            estimate, record, checks, profiles=profiles, loop=loop, shown=shown, progress=progress
-        )
+        found = collect_report_data(estimate, record, checks, profiles=profiles, progress=progress)
         return cls(found, name, repetition or Repetition(), tuned)
 
     @property
@@ -201,7 +193,7 @@ class Report(Pages):
     @property
     def charts(self) -> dict[str, Chart]:
         """Its figures by name."""
-        drawn = draw_charts(self.dossier)
+        drawn = report_charts(self.dossier)
         if self.tuned is not None:
             drawn["tuning"] = replace(self.tuned.chart(), caption=_TUNING)
         if self.design is not None:

@@ -3,32 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
-import numpy as np
-
-from jointid.common.charts import ERROR, MEASURED, OTHERS, SIMULATED, Chart, Item, Line, Mark, Panel, thin
+from jointid.common.charts import Chart
 from jointid.common.document import Block, Code, Document, Facts, Heading, Listing, Paragraph, Table, dumps
 from jointid.common.errors import RecordError
 from jointid.common.text import interval, number
 from jointid.common.typography import typeset_block
-from jointid.diagnostics.report_data import estimate_spectra
+from jointid.diagnostics.report_data import Spectra, estimate_spectra
 from jointid.diagnostics.robots.diagnose import FeedForwardName, RobotDiagnosis, diagnose_robot
 from jointid.diagnostics.robots.parameters import ParameterOfJoint, Told
-from jointid.diagnostics.robots.torques import RobotTorques
 from jointid.estimation.robots.idim import RobotEstimate
 from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
 from jointid.estimation.robots.validation import RobotValidation
 from jointid.models.controllers import Controller
 from jointid.models.robots.robot import Robot
-from jointid.output.figures import torque_word
+from jointid.output.figures.charts import AxisSignals, residual_chart, spectra_chart, torques_chart
 from jointid.output.json import plain
 from jointid.output.report import Repetition
 from jointid.output.report.pages import Pages, pictures_of
-from jointid.output.report.pictures import cloud
 from jointid.records.record import Record
 
 REPORT_OF_ROBOT = "jointid.robot_report/1"
+
+_BEYOND = 1.2  # times the cut-off frequency, up to which the spectra of filtered signals are drawn
 
 _SAMPLES = 6_000  # of each torque that are drawn: six joints have as many as one has in its report
 
@@ -89,8 +87,7 @@ class RobotReport(Pages):
     @property
     def charts(self) -> dict[str, Chart]:
         """Its figures by name."""
-        found = (_torque_chart(self.diagnosis), _residual_chart(self.diagnosis), _spectra_chart(self.diagnosis))
-        return {chart.name: chart for chart in found if chart is not None}
+        return _charts(self.diagnosis)
 
     def __repr__(self) -> str:
         return f"RobotReport({self.title!r})"
@@ -209,85 +206,23 @@ def _sums(found: RobotDiagnosis) -> Iterator[Block]:
     yield Listing(items) if items else Paragraph("Every parameter stands for itself.")
 
 
-def _torque_chart(found: RobotDiagnosis) -> Chart:
-    torques, panels = found.torques, []
-    word = "inverse model" if found.method == "idim" else "simulated"
-    for k, joint in enumerate(found.joints):
-        t, measured, predicted, error = thin(
-            torques.time, torques.measured[k], torques.predicted[k], torques.error[k], most=_SAMPLES
-        )
-        # 0, or scaled, where it is not compared: no torque that was measured.
-        hidden = ~torques.seen[k][np.searchsorted(torques.time, t)]
-        measured, predicted, error = (np.where(hidden, np.nan, each) for each in (measured, predicted, error))
-        lines = (
-            Line(t, measured, MEASURED, "measured"),
-            Line(t, predicted, SIMULATED, word),
-            Line(t, error, ERROR, "error", 0.8),
-        )
-        panels.append(
-            Panel(
-                "", f"{torque_word(_unit(torques, k))} [{_unit(torques, k)}]", lines,
-                f"{joint.name}, {100 * joint.left:.3g} % left", height=230, group="time",
-            )
-        )  # fmt: skip
-    panels[-1] = replace(panels[-1], x_label="time [s]", height=panels[-1].height + 25)
-    rest = (
-        ""
-        if torques.seen.all()
-        else " Lines break where a motor rests or turns round: friction takes what it must there."
-    )
-    caption = (
-        f"Measured and {word} torque of each motor behind its gear, filtered as they were compared, and their "
-        f"difference on the same scale.{rest} On a screen, zooming one zooms all."
-    )
-    return Chart("torque", caption, tuple(panels))
-
-
-def _residual_chart(found: RobotDiagnosis) -> Chart:
-    torques, panels = found.torques, []
-    for k, joint in enumerate(found.joints):
-        inside, unit, length = torques.seen[k], _unit(torques, k), torques.robot.position_unit(k)
-        error, velocity, position = (
-            values[k][inside] for values in (torques.error, torques.velocity, torques.position)
-        )
-        forwards, everywhere = velocity > 0, np.ones(velocity.shape, dtype=np.bool_)
-        label = f"{joint.name}, error [{unit}]"
-        panels += [
-            Panel(f"velocity [{length}/s]", label, cloud(velocity, error, {"mean": everywhere}), height=230),
-            Panel(
-                f"position [{length}]", label,
-                cloud(position, error, {"mean forwards": forwards, "mean backwards": ~forwards}), height=230,
-            ),
-        ]  # fmt: skip
-    caption = (
-        "The error of each joint against its motor's velocity and position, with its mean. Noise alone has a mean of 0 "
-        "everywhere: one that bends with velocity is friction, one that waves with position a gear, a cable or a "
-        "counterbalance."
-    )
-    return Chart("residual", caption, tuple(panels), columns=2)
-
-
-def _spectra_chart(found: RobotDiagnosis) -> Chart | None:
-    torques, panels = found.torques, []
-    for k, joint in enumerate(found.joints):
+def _charts(found: RobotDiagnosis) -> dict[str, Chart]:
+    """Return the charts that can be drawn, by name."""
+    axes, torques = AxisSignals.of_robot(found), found.torques
+    spectra: list[Spectra | None] = []
+    for axis in axes:
         try:
-            one = estimate_spectra(torques.measured[k], torques.predicted[k], torques.sample_time)
-        except RecordError:  # too short
-            return None
-        seen = one.frequency <= 1.2 * torques.cutoff
-        items: tuple[Item, ...] = (
-            Line(one.frequency[seen], one.measured[seen], MEASURED, "measured"),
-            Line(one.frequency[seen], one.error[seen], OTHERS[6], "error", 0.9),
-            Mark(torques.cutoff, f"fitted up to {torques.cutoff:.3g} Hz", 0, "dotted"),
+            one = estimate_spectra(axis.measured, axis.predicted, torques.sample_time)
+        except RecordError:
+            spectra.append(None)
+            continue
+        seen = one.frequency <= _BEYOND * torques.cutoff
+        spectra.append(
+            Spectra(one.frequency[seen], one.measured[seen], one.predicted[seen], one.error[seen], one.resolution)
         )
-        label = f"{joint.name} [{_unit(torques, k)}/√Hz]"
-        panels.append(Panel("frequency [Hz]", label, items, log_x=True, log_y=True, height=230))
-    caption = (
-        "Amplitude spectra of each joint's measured torque and of what is left of it. Where the error reaches the "
-        "torque nothing is explained; a peak of the error alone is a mode, or a gear."
+    charts = (
+        torques_chart(axes),
+        residual_chart(axes, "measured" if found.method == "idim" else "simulated"),
+        spectra_chart(axes, spectra, torques.cutoff, {}),
     )
-    return Chart("spectra", caption, tuple(panels), columns=2)
-
-
-def _unit(torques: RobotTorques, joint: int) -> str:
-    return torques.robot.torque_unit(joint)
+    return {chart.name: chart for chart in charts if chart is not None}

@@ -53,7 +53,7 @@ from jointid.simulation.robots import (
     run_robot,
     simulate_robot,
 )
-from jointid.simulation.simulated import require_finished
+from jointid.simulation.simulated import require_success
 
 NOISE = 0.01
 """Of each joint's torque in motions drawn at random: the noise that is foretold with where no first record says it."""
@@ -502,7 +502,7 @@ def _by_simulation(
     Rows that are filtered and thinned hold white noise of the part of its power that passes, so each of them tells as
     much as the samples that it stands for.
     """
-    run = require_finished(simulate_robot(loop, driven), "The robot's motion")
+    run = require_success(simulate_robot(loop, driven), "The robot's motion")
     parameters = robot_parameters(loop.robot)
     problem = robot_problem(loop, robot_records(loop, driven, run), parameters, filtering)
     numbers = RobotNumbers.of(loop.robot)

@@ -127,9 +127,9 @@ class Motions:
             scales = [room / np.ptp(q), self.share * _INSIDE * limit.speed / np.max(np.abs(v))]
             if limit.acceleration is not None:
                 scales.append(self.share * _INSIDE * limit.acceleration / np.max(np.abs(a)))
-            scale = min(scales) * (_LEAST + (1.0 - _LEAST) * _between(share))
+            scale = min(scales) * (_LEAST + (1.0 - _LEAST) * _squash(share))
             spare = room - scale * np.ptp(q)
-            centre = limit.lower + margin + spare * _between(place) - scale * q.min()
+            centre = limit.lower + margin + spare * _squash(place) - scale * q.min()
             for out, basis, shift in zip(found, seen, (centre, 0.0, 0.0), strict=True):
                 out[:, k] = shift + scale * (basis @ weights)
         q_, v_, a_ = found
@@ -141,7 +141,7 @@ def _null(row: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.svd(row[np.newaxis])[2][1:].T)
 
 
-def _between(number: float) -> float:
+def _squash(number: float) -> float:
     """Map any number to one between 0 and 1."""
     return 1.0 / (1.0 + math.exp(-min(max(number, -50.0), 50.0)))
 

@@ -93,8 +93,6 @@ class Profile:
     """Signal names, units and sides in the traces of a drive.
 
     Attributes:
-        name: that a joint file gives.
-        title: in words.
         sources: public documents, and the objects or parameters in them.
         assumed: what a user has to compare with the drive's parameters.
         rated_torque: which of the drive's numbers a share of the rated torque is a share of.
@@ -164,15 +162,7 @@ class Profile:
         kinds: Mapping[str, str],
         source: str,
     ) -> tuple[dict[str, Column], list[str]]:
-        """Assign columns to channels, with a fault for each missing or ambiguous one.
-
-        Args:
-            declared: settings that override the profile.
-            columns: available names.
-            axis: of the trace.
-            kinds: kind of motion by channel.
-            source: name of the trace, in faults.
-        """
+        """Assign columns to channels, with a fault for each missing or ambiguous one."""
         columns, made, faults = tuple(columns), {}, list[str]()
         for channel in CHANNELS:
             column, known = declared.get(channel), known_units(channel, kinds[channel])

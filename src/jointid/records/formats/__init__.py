@@ -99,7 +99,7 @@ def read_blocks(path: str | os.PathLike[str], rows: int, **options: object) -> I
 def read_tables(path: str | os.PathLike[str], rows: int, **options: object) -> Iterator[Table]:
     """Yield tables of `rows` rows, or one table without `read_blocks` support."""
     try:
-        # How the rows of a text are written is told by all of them, where they fit into memory.
+        # All rows of a text determine its dialect if they fit into memory.
         is_short_text = isinstance(format_of(path), Csv) and Path(path).is_file() and Path(path).stat().st_size < _LONG
         blocks = iter(()) if is_short_text else read_blocks(path, rows, **options)
         first = next(blocks, None)

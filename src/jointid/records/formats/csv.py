@@ -76,7 +76,7 @@ class Csv:
 
     The line above the first row of numbers names the columns, be it a comment; a line of units between them
     is joined to the names ("torque [N m]"). A column without a name is called by its number, from "1".
-    Empty cells are NaN. How the rows of a file of more than 64 MB are written is told by its beginning. An export of
+    Empty cells are NaN. The beginning determines the dialect of a file of more than 64 MB. An export of
     TwinCAT Scope is known by its header; see `jointid.records.formats.scope`.
 
     Attributes:

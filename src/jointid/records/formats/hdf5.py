@@ -23,9 +23,9 @@ from jointid.records.formats.table import (
     Block,
     Holds,
     Table,
+    describe_skips,
     explain_damage,
     format_size,
-    list_passed,
     require_size,
     require_unique_names,
     split_rows,
@@ -136,9 +136,6 @@ class DatasetColumns(NamedTuple):
     """A dataset that gives columns.
 
     Attributes:
-        place: its path in the file.
-        names: of the columns.
-        rows: of each.
         fields: of the columns in a dataset of records, else empty.
         turned: True if the samples run along the second dimension.
         unit: of all of them, None without one.
@@ -167,14 +164,10 @@ class Contents:
     """An open file: its datasets and their shapes, filled during the scan.
 
     Attributes:
-        path: of the file.
-        format: what messages call it.
         file: of h5py.
-        signals: the datasets that give columns.
         scalars, passed: see `Table`.
         seen: how many datasets, groups and references there were.
         kept: datasets that stay open, by their place, with a cache for a chunk that several blocks are cut of.
-        caches: bytes of these caches.
     """
 
     path: Path
@@ -287,7 +280,7 @@ def open_contents(path: Path, name: str, scan: Callable[[Contents], None], limit
             signals = contents.signals
             if not (signals or contents.scalars):
                 raise RecordError(
-                    f"{path.name} holds no numbers{list_passed(contents.passed)}; expected datasets of one or two "
+                    f"{path.name} holds no numbers{describe_skips(contents.passed)}; expected datasets of one or two "
                     "dimensions."
                 )
             require_unique_names(path, [name for signal in signals for name in signal.names])

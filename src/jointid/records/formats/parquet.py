@@ -56,7 +56,7 @@ class Parquet:
     def read(self, path: Path) -> Table:
         """Read every column; see `Format.read`."""
         with _open(path) as file, explain_damage(path, self.name, _REMEDY):
-            require_size(path, _count_declared(file))
+            require_size(path, _count_values(file))
             parts = list(_read_parts(path, file))
         if not parts:
             raise RecordError(f"{path.name} holds no row of numbers; log or copy it again.")
@@ -65,7 +65,7 @@ class Parquet:
     def blocks(self, path: Path, rows: int) -> Iterator[Block]:
         """Yield so many rows after so many."""
         with _open(path) as file:
-            require_size(path, _count_declared(file), PIECES)
+            require_size(path, _count_values(file), PIECES)
             found, parts = _read_parts(path, file), list[Table]()
             while True:
                 with explain_damage(path, self.name, _REMEDY):
@@ -75,10 +75,10 @@ class Parquet:
                 parts.append(part)
                 while sum(each.rows for each in parts) >= rows:
                     whole = join_tables(parts)
-                    yield _held(whole.cut(0, rows))
+                    yield _to_block(whole.cut(0, rows))
                     parts = [whole.cut(rows, whole.rows)] if whole.rows > rows else []
             if parts:
-                yield _held(join_tables(parts))
+                yield _to_block(join_tables(parts))
 
     def write(self, path: Path, table: Table) -> None:
         """Write float64 columns with checksums; units and scalars are metadata."""
@@ -106,7 +106,7 @@ class Parquet:
         return name.encode("utf-8", "replace").decode("utf-8") or "_"
 
 
-def _held(table: Table) -> Block:
+def _to_block(table: Table) -> Block:
     """Wrap rows in memory as a block."""
     return Block(table.rows, partial(table.cut, 0))
 
@@ -129,7 +129,7 @@ def _open(path: Path) -> Iterator[Arrow]:
             yield file
 
 
-def _count_declared(file: Arrow) -> int:
+def _count_values(file: Arrow) -> int:
     """Number of declared values; a list column has several per row."""
     about = file.metadata
     groups = (about.row_group(index) for index in range(about.num_row_groups))

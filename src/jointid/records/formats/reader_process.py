@@ -55,7 +55,6 @@ class ReaderProcess:
     """A process that reads one file at a time.
 
     Attributes:
-        process: the program at work.
         used: True once it has read a file.
         busy: True while it has an order and has not answered.
         late: True once it was ended for the time it took.
@@ -174,13 +173,13 @@ def _read_table(answers: IO[bytes], described: dict[str, Any]) -> Table:
 
 def _require_good(answer: dict[str, Any]) -> dict[str, Any]:
     """Return an answer, or raise the error that it describes."""
-    if (told := answer.get("error")) is None:
+    if (error := answer.get("error")) is None:
         return answer
-    kind, faults = told["kind"], told["faults"]
+    kind, faults = error["kind"], error["faults"]
     if kind in _SENTENCES:
         raise _SENTENCES[kind](faults[0] if kind == "ExtraError" else faults)
-    if "errno" in told:
-        raise OSError(told["errno"], told["strerror"])
+    if "errno" in error:
+        raise OSError(error["errno"], error["strerror"])
     if "MemoryError" in kind:
         raise MemoryError
     raise RecordError(f"Its reader failed ({kind}: {faults[0]}), which is a fault of ours; please report it.")

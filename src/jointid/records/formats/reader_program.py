@@ -32,9 +32,9 @@ def main(memory: int, lifeline: int | None) -> None:
     from jointid.records.formats.table import Block
 
     begin = _address_space()
-    _bound("RLIMIT_AS", begin + memory + _LIBRARIES)
-    _bound("RLIMIT_FSIZE", 0)
-    _bound("RLIMIT_CORE", 0)
+    _limit_resource("RLIMIT_AS", begin + memory + _LIBRARIES)
+    _limit_resource("RLIMIT_FSIZE", 0)
+    _limit_resource("RLIMIT_CORE", 0)
     blocks: Iterator[Block] = iter(())
     block: Block | None = None
     for line in orders:
@@ -57,7 +57,7 @@ def main(memory: int, lifeline: int | None) -> None:
                 case "close":
                     blocks, block = iter(()), None
                     _send(answers, {"free": _address_space() <= begin + _LIBRARIES + _TIRED})
-        except Exception as error:  # told to the process that reads, which knows what to make of it
+        except Exception as error:  # reported to the parent
             blocks, block = iter(()), None
             _send(answers, {"error": _describe(error)})
 
@@ -87,15 +87,15 @@ def _prepare(order: dict[str, Any]) -> tuple[Any, Any]:
 
     from jointid.records.formats import format_of
 
-    _bound("RLIMIT_CPU", int(time.process_time()) + 1 + order["seconds"])
+    _limit_resource("RLIMIT_CPU", int(time.process_time()) + 1 + order["seconds"])
     return format_of(order["path"], **order["options"]), Path(order["path"])
 
 
 def _describe(error: Exception) -> dict[str, Any]:
     """Describe an error as JSON: kind, sentences and system error."""
     faults = getattr(error, "faults", (str(error),))
-    told = {"kind": type(error).__name__, "faults": [str(fault) for fault in faults]}
-    return told | {"errno": error.errno, "strerror": error.strerror} if isinstance(error, OSError) else told
+    answer = {"kind": type(error).__name__, "faults": [str(fault) for fault in faults]}
+    return answer | {"errno": error.errno, "strerror": error.strerror} if isinstance(error, OSError) else answer
 
 
 def _send(answers: IO[bytes], answer: dict[str, Any]) -> None:
@@ -127,7 +127,7 @@ def _address_space() -> int:
         return int(file.read().split()[0]) * os.sysconf("SC_PAGE_SIZE")
 
 
-def _bound(what: str, most: int) -> None:
+def _limit_resource(what: str, most: int) -> None:
     """Limit a resource of this process, where possible."""
     if sys.platform == "win32" or (what == "RLIMIT_AS" and sys.platform != "linux"):
         return

@@ -17,24 +17,25 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError, extra
-from jointid.records.formats.bag_files import Topic, read_messages
 from jointid.records.formats.messages import (
     SkippedTopicError,
+    Topic,
     decode_message,
     flatten_numbers,
     header_stamp,
+    read_messages,
 )
 from jointid.records.formats.table import (
     Holds,
     Table,
+    describe_skips,
     explain_damage,
-    list_passed,
     require_place,
     require_size,
     require_unique_names,
 )
 
-_DATE = 2**58  # nanoseconds, nine years: a stamp beyond is a date, one before counts from some beginning
+_DATE = 2**58  # nanoseconds, nine years: a later stamp is a date, one before counts from some beginning
 _WIDEST = 1000  # columns of one topic
 _REMEDY = "record it again, or rebuild it with ros2 bag reindex"
 _DIGITS = re.compile(r"(\d+)")
@@ -44,7 +45,7 @@ _VERSION = 9  # of the bag's format
 _FLOAT64_HEAD = b"\x00\x01\x00\x00"  # of a message in little-endian CDR
 _CLOCKS = ("t", "time")
 _ROUNDING = 1e-14
-_NINE_YEARS = 2.0**28  # seconds; a stamp beyond is read as a date
+_NINE_YEARS = 2.0**28  # seconds; a later stamp is read as a date
 
 Stamps = NDArray[np.int64]
 
@@ -202,7 +203,7 @@ class _BagTable:
         found = {series.topic.name: series.table() for series in self.series.values() if series.logged}
         found = {name: (stamps, columns) for name, (stamps, columns) in found.items() if columns}
         if not found:
-            said = list_passed(self.passed)
+            said = describe_skips(self.passed)
             raise RecordError(f"{self.path.name} holds no topic of numbers{said}; record a topic of joint states.")
         dates = [int(stamps.min()) for stamps, _ in found.values() if stamps.min() >= _DATE]
         pairs, units, clocks = list[tuple[str, FloatArray]](), dict[str, str](), dict[str, str]()
@@ -268,7 +269,7 @@ def _find_clocks(table: Table, taken: set[str]) -> dict[str, str]:
 
 
 def _to_nanoseconds(clock: np.ndarray[Any, Any]) -> Stamps | None:
-    """Convert instants to whole nanoseconds; None beyond rounding."""
+    """Convert instants to whole nanoseconds; None if they differ by more than rounding."""
     if not (np.isfinite(clock).all() and clock.min() >= 0 and clock.max() < _NINE_YEARS):
         return None
     stamps = np.round(clock * 1e9).astype(np.int64)

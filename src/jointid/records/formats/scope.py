@@ -37,7 +37,6 @@ class Scope:
     """Header of an export.
 
     Attributes:
-        delimiter: between cells.
         rows: by their keys, the cells of each row that says something of the channels; those of the time columns too.
         starts: of each group, the number of its time column.
         first: the first line of numbers among those of the file.

@@ -161,7 +161,6 @@ class Format(Protocol):
     """A file format: a frozen dataclass of reader options.
 
     Attributes:
-        name: what messages call the format.
         suffixes: the endings of its files, in lower case, with the dot.
         holds: what of a table beside its columns has a place in such a file.
     """
@@ -291,7 +290,7 @@ def require_unique_names(path: Path, names: list[str]) -> None:
         seen.add(name)
 
 
-def list_passed(passed: Mapping[str, str]) -> str:
+def describe_skips(passed: Mapping[str, str]) -> str:
     """List skipped items with reasons, in brackets."""
     listed = "; ".join(f"{name!r}: {why}" for name, why in list(passed.items())[:_FEW])
     return f" ({listed})" if listed else ""

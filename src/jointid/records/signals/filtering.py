@@ -81,12 +81,12 @@ class Filtering:
         return cls(position_cutoff=100.0, cutoff=40.0, decimation=10, borders=(49, 0), timing="as_sampled")
 
     @classmethod
-    def as_printed(cls) -> Self:
+    def as_in_paper(cls) -> Self:
         """The paper's filtering of a flexible joint: 60 Hz, decimated by twelve, which aliases at 1 kHz."""
         return cls(cutoff=60.0, decimation=12, aliasing="warned")
 
     def warnings(self, sample_time: float) -> tuple[str, ...]:
-        """Warnings on this filtering, which must be `resolved`."""
+        """Warnings on this filtering, which must be resolved (`resolve`)."""
         assert self.cutoff is not None
         assert self.decimation is not None
         nyquist = 0.5 / (sample_time * self.decimation)
@@ -97,7 +97,7 @@ class Filtering:
             f"{self.cutoff:g} Hz: what lies between is folded onto lower frequencies, as the paper printed it",
         )
 
-    def resolved(self, sample_time: float, model: str = "rigid") -> Filtering:
+    def resolve(self, sample_time: float, model: str = "rigid") -> Filtering:
         """Fill in the defaults for a sample time and a joint's model.
 
         Raises:
@@ -121,7 +121,7 @@ class Filtering:
         return replace(self, position_cutoff=position, cutoff=cutoff, decimation=self.decimation or most)
 
     def decimate(self, values: FloatArray, sample_time: float) -> FloatArray:
-        """Low-pass forwards and backwards, and decimate; the filtering must be `resolved`.
+        """Low-pass forwards and backwards, and decimate; the filtering must be resolved (`resolve`).
 
         Chebyshev type I of order 8 and 0.05 dB. Forwards and backwards it passes a constant at 0.9886, so it must be
         applied to both sides of an equation. The last sample is always kept, and every so many before it.
@@ -132,7 +132,7 @@ class Filtering:
 
         Examples:
             >>> import numpy as np, jointid as ji
-            >>> filtering = ji.Filtering(cutoff=60.0).resolved(1e-3)
+            >>> filtering = ji.Filtering(cutoff=60.0).resolve(1e-3)
             >>> filtering.decimation, len(filtering.decimate(np.ones(3001), 1e-3))
             (6, 501)
         """

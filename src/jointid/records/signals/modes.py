@@ -70,8 +70,6 @@ class Thinning:
     """Coefficients of decimation by modes, for one decimation factor.
 
     Attributes:
-        modes: of the filter.
-        keep: one sample in so many.
         padding: samples by which the ends are reflected about their ends.
         between: (2, keep, 2 modes) what the samples between two that are kept add to the later, forwards, and to the
             earlier, backwards: real parts, then imaginary ones.
@@ -97,7 +95,7 @@ class Thinning:
         weights = np.concatenate([2 * modes.both.real, -2 * modes.both.imag])
         return cls(modes, keep, padding, between, older, _real_parts(older[:, keep]), weights)
 
-    @np.errstate(over="ignore", invalid="ignore")  # the derivatives of a loop that runs away may be beyond all numbers
+    @np.errstate(over="ignore", invalid="ignore")  # the derivatives of a diverging loop may overflow
     def __call__(self, parts: Sequence[FloatArray], first: int) -> FloatArray:
         """Filter forwards and backwards, (signals, kept), as `scipy.signal.sosfiltfilt` does.
 

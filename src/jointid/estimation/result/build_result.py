@@ -1,4 +1,4 @@
-"""The builder of an estimate: what every problem's solution says alike, with the differences as arguments.
+"""The builder of a fit: what every problem's solution says alike, with the differences as arguments.
 
 Rigid or flexible, of one record, of several or of a long log, an answer has a row for each parameter, says how well the
 torque is explained, and what its reader must be warned of.
@@ -7,32 +7,38 @@ torque is explained, and what its reader must be warned of.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.parameters import Bounds, Parameter, Quantity
+from jointid.common.parameters import ADDED, Bounds, Parameter, Quantity
 from jointid.estimation.problems.base import LOG_DELAY, RecordProblem
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of
 from jointid.estimation.problems.prescribed import DriveSideProblem, OpenLoopProblem
-from jointid.estimation.result.estimate import Estimate, fingerprint, relative_error
+from jointid.estimation.result.assemble import FitResult
+from jointid.estimation.result.estimate import fingerprint, relative_error
 from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Iteration, Params, Settings
 from jointid.models.controllers import Cascade, Controller
-from jointid.models.joints import ClosedLoop, Joint
+from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, acts_on_whole
 from jointid.records.record import Record
-from jointid.simulation.closed_loop import Simulation
+from jointid.simulation.closed_loop import Initial, Simulation
 from jointid.simulation.prescribed import LOAD_STATE
 from jointid.solvers.solve import Solution
 from jointid.uncertainty.covariance import Covariance, band_words, words
-from jointid.uncertainty.identifiability import identifiability
+from jointid.uncertainty.identifiability import Combination, Identifiability, Kind, Known, identifiability
 from jointid.uncertainty.position_dependent_error import Uncertainty
-from jointid.uncertainty.residual_tests import residual_report
+from jointid.uncertainty.residual_tests import ResidualReport, residual_report
 from jointid.uncertainty.verdict import (
     POOR_FIT,
+    Status,
+    StiffnessBound,
+    Verdict,
     bounds_verdict,
     fit_verdict,
     identifiability_verdict,
+    only_sums_verdict,
     residual_verdicts,
     solver_verdict,
 )
@@ -40,62 +46,86 @@ from jointid.uncertainty.verdict import (
 NOT_CONVERGED = "the search did not converge; the values are where it stopped"
 NOT_SIMULATED = "with these values nothing can be simulated, so nothing is known of them; give other starts"
 
+_PAPER_BASIS = "the paper's: of the inverse model on the simulated motion, which was not solved; far too small"
 _PHYSICAL = (Quantity.INERTIA, Quantity.STIFFNESS)  # what no joint has none of
 _AT_LIMIT = 0.01  # of the periods: more is said
 _INSEPARABLE = 0.95  # a correlation that says two parameters are known only together
 _NEAR = 1e-6  # of a parameter's size: how near to a bound is at it
 
 
-def build_estimate(
+@dataclass(frozen=True, slots=True, eq=False)
+class Visibility:
+    """What a record shows of a joint's spring.
+
+    Attributes:
+        verdict: whether its stiffness is reported, and why not.
+        rigid: values of the rigid joint on the same band. rigid_std: standard deviations of those that move its torque.
+        rigid_error: (rows,) what it leaves.
+        bounds: where the stiffness is refused.
+        simulations: that all this took.
+    """
+
+    verdict: Verdict
+    rigid: Mapping[str, float]
+    rigid_std: Mapping[str, float]
+    rigid_error: FloatArray
+    bounds: tuple[StiffnessBound, ...]
+    simulations: int
+
+    @property
+    def shown(self) -> bool:
+        """Whether the stiffness is reported."""
+        return self.verdict.status is Status.PASSED
+
+
+def build_params(
     problem: RecordProblem,
     x: FloatArray,
-    covariance: Covariance,
+    std: Mapping[str, float],
+    correlation: FloatArray,
     basis: str,
-    method: tuple[str, str],
-    *,
-    fit: Fit,
-    checks: Checks,
-    data: Data,
-    shown: Sequence[Parameter] | None = None,
     lost: Collection[str] = (),
     held: Collection[str] = (),
-    loop: ClosedLoop | None = None,
-    delay: float = 0.0,
-) -> Estimate:
-    """Return the estimate that a problem's solution makes.
+    *,
+    fixed: bool = True,
+) -> Params:
+    """Return the parameters of a problem's solution, those of the joint and of what surrounds it.
 
     Args:
-        problem: that was solved: of one record, of several, or of a window of a log.
+        problem: of one record, of several, or of a window of a log.
         x: its free parameters.
-        covariance: of their errors.
-        basis: how that was obtained, in a sentence.
-        method: its name, as in a joint file, and how it was run, in words.
-        fit: see `build_fit`.
-        checks: what speaks for the estimate and against it.
-        data: see `build_data`.
-        shown: the parameters in the table; all of them when None.
-        lost: names of free ones that the record does not determine.
+        std: standard errors of the free parameters, by name; none for those that are missing.
+        correlation: of their errors.
+        basis: how the standard errors were obtained, in a sentence.
+        lost: names of free parameters that the record does not determine.
         held: names of those at a bound.
-        loop: that was simulated.
-        delay: seconds from the logged torque to the torque that acts.
+        fixed: whether fixed parameters around the joint are in the table.
     """
-    joint, units, names = problem.joint, problem.units, tuple(p.name for p in problem.free)
-    spread = dict(zip(names, map(float, covariance.std), strict=True))
-    rows = build_rows(
-        problem.parameters if shown is None else shown, problem.values(x), spread, lambda p: units[p.name],
-        {p.name for p in joint.parameters}, lost, held,
-    )  # fmt: skip
-    return Estimate(
-        params=Params(rows, names, covariance.correlation, basis),
-        fit=fit,
-        checks=checks,
-        data=data,
-        settings=Settings(*method, joint=joint, loop=loop, filtering=problem.filtering, delay=delay),
-    )
+    own, units = {p.name for p in problem.joint.parameters}, problem.units
+    shown = (p for p in problem.parameters if fixed or p.free or p.name in own)
+    rows = build_rows(shown, problem.values(x), std, lambda p: units[p.name], own, lost, held)
+    return Params(rows, tuple(p.name for p in problem.free), correlation, basis)
 
 
-def build_fit(problem: RecordProblem, predicted: FloatArray, error: FloatArray, stop: str, *, converged: bool) -> Fit:
-    """Return how well a problem's solution explains what was measured; what it took is for the caller to add.
+def name_deviations(problem: RecordProblem, covariance: Covariance) -> dict[str, float]:
+    """Return the standard errors of a problem's free parameters by name."""
+    return {p.name: float(std) for p, std in zip(problem.free, covariance.std, strict=False)}
+
+
+def build_fit(
+    problem: RecordProblem,
+    predicted: FloatArray,
+    error: FloatArray,
+    stop: str,
+    *,
+    converged: bool,
+    simulations: int,
+    trace: tuple[Iteration, ...] = (),
+    compared: Literal["torque", "position"] = "torque",
+    residuals: ResidualReport | None = None,
+    initial: Initial | None = None,
+) -> Fit:
+    """Return how well a problem's solution explains what was measured, and what it took.
 
     Args:
         problem: that was solved.
@@ -103,6 +133,11 @@ def build_fit(problem: RecordProblem, predicted: FloatArray, error: FloatArray, 
         error: (rows,) filtered.
         stop: why the search ended.
         converged: whether that is a good end.
+        simulations: that were run.
+        trace: every iteration.
+        compared: what was measured and predicted.
+        residuals: tests of the filtered error.
+        initial: the motor's state at the first sample.
     """
     borders = problem.filtering.borders
     return Fit(
@@ -112,9 +147,13 @@ def build_fit(problem: RecordProblem, predicted: FloatArray, error: FloatArray, 
         relative_error=relative_error(problem.measured, predicted, borders),
         filtered_error=problem.filtered_error(error),
         rows=error.size,
-        simulations=0,
+        simulations=simulations,
         stop=stop,
         converged=converged,
+        trace=trace,
+        compared=compared,
+        residuals=residuals,
+        initial=initial,
     )
 
 
@@ -166,7 +205,7 @@ def build_data(record: Record, channels: tuple[str, ...], sample_time: float) ->
     )
 
 
-def build_closed_loop_estimate(
+def build_closed_loop_result(
     record: Record,
     problem: ClosedLoopProblem,
     x: FloatArray,
@@ -174,9 +213,14 @@ def build_closed_loop_estimate(
     end: tuple[str, bool],
     known: Uncertainty,
     J: FloatArray,
-    rigid_error: FloatArray | None = None,
-) -> Estimate:
-    """Return the estimate that ends a simulation of the loop; how it was found is for the caller to add.
+    variant: str,
+    trace: Sequence[Iteration],
+    simulations: int,
+    *,
+    spring: Visibility | None = None,
+    paper: Covariance | None = None,
+) -> FitResult:
+    """Return the fit that ends a simulation of the loop.
 
     Args:
         record: what was identified from.
@@ -186,7 +230,11 @@ def build_closed_loop_estimate(
         end: why the search ended, and whether that is a good end.
         known: of the errors of the free parameters.
         J: (rows, free) sensitivities, filtered.
-        rigid_error: (rows,) what a rigid joint leaves, for a flexible one.
+        variant: how the method was run, in words.
+        trace: every iteration.
+        simulations: that were run.
+        spring: what the record shows of the spring of a flexible joint.
+        paper: the paper's covariance of the joint's parameters, which are then told with its standard errors.
     """
     assert record.torque is not None
     assert problem.filtering.cutoff is not None
@@ -194,43 +242,85 @@ def build_closed_loop_estimate(
     error, whole = problem.seen(run, problem.measured[:, np.newaxis])
     step = problem.sample_time * (problem.filtering.decimation or 1)
     report = residual_report(
-        error, whole[:, 0], step, problem.filtering.cutoff, record.torque.unit, rigid_error=rigid_error,
-        repeatable=known.repeatable,
+        error, whole[:, 0], step, problem.filtering.cutoff, record.torque.unit,
+        rigid_error=None if spring is None else spring.rigid_error, repeatable=known.repeatable,
     )  # fmt: skip
     told = identifiability(problem.free, problem.units, x, J, known.covariance)
-    fit = build_fit(problem, run.torque, error, stop, converged=converged)
+    fit = build_fit(
+        problem, run.torque, error, stop, converged=converged, simulations=simulations,
+        trace=tuple(trace), residuals=report, initial=initial_of(values),
+    )  # fmt: skip
     held = find_at_bound(problem.free, x, error, J)
-    warnings = (
-        *([] if converged else [NOT_CONVERGED]),
-        *warn_of_limit(run.at_limit),
-        *problem.filtering.warnings(problem.sample_time),
-        *poor_fit(fit.filtered_error),
-        *ask_of_gains(problem.loop.controller, problem.loop.joint, values, problem.sample_time),
-    )
-    verdicts = (
-        solver_verdict(stop, converged),
-        fit_verdict(report),
-        *residual_verdicts(report),
-        identifiability_verdict(told),
-        bounds_verdict(held),
-    )
-    found = build_estimate(
-        problem,
-        x,
-        known.covariance,
-        f"from the output sensitivities, {known.basis}",
-        ("didim", "DIDIM"),
+    covariance, basis = known.covariance, f"from the output sensitivities, {known.basis}"
+    if paper is not None:
+        covariance, basis = paper, _PAPER_BASIS
+    params = build_params(problem, x, name_deviations(problem, covariance), covariance.correlation, basis, held=held)
+    bounds: tuple[StiffnessBound, ...] = ()
+    determined = identifiability_verdict(told)
+    if spring is not None and not spring.shown:
+        params, told = _refuse(params, told, problem.joint, spring)
+        determined, bounds = only_sums_verdict(), spring.bounds
+    return FitResult(
+        params=params,
         fit=fit,
-        checks=Checks(warnings=warnings, notes=tuple(map(str, known.warnings)), verdicts=verdicts, known=told),
+        checks=Checks(
+            warnings=(
+                *([] if converged else [NOT_CONVERGED]),
+                *warn_of_limit(run.at_limit),
+                *problem.filtering.warnings(problem.sample_time),
+                *poor_fit(fit.filtered_error),
+                *ask_of_gains(problem.loop.controller, problem.loop.joint, values, problem.sample_time),
+            ),
+            notes=tuple(map(str, known.warnings)),
+            verdicts=(
+                solver_verdict(stop, converged),
+                fit_verdict(report),
+                *residual_verdicts(report),
+                determined,
+                bounds_verdict(held),
+                *([] if spring is None else [spring.verdict]),
+            ),
+            known=told,
+            bounds=bounds,
+        ),
         data=build_data(record, list_loop_channels(problem.loop, record), problem.sample_time),
-        held=held,
-        loop=problem.loop_at(x),
-        delay=values.get("delay", problem.experiment.law.delay),
+        settings=Settings(
+            "didim",
+            variant,
+            joint=problem.joint,
+            loop=problem.loop_at(x),
+            filtering=problem.filtering,
+            delay=values.get("delay", problem.experiment.law.delay),
+        ),
+        problem=problem,
+        x=x,
     )
-    return found.amended(fit={"initial": initial_of(values), "residuals": report})
 
 
-def build_prescribed_estimate(
+def _refuse(params: Params, told: Identifiability, joint: Joint, spring: Visibility) -> tuple[Params, Identifiability]:
+    """Return the parameters without those that part the motor from the load, and the sums of both sides instead."""
+    assert isinstance(joint, FlexibleJoint)
+    sums = tuple(
+        Known(_sum_of(p, joint.unit(p)), spring.rigid[p.name], std, std / (abs(spring.rigid[p.name]) or 1.0))
+        for p in joint.rigid.parameters
+        if (std := spring.rigid_std.get(p.name)) is not None and not acts_on_whole(p.name) and p.quantity in ADDED
+    )
+    parted = ("motor_", "load_", *(p.name for p in joint.spring.parameters))
+    rows = tuple(
+        replace(p, value=None, stderr=None, identifiable=False) if p.name.startswith(parted) and p.free else p
+        for p in params
+    )
+    return replace(params, rows=rows), replace(told, parameters=(), physical=sums, directions=(), limitations=())
+
+
+def _sum_of(p: Parameter, unit: str) -> Combination:
+    """Return the sum of both sides that a rigid joint's parameter is."""
+    formula = f"{p.symbol}1 + {p.symbol}2" if p.symbol[-1] not in "+-" else f"{p.symbol} of both sides"
+    weights = {f"motor_{p.name}": 1.0, f"load_{p.name}": 1.0}
+    return Combination(f"total {p.name}", formula, unit, weights, Kind.SUM, p.name)
+
+
+def build_prescribed_result(
     record: Record,
     problem: DriveSideProblem | OpenLoopProblem,
     x: FloatArray,
@@ -238,12 +328,13 @@ def build_prescribed_estimate(
     covariance: Covariance,
     channels: tuple[str, ...],
     method: tuple[str, str],
+    *,
+    earlier: int,
+    initial: Initial | None = None,
     before: Sequence[str] = (),
     after: Sequence[str] = (),
-) -> Estimate:
-    """Return the estimate of a joint whose motion or torque is prescribed: on the drive side, or in open loop.
-
-    More simulations, and the initial state, are for the caller to add.
+) -> FitResult:
+    """Return the fit of a joint whose motion or torque is prescribed: on the drive side, or in open loop.
 
     Args:
         record: what was identified from.
@@ -253,12 +344,17 @@ def build_prescribed_estimate(
         covariance: of the errors of x.
         channels: that were read.
         method: its name, and how it was run.
+        earlier: simulations beside those of the solution.
+        initial: the motor's state at the first sample, where it was simulated.
         before: warnings before those of the search and the parameters.
         after: warnings after them.
     """
-    compared = "position" if isinstance(problem, OpenLoopProblem) else "torque"
     lost = find_lost(problem.free, x, covariance.std)
-    fit = build_fit(problem, problem.predicted(x), problem.residual(x), solution.message, converged=solution.converged)
+    fit = build_fit(
+        problem, problem.predicted(x), problem.residual(x), solution.message, converged=solution.converged,
+        simulations=earlier + solution.evaluations, trace=_trace(problem, solution), initial=initial,
+        compared="position" if isinstance(problem, OpenLoopProblem) else "torque",
+    )  # fmt: skip
     names = [p.name for p in problem.free]
     # What moves nothing has no deviation, which is no deviation of 0; where nothing can be simulated, all of it.
     idle = tuple(name for name, column in zip(names, solution.jacobian.T, strict=True) if not column.any())
@@ -280,23 +376,15 @@ def build_prescribed_estimate(
         *after,
         *poor_fit(fit.filtered_error),
     )
-    found = build_estimate(
-        problem,
-        x,
-        covariance,
-        f"from the sensitivities of the {compared}: {words(covariance)}; {band_words()}",
-        method,
+    std = {name: one for name, one in name_deviations(problem, covariance).items() if name not in idle}
+    basis = f"from the sensitivities of the {fit.compared}: {words(covariance)}; {band_words()}"
+    delay = -problem.values(x)[LOG_DELAY.name]
+    return FitResult(
+        params=build_params(problem, x, std, covariance.correlation, basis, (*lost, *idle), held),
         fit=fit,
         checks=Checks(warnings=warnings),
         data=build_data(record, channels, problem.sample_time),
-        lost=(*lost, *idle),
-        held=held,
-        delay=-problem.values(x)[LOG_DELAY.name],
-    )
-    rows = tuple(replace(p, stderr=None) if p.name in idle else p for p in found.params)
-    return found.amended(
-        params={"rows": rows},
-        fit={"trace": _trace(problem, solution), "simulations": solution.evaluations, "compared": compared},
+        settings=Settings(*method, joint=problem.joint, loop=None, filtering=problem.filtering, delay=delay),
     )
 
 

@@ -33,15 +33,15 @@ from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import REFERENCE
 from jointid.models.joints import ClosedLoop
-from jointid.planning.limits import reached
+from jointid.planning.limits import find_maxima
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Outcome, Simulation, in_threads
-from jointid.simulation.loop_input import as_logged
-from jointid.simulation.simulated import require_finished
+from jointid.simulation.loop_input import to_log
+from jointid.simulation.simulated import require_success
 from jointid.uncertainty.covariance import Covariance, covariance_of, stationary
 
-_PEAKS = 4.0  # deviations of the noise on top of what a test asks for: of 24,000 samples one or two are beyond
+_PEAKS = 4.0  # deviations of the noise on top of what a test asks for: of 24,000 samples one or two are larger
 _SAME = 1e-13  # of the largest eigenvalue of the information: what is below is rounding
 _PART = 1e-3  # of a direction, that a parameter takes
 RUNS = 200
@@ -88,7 +88,7 @@ class Noise:
                 "The noise of a first record is taken from an estimate that gives every parameter, and this record "
                 "does not identify all: jointid diagnose sensors says which test would; design_test takes rough values."
             )
-        error, slopes = problem.linearised(x)
+        error, slopes = problem.linearise(x)
         alone = stationary(-slopes, -slopes, error).std
         reported = {p.name: p.stderr for p in estimate.params}
         wider = {
@@ -98,7 +98,7 @@ class Noise:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Foretold:
+class PredictedTest:
     """The predicted intervals of a test.
 
     Attributes:
@@ -164,7 +164,7 @@ def planned_record(
     return Record(reference=commanded, reference_velocity=velocity, injected=added, tap=Tap(tap), name=name)
 
 
-def foretell(
+def predict_test(
     loop: ClosedLoop,
     values: Mapping[str, float],
     test: Record,
@@ -176,7 +176,7 @@ def foretell(
     load_encoder: float | None = None,
     runs: int = RUNS,
     seed: int = 0,
-) -> Foretold:
+) -> PredictedTest:
     """Predict the intervals of a test.
 
     Args:
@@ -197,13 +197,13 @@ def foretell(
     """
     problem = _pose(loop, test, filtering or Filtering(), parameters or {})
     x = _place(problem, values)
-    run = require_finished(problem.simulate(x))
+    run = require_success(problem.simulate(x))
     problem = replace(problem, measured=run.torque)
     response, columns = problem.sensitivities(x)
     if response.outcome is not Outcome.FINISHED:
         raise MethodError(f"The loop cannot be simulated along this test ({response.outcome.value}).")
     J = problem.filtered(columns)
-    _require_told(problem, J)
+    _require_identifiable(problem, J)
     matrix = _scatter(problem, x, J, noise, runs, seed)
     steps = [step for step in (motor_encoder, load_encoder) if step is not None]
     if steps:
@@ -221,7 +221,7 @@ def foretell(
     own = len(problem.free_joint)
     names = tuple(p.name for p in problem.free_joint)
     assert test.reference is not None
-    return Foretold(
+    return PredictedTest(
         test.name,
         names,
         {p.name: p.symbol for p in problem.free_joint},
@@ -236,7 +236,7 @@ def foretell(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RoughlyForetold:
+class RoughPrediction:
     """A rough prediction of a test, from one run with noise, and its maxima.
 
     Attributes:
@@ -250,7 +250,7 @@ class RoughlyForetold:
     reached: Mapping[str, float]
 
 
-def foretell_roughly(
+def predict_roughly(
     loop: ClosedLoop,
     joints: Iterable[Mapping[str, float]],
     test: Record,
@@ -258,10 +258,10 @@ def foretell_roughly(
     *,
     filtering: Filtering,
     parameters: Mapping[str, Parameter],
-) -> Iterator[RoughlyForetold]:
+) -> Iterator[RoughPrediction]:
     """Predict a test at several joints, from the spectrum of one run with noise.
 
-    A search uses it for many tests. Arguments as for `foretell`; each joint has its own noise.
+    A search uses it for many tests. Arguments as for `predict_test`; each joint has its own noise.
     """
     problem = _pose(loop, test, filtering, parameters)
     own = len(problem.free_joint)
@@ -273,7 +273,7 @@ def foretell_roughly(
         if response.outcome is not Outcome.FINISHED:
             raise MethodError("The loop cannot be simulated along this test.")
         J = problem.filtered(columns)
-        _require_told(problem, J)
+        _require_identifiable(problem, J)
         matrix = np.zeros((x.size, x.size))
         if noise.left is not None:
             wider = np.array([noise.wider.get(p.name, 1.0) for p in problem.free])
@@ -284,7 +284,7 @@ def foretell_roughly(
             matrix += stationary(J, J, problem.filtered(error)).matrix
             size += float(np.mean(error**2))
         names = tuple(p.name for p in problem.free_joint)
-        yield RoughlyForetold(names, matrix[:own, :own], _reached(run, test.reference, size))
+        yield RoughPrediction(names, matrix[:own, :own], _add_noise(run, test.reference, size))
 
 
 def reach(
@@ -295,20 +295,20 @@ def reach(
     filtering: Filtering,
     parameters: Mapping[str, Parameter],
 ) -> dict[str, float]:
-    """Maxima of a test's limited quantities, even of an uninformative test; see `foretell`."""
+    """Maxima of a test's limited quantities, even of an uninformative test; see `predict_test`."""
     problem = _pose(loop, test, filtering, parameters)
     x = _place(problem, values)
     size = 0.0 if noise.left is None else float(np.mean(noise.left**2))
     if noise.log or noise.force:
         size += float(np.mean(_errors(problem, x, noise, 1, 0)[0] ** 2))
     assert test.reference is not None
-    return _reached(require_finished(problem.simulate(x)), test.reference, size)
+    return _add_noise(require_success(problem.simulate(x)), test.reference, size)
 
 
-def _reached(run: Simulation, reference: Channel, size: float) -> dict[str, float]:
+def _add_noise(run: Simulation, reference: Channel, size: float) -> dict[str, float]:
     """Maxima of a run with noise of mean square `size` added to its torque."""
     torque = run.torque + _PEAKS * math.sqrt(size) * np.sign(run.torque)
-    found = reached(run, reference.values, torque, reference.sample_time)
+    found = find_maxima(run, reference.values, torque, reference.sample_time)
     found["rms_torque"] = math.sqrt(float(np.mean(run.torque**2)) + size)
     return found
 
@@ -332,22 +332,17 @@ def _pose(
 def _place(problem: ClosedLoopProblem, values: Mapping[str, float]) -> FloatArray:
     """Free parameters of a joint that starts at rest."""
     begins = float(problem.experiment.inputs[0, REFERENCE])
-    held = _holding_torque(problem.loop, values, begins)
+    gravity, ripple, offset = problem.loop.joint.gravity, problem.loop.joint.ripple, values.get("offset", 0.0)
+    here, forces = np.array([begins]), list[tuple[FloatArray, tuple[Parameter, ...]]]()
+    forces += [] if gravity is None else [(gravity.columns(here)[0], gravity.parameters)]
+    forces += [] if ripple is None else [(ripple.columns_at(here)[0], ripple.parameters)]
+    held = offset + sum(float(columns @ [values[p.name] for p in own]) for columns, own in forces)
     position = beginning_position(replace(problem, measured=np.full_like(problem.measured, held)))
     around = {"initial_position": position, "initial_velocity": 0.0, "initial_torque": held}
     return problem.vector({**values, **around})
 
 
-def _holding_torque(loop: ClosedLoop, values: Mapping[str, float], position: float) -> float:
-    """Torque that holds the joint at a position."""
-    gravity, ripple, held = loop.joint.gravity, loop.joint.ripple, values.get("offset", 0.0)
-    here, forces = np.array([position]), list[tuple[FloatArray, tuple[Parameter, ...]]]()
-    forces += [] if gravity is None else [(gravity.columns(here)[0], gravity.parameters)]
-    forces += [] if ripple is None else [(ripple.columns_at(here)[0], ripple.parameters)]
-    return held + sum(float(columns @ [values[p.name] for p in own]) for columns, own in forces)
-
-
-def _require_told(problem: ClosedLoopProblem, J: FloatArray) -> None:
+def _require_identifiable(problem: ClosedLoopProblem, J: FloatArray) -> None:
     """Refuse a test whose torque does not depend on a parameter, or a combination."""
     norms = np.linalg.norm(J, axis=0)
     norms[norms == 0.0] = 1.0
@@ -392,7 +387,7 @@ def _errors(problem: ClosedLoopProblem, x: FloatArray, noise: Noise, runs: int, 
             forced = replace(experiment, after_limit=experiment.after_limit + force)
             run = replace(problem, experiment=forced).torque(x)
             # The log shows what the loop does about the force, and not the force itself.
-            added = added + run - quiet - as_logged(experiment, forced.shown - experiment.shown)
+            added = added + run - quiet - to_log(experiment, forced.shown - experiment.shown)
         return added
 
     return in_threads(error, range(runs))

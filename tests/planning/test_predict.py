@@ -1,4 +1,4 @@
-"""Intervals that are foretold: beside those of estimates that are made, and as they must scale."""
+"""Intervals that are predicted: beside those of estimates that are made, and as they must scale."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import SAMPLE_TIME, twin
-from jointid.planning.foretell import Noise, foretell, foretell_roughly, planned_record
+from jointid.planning.predict import Noise, planned_record, predict_roughly, predict_test
 from jointid.records.record import Record, Tap
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation import excitation
@@ -32,17 +32,17 @@ REFERENCE = excitation.trapezoids((0.5, 1.0, 2.0), 8.0, 2.0, T, duration=6.0)
 def test_a_test_that_does_not_tell_a_parameter_is_refused() -> None:
     still = planned_record(LOOP, np.zeros(3000), 1e-3)
     with pytest.raises(MethodError, match="does not tell inertia, viscous, coulomb, offset"):
-        foretell(LOOP, TRUTH, still, Noise(log=0.01))
+        predict_test(LOOP, TRUTH, still, Noise(log=0.01))
     with pytest.raises(MethodError, match="does not tell"):
-        list(foretell_roughly(LOOP, [TRUTH], still, Noise(log=0.01), filtering=Filtering(), parameters={}))
+        list(predict_roughly(LOOP, [TRUTH], still, Noise(log=0.01), filtering=Filtering(), parameters={}))
     one_way = planned_record(LOOP, np.arange(3000) * 1e-3 * 0.2, 1e-3)
     with pytest.raises(MethodError, match=r"does not tell .*coulomb"):
-        foretell(LOOP, TRUTH, one_way, Noise(log=0.01))
+        predict_test(LOOP, TRUTH, one_way, Noise(log=0.01))
 
 
-def test_a_rigid_joint_scatters_as_foretold() -> None:
+def test_a_rigid_joint_scatters_as_predicted() -> None:
     noise = 0.02
-    told = foretell(LOOP, TRUTH, planned_record(LOOP, REFERENCE, T), Noise(log=noise))
+    told = predict_test(LOOP, TRUTH, planned_record(LOOP, REFERENCE, T), Noise(log=noise))
     found = []
     for number in range(80):
         added = noise * np.random.default_rng([3, number]).standard_normal(REFERENCE.size)
@@ -56,22 +56,22 @@ def test_a_rigid_joint_scatters_as_foretold() -> None:
 
 def test_intervals_scale_as_they_must() -> None:
     test = planned_record(LOOP, REFERENCE, T)
-    once = foretell(LOOP, TRUTH, test, Noise(log=0.01)).covariance.std
-    assert foretell(LOOP, TRUTH, test, Noise(log=0.02)).covariance.std == pytest.approx(2 * once, rel=1e-9)
+    once = predict_test(LOOP, TRUTH, test, Noise(log=0.01)).covariance.std
+    assert predict_test(LOOP, TRUTH, test, Noise(log=0.02)).covariance.std == pytest.approx(2 * once, rel=1e-9)
     cycle = excitation.trapezoids((0.5, 1.0, 2.0), 8.0, 2.0, T, rest=0.2)
     short, long = (planned_record(LOOP, np.tile(cycle, times), T) for times in (2, 8))
-    before, after = (foretell(LOOP, TRUTH, one, Noise(log=0.01)).covariance.std for one in (short, long))
+    before, after = (predict_test(LOOP, TRUTH, one, Noise(log=0.01)).covariance.std for one in (short, long))
     assert after == pytest.approx(0.5 * before, rel=0.15)
-    (roughly,) = foretell_roughly(LOOP, [TRUTH], test, Noise(log=0.01), filtering=Filtering(), parameters={})
+    (roughly,) = predict_roughly(LOOP, [TRUTH], test, Noise(log=0.01), filtering=Filtering(), parameters={})
     assert np.sqrt(np.diag(roughly.covariance)) == pytest.approx(once, rel=0.35)  # from one run
     assert roughly.reached["stroke"] == pytest.approx(2.0, rel=0.02)
 
 
-def test_a_fixed_parameter_is_not_foretold_and_narrows_the_others() -> None:
+def test_a_fixed_parameter_is_not_predicted_and_narrows_the_others() -> None:
     test, noise = planned_record(LOOP, REFERENCE, T), Noise(log=0.01)
-    free = foretell(LOOP, TRUTH, test, noise)
+    free = predict_test(LOOP, TRUTH, test, noise)
     fixed = {p.name: p.fixed(0.05) for p in LOOP.joint.parameters if p.name == "viscous"}
-    told = foretell(LOOP, TRUTH, test, noise, parameters=fixed)
+    told = predict_test(LOOP, TRUTH, test, noise, parameters=fixed)
     assert "viscous" not in told.joint
     assert told.std["coulomb"] < free.std["coulomb"]
 
@@ -80,8 +80,8 @@ def test_a_load_encoder_parts_the_frictions() -> None:
     axis = twin("L19", noise="disturbance")
     assert axis.record.reference is not None and axis.record.injected is not None
     test = planned_record(axis.loop, axis.record.reference.values, SAMPLE_TIME, axis.record.injected.channel.values)
-    alone = foretell(axis.loop, axis.truth, test, Noise(force=axis.noise), runs=40)
-    beside = foretell(axis.loop, axis.truth, test, Noise(force=axis.noise), runs=40, load_encoder=5e-8)
+    alone = predict_test(axis.loop, axis.truth, test, Noise(force=axis.noise), runs=40)
+    beside = predict_test(axis.loop, axis.truth, test, Noise(force=axis.noise), runs=40, load_encoder=5e-8)
     apart = {"motor_viscous": 1.0, "load_viscous": -1.0}
     assert beside.std_of(apart) < 0.2 * alone.std_of(apart)
     assert all(beside.std[name] <= alone.std[name] * 1.0001 for name in alone.joint)
@@ -90,13 +90,13 @@ def test_a_load_encoder_parts_the_frictions() -> None:
 def test_the_noise_of_a_first_record_gives_its_own_intervals_back() -> None:
     axis = twin("L19", noise="disturbance")
     record = axis.record.without("motor_position", "load_position")
-    estimate = ji.identify(record, axis.loop, ji.FlexibleDIDIM(frequency=30.0), loop_check=False)
+    estimate = ji.identify(record, axis.loop, ji.FlexibleDIDIM(frequency=30.0), checks=False)
     noise = Noise.of(estimate, record)
     problem, _ = rebuild_declared_problem(estimate, record)
-    told = foretell(axis.loop, estimate.values, record, noise, filtering=problem.filtering, parameters={})
+    told = predict_test(axis.loop, estimate.values, record, noise, filtering=problem.filtering, parameters={})
     for name in told.joint:
         assert told.std[name] == pytest.approx(estimate[name].stderr, rel=0.02), name
-    twice = foretell(axis.loop, estimate.values, record, replace(noise, left=2 * noise.left), parameters={})  # type: ignore[operator]
+    twice = predict_test(axis.loop, estimate.values, record, replace(noise, left=2 * noise.left), parameters={})  # type: ignore[operator]
     assert twice.std["stiffness"] == pytest.approx(2 * told.std["stiffness"], rel=0.02)
 
 
@@ -111,30 +111,30 @@ def test_a_force_is_in_no_measured_current() -> None:
     assert measured.values == pytest.approx(asked.values, abs=1e-12)
 
 
-def test_what_cannot_be_foretold_is_said() -> None:
+def test_what_cannot_be_predicted_is_said() -> None:
     with pytest.raises(MethodError, match="Without noise every interval is 0"):
         Noise()
     with pytest.raises(MethodError, match="0 or more; received -1 on the log"):
         Noise(log=-1.0)
     no_reference = Record(torque=planned_record(LOOP, REFERENCE, T).reference)
     with pytest.raises(MethodError, match="A test needs a reference"):
-        foretell(LOOP, TRUTH, no_reference, Noise(log=1.0))
+        predict_test(LOOP, TRUTH, no_reference, Noise(log=1.0))
     fast = replace(LOOP, controller=replace(LOOP.controller, velocity_gain=2e4))
     with pytest.raises(MethodError):
-        foretell(fast, TRUTH, planned_record(LOOP, REFERENCE, T), Noise(log=1.0))
-    assert math.isfinite(foretell(LOOP, TRUTH, planned_record(LOOP, REFERENCE, T), Noise(log=1.0)).std["inertia"])
+        predict_test(fast, TRUTH, planned_record(LOOP, REFERENCE, T), Noise(log=1.0))
+    assert math.isfinite(predict_test(LOOP, TRUTH, planned_record(LOOP, REFERENCE, T), Noise(log=1.0)).std["inertia"])
 
 
-def test_the_pulsed_record_of_a_real_axis_is_foretold_from_the_other(data_dir: Path) -> None:
+def test_the_pulsed_record_of_a_real_axis_is_predicted_from_the_other(data_dir: Path) -> None:
     """EMPS: from DATA_EMPS alone, what its other record gives an hour later; half of what is left repeats."""
     file = load(Path(__file__).parents[2] / "examples" / "emps" / "joint.toml")
     first, second = (file.record(data_dir / "emps" / name) for name in ("DATA_EMPS.mat", "DATA_EMPS_PULSES.mat"))
     assert file.loop is not None
     known, given = (
-        ji.identify(record, file.loop, file.method, filtering=file.filtering, loop_check=False)
+        ji.identify(record, file.loop, file.method, filtering=file.filtering, checks=False)
         for record in (first, second)
     )
-    told = foretell(file.loop, known.values, second, Noise.of(known, first), filtering=file.filtering)
+    told = predict_test(file.loop, known.values, second, Noise.of(known, first), filtering=file.filtering)
     for name in told.joint:
         assert told.std[name] == pytest.approx(given[name].stderr, rel=0.1), name
     assert told.std["inertia"] < 0.85 * known["inertia"].stderr  # type: ignore[operator]
