@@ -75,7 +75,7 @@ def propose(loop: LoopName, noise: NoiseName, goal: str, seconds: float) -> Prop
     assert design.present is not None
     told = design.proposed
     own = [p.name for p in axis.loop.joint.parameters]
-    rows = [i for i, p in enumerate(q for q in estimate.params if q.free) if p.of_joint]
+    rows = [i for i, p in enumerate(q for q in estimate.params.rows if q.free) if p.of_joint]
     return ProposedTest(
         design.description, design.present.std_of(design.goal.weights), told.std_of(design.goal.weights), design.floor,
         dict(design.goal.weights), dict(design.limits), {name: float(estimate.values[name]) for name in own},

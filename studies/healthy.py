@@ -195,7 +195,7 @@ def judge(seed: int, longest: float = 60.0) -> Said:
             seed, axis.about, took, 0, f"{type(error).__name__}: {error}", "", "", False, "", {}, {}, axis.truth, {}
         )
     took = time.process_time() - begin
-    rows = {row.name: row for row in found.params if row.name in axis.truth}
+    rows = {row.name: row for row in found.params.rows if row.name in axis.truth}
     known = {n: (r.value, r.stderr) for n, r in rows.items() if r.value is not None and r.stderr}
     loop = [v for v in found.checks.verdicts if str(v.subject) == "loop"]
     return Said(

@@ -24,10 +24,9 @@ from scipy.signal import lfilter
 import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
-from jointid.diagnostics.friction_comparison import compare_frictions
+from jointid.diagnostics.compare_laws import compare_laws
 from jointid.diagnostics.intervals import rebuild_problem
 from jointid.diagnostics.law_comparison import LawComparison
-from jointid.diagnostics.spring_comparison import compare_springs
 from jointid.diagnostics.unmodelled_motion import predict_residual
 from jointid.models.friction import FRICTIONS, friction_named
 from jointid.models.ripple import PositionHarmonics
@@ -335,7 +334,7 @@ def choose(seed: int, fault: str, longest: float = 12.0, kind: str = "spring") -
         return None
     try:
         compared: LawComparison
-        compared = (compare_springs if kind == "spring" else compare_frictions)(made.record, made.axis.loop)
+        compared = compare_laws(made.record, made.axis.loop, "springs" if kind == "spring" else "frictions")
     except JointidError as error:
         return Chosen(seed, fault, made.size, f"{type(error).__name__}: {error}", "", None, {})
     shown = compared.shown

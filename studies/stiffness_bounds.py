@@ -113,7 +113,7 @@ def identify_plant(seed: int, *, loop_checks: bool = True) -> BoundRun:
     except JointidError as error:
         return replace(run, error=str(error))
     run = replace(run, seconds=time.process_time() - began, simulations=estimate.fit.simulations)
-    run = replace(run, held=tuple(p.name for p in estimate.params if p.at_bound is not None))
+    run = replace(run, held=tuple(p.name for p in estimate.params.rows if p.at_bound is not None))
     spring = estimate["stiffness"]
     if spring.value is None:
         return replace(run, bound={b.share: b.stiffness for b in estimate.checks.bounds}.get(plant.share))

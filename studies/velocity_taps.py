@@ -127,7 +127,7 @@ def _compare_joints(twin: TapsTwin, learned: LearnedLoop) -> tuple[dict[str, flo
 
     def under(controller: Controller) -> dict[str, tuple[float, float]]:
         estimate = identify(twin.record.without("motor_position"), ClosedLoop(RigidJoint(), controller), checks=False)
-        return {p.name: (p.value or 0.0, p.stderr or math.inf) for p in estimate.params}
+        return {p.name: (p.value or 0.0, p.stderr or math.inf) for p in estimate.params.rows}
 
     try:
         true, found = under(twin.controller), under(learned.controller)

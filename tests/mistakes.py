@@ -337,7 +337,7 @@ MISTAKES = (
         "velocity_gain twice as large", frozenset({"law_gain"}), _declared(velocity_gain=lambda c: 2 * c.velocity_gain)
     ),
     Mistake("torque constant said twice", frozenset({"torque_constant"}), _constant_twice),
-    Mistake("integral forgotten", frozenset({"integral"}), _left_out(integral_gain=60.0)),
+    Mistake("integral forgotten", frozenset({"integral_gain"}), _left_out(integral_gain=60.0)),
     Mistake(
         "velocity filter forgotten",
         frozenset({"velocity_filter"}),
@@ -412,7 +412,7 @@ PAIRS = (
     _pair(
         "velocity filter forgotten, sample time twice as long", {"velocity_filter", "sample_time"}, _FILTER, _time(2.0)
     ),
-    _pair("feed-forward and integral forgotten", {"velocity_feedforward", "integral"}, _integral_too),
+    _pair("feed-forward and integral forgotten", {"velocity_feedforward", "integral_gain"}, _integral_too),
     _pair("gains swapped, sample time three times as long", {*_SWAPPED, "sample_time"}, _of(_SWAP_GAINS), _time(3.0)),
     _pair(
         "delay forgotten, velocity_gain twice as large",
@@ -484,7 +484,7 @@ def mistakes_of(made: Axis) -> tuple[Mistake, ...]:
             ),
         }
     if getattr(law, "integral_gain", 0.0):
-        forgotten = Mistake("integral forgotten", frozenset({"integral"}), _declared(integral_gain=0.0))
+        forgotten = Mistake("integral forgotten", frozenset({"integral_gain"}), _declared(integral_gain=0.0))
         instead["integral forgotten"] = forgotten
     elif not hasattr(law, "integral_gain"):
         instead["integral forgotten"] = Mistake(
@@ -594,7 +594,7 @@ MORE = (
     Mistake("half a second of motion", frozenset({"record_too_short"}), _too_short, "the record is too short"),
     Mistake("pulses not declared", frozenset({"injected"}), _pulses, "channel injected"),
 )
-_INTEGRAL = Mistake("integral time in ms, in s", frozenset({"integral"}), _seconds_for_milliseconds, "1000 times")
+_INTEGRAL = Mistake("integral time in ms, in s", frozenset({"integral_gain"}), _seconds_for_milliseconds, "1000 times")
 SMOOTH = Mistake("friction smooth in the velocity", frozenset({"presliding"}), _smooth)
 
 
@@ -612,7 +612,7 @@ def more_mistakes_of(made: Axis) -> tuple[Mistake, ...]:
 
 _OF_SENSITIVITIES = {
     "gain": "law_gain", "velocity_gain": "law_gain", "log_gain": "torque_scale", "position_gain": "position_gain",
-    "integral_gain": "integral", "delay": "delay", "velocity_filter.time_constant": "velocity_filter",
+    "delay": "delay", "velocity_filter.time_constant": "velocity_filter",
 }  # fmt: skip
 """The cause that a fault found by its sensitivity is."""
 

@@ -107,8 +107,8 @@ def test_three_files_give_one_answer(folder: Path, motor: Estimate) -> None:
     assert by_load.settings.joint.kind == "prismatic"
     assert by_load["inertia"].value == pytest.approx(2e-4 * R**2, rel=0.01)  # 79 kg
     assert by_load["offset"].value == pytest.approx(-0.02 * R, rel=0.05)  # the screw turns it round
-    for found in (by_motor.params, by_load.other_side):
-        for p, q in zip(found, motor.params, strict=True):
+    for found in (by_motor.params.rows, by_load.other_side):
+        for p, q in zip(found, motor.params.rows, strict=True):
             assert (p.name, p.unit) == (q.name, q.unit)
             for value, expected in ((p.value, q.value), (p.stderr, q.stderr)):
                 assert (value or 0.0) == pytest.approx(expected or 0.0, rel=1e-9), p.name

@@ -7,15 +7,12 @@ from .config.robot_file import RobotFile, load_robot_file
 from .config.robot_model import load_robot
 from .controller_id.learn import learn_loop
 from .diagnostics.check_loop import check_loop
-from .diagnostics.compare_estimates import compare_estimates
+from .diagnostics.compare import compare
 from .diagnostics.examine_record import examine
 from .diagnostics.experiment_design import advise, design_stiffness_test
-from .diagnostics.friction_comparison import compare_frictions
 from .diagnostics.identify import identify
 from .diagnostics.intervals import intervals
-from .diagnostics.method_comparison import compare_methods
 from .diagnostics.robots.diagnose import RobotDiagnosis, diagnose_robot
-from .diagnostics.spring_comparison import compare_springs
 from .diagnostics.validation import Validation, validate
 from .estimation.methods.didim import DIDIM
 from .estimation.methods.flexible import FlexibleDIDIM
@@ -133,10 +130,7 @@ __all__ = [
     "add_feed_forward",
     "advise",
     "check_loop",
-    "compare_estimates",
-    "compare_frictions",
-    "compare_methods",
-    "compare_springs",
+    "compare",
     "consistent_robot",
     "convert",
     "design_robot_test",

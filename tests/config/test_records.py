@@ -91,7 +91,7 @@ def test_the_emps_file_serves_both_records(data_dir: Path) -> None:
     assert second.injected.channel.values.max() == pytest.approx(5.07 * 35.15, rel=1e-3)
     assert file.loop is not None
     estimate = identify(first, file.loop, file.method, filtering=file.filtering, parameters=file.parameters)
-    found = {parameter.name: parameter.value for parameter in estimate.params}
+    found = {parameter.name: parameter.value for parameter in estimate.params.rows}
     assert found["inertia"] == pytest.approx(95.4, abs=0.1)
     assert found["viscous"] == pytest.approx(210.0, abs=0.5)
     assert found["coulomb"] == pytest.approx(19.9, abs=0.1)

@@ -74,7 +74,7 @@ def test_the_learned_law_identifies_what_the_given_one_does(emps: tuple[Record, 
     torque = record.without("motor_position")
     given = identify(torque, EMPS.loop, EMPS.method, filtering=EMPS.filtering)
     found = identify(torque, replace(EMPS.loop, controller=learned.controller), EMPS.method, filtering=EMPS.filtering)
-    for parameter in given.params:
+    for parameter in given.params.rows:
         if parameter.stderr and parameter.value is not None:
             assert abs(found[parameter.name].value - parameter.value) <= 0.2 * parameter.stderr, parameter.name
 

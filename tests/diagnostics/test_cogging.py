@@ -9,7 +9,7 @@ import pytest
 
 import jointid as ji
 from jointid.diagnostics.check_loop import LoopTests, check_loop
-from jointid.diagnostics.mechanics_faults import COGGING
+from jointid.diagnostics.faults.cogging import COGGING
 from jointid.models.ripple import PositionHarmonics
 from jointid.uncertainty.verdict import Reason
 from studies.mechanics import spoiled
@@ -22,7 +22,7 @@ def test_the_period_of_a_ripple_is_found(seed: int) -> None:
     assert made is not None
     check = check_loop(identify(made.record, made.axis.loop), made.record, LoopTests(most=1))
     first = check.findings[0]
-    assert first.test.name == COGGING
+    assert first.test.fault is COGGING
     assert first.test.shape is not None
     reference = made.record.reference
     assert reference is not None
@@ -39,7 +39,7 @@ def test_none_is_found_where_there_is_none() -> None:
     made = spoiled(103, "none", 8.0)
     assert made is not None
     tests = check_loop(identify(made.record, made.axis.loop), made.record).tests
-    assert next(one.p_value for one in tests if one.name == COGGING) > 0.05
+    assert next(one.p_value for one in tests if one.fault is COGGING) > 0.05
 
 
 def test_a_joint_that_has_its_ripple_is_asked_for_no_other() -> None:
@@ -48,12 +48,12 @@ def test_a_joint_that_has_its_ripple_is_asked_for_no_other() -> None:
     joint = replace(made.axis.loop.joint, ripple=PositionHarmonics(made.truth["pitch"]))
     loop = replace(made.axis.loop, joint=joint)
     check = ji.check_loop(identify(made.record, loop), made.record)
-    assert COGGING not in {one.name for one in check.tests}
+    assert COGGING not in {one.fault for one in check.tests}
 
 
 def test_it_can_be_asked_for_by_itself() -> None:
     made = spoiled(103, "cogging", 8.0)
     assert made is not None
     estimate = identify(made.record, made.axis.loop)
-    check = check_loop(estimate, made.record, LoopTests(faults=(COGGING,), most=1))
-    assert [one.name for one in check.tests] == [COGGING]
+    check = check_loop(estimate, made.record, LoopTests(faults=(COGGING.name,), most=1))
+    assert [one.fault for one in check.tests] == [COGGING]

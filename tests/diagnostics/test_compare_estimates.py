@@ -47,7 +47,7 @@ def test_gains_of_an_answer_of_0_1_0_are_read_by_their_names_of_now(tmp_path: Pa
 
 def test_one_record_twice_is_not_tested(tmp_path: Path) -> None:
     path = of_rigid(1, tmp_path)
-    found = ji.compare_estimates(ji.read_report(path), ji.read_report(path))
+    found = ji.compare(ji.read_report(path), ji.read_report(path))
     assert found.same_record
     assert all(row.p_value is None and row.difference == 0 for row in found.rows)
     assert "Both are of the same record" in str(found)
@@ -55,7 +55,7 @@ def test_one_record_twice_is_not_tested(tmp_path: Path) -> None:
 
 def test_a_difference_has_the_variance_of_both_and_holms_p_value(tmp_path: Path) -> None:
     before, after = ji.read_report(of_rigid(1, tmp_path)), ji.read_report(of_rigid(2, tmp_path, inertia=0.0408))
-    found = ji.compare_estimates(before, after)
+    found = ji.compare(before, after)
     rows = {row.name: row for row in found.rows}
     assert "initial_position" not in rows
     stds = [q.std for told in (before, after) for q in told.quantities if q.name == "inertia"]
@@ -74,7 +74,7 @@ def test_what_is_fixed_or_refused_is_said(tmp_path: Path) -> None:
     changed = replace(
         after, quantities=(replace(inertia, value=None, std=None), replace(viscous, std=None, free=False), *rest)
     )
-    rows = {row.name: row for row in ji.compare_estimates(before, changed).rows}
+    rows = {row.name: row for row in ji.compare(before, changed).rows}
     assert rows["inertia"].reason == "not identified in B"
     assert rows["viscous"].reason == "fixed in B"
     assert rows["viscous"].difference is not None
@@ -94,18 +94,18 @@ def test_what_is_fixed_or_refused_is_said(tmp_path: Path) -> None:
 def test_other_joints_are_not_compared(change: dict[str, str], words: str, tmp_path: Path) -> None:
     one = ji.read_report(of_rigid(1, tmp_path))
     with pytest.raises(ji.MethodError, match=words):
-        ji.compare_estimates(one, replace(one, **change))  # type: ignore[arg-type]
+        ji.compare(one, replace(one, **change))  # type: ignore[arg-type]
 
 
 def test_other_units_and_settings_are_said(tmp_path: Path) -> None:
     one, other = ji.read_report(of_rigid(1, tmp_path)), ji.read_report(of_rigid(2, tmp_path))
     units = replace(other, quantities=(replace(other.quantities[0], unit="kg"), *other.quantities[1:]))
     with pytest.raises(ji.MethodError, match="inertia is in kg m2"):
-        ji.compare_estimates(one, units)
+        ji.compare(one, units)
     settings = replace(other, settings={**other.settings, "method": "IDIM"})
-    assert any("They differ in method" in note for note in ji.compare_estimates(one, settings).notes)
+    assert any("They differ in method" in note for note in ji.compare(one, settings).notes)
     with pytest.raises(ji.MethodError, match="between 0 and 1"):
-        ji.compare_estimates(one, other, level=0.0)
+        ji.compare(one, other, level=0.0)
 
 
 @pytest.mark.parametrize(
@@ -168,7 +168,7 @@ def test_the_command_prints_the_table_and_writes_the_answer(tmp_path: Path, caps
 @pytest.mark.slow
 def test_seldom_is_anything_called_changed_where_nothing_did(tmp_path: Path) -> None:
     files = [ji.read_report(of_rigid(seed, tmp_path)) for seed in range(60)]
-    alarms = [bool(ji.compare_estimates(files[i], files[i + 1]).changed) for i in range(0, 60, 2)]
+    alarms = [bool(ji.compare(files[i], files[i + 1]).changed) for i in range(0, 60, 2)]
     assert sum(alarms) <= 5  # of 30 at 5 %: more happens once in a hundred
 
 
@@ -181,8 +181,8 @@ def test_a_spring_that_grew_softer_is_found(tmp_path: Path) -> None:
         return told(found, tmp_path, f"twin{seed}")
 
     before, same, softer = (ji.read_report(estimate(seed, by)) for seed, by in ((1, 1.0), (2, 1.0), (3, 0.95)))
-    assert not ji.compare_estimates(before, same).changed
-    found = ji.compare_estimates(before, softer)
+    assert not ji.compare(before, same).changed
+    found = ji.compare(before, softer)
     names = {row.name for row in found.changed}
     assert "stiffness" in names
     assert not names & {"motor_inertia", "load_inertia", "total inertia"}

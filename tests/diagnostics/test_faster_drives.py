@@ -11,10 +11,9 @@ import jointid as ji
 from jointid.diagnostics import check_loop as checking
 from jointid.diagnostics import find_causes as searching
 from jointid.diagnostics.check_loop import LoopTests, check_loop
+from jointid.diagnostics.faults.findings import LoopCheck
+from jointid.diagnostics.faults.other_laws import PERIOD
 from jointid.diagnostics.find_causes import find_causes
-from jointid.diagnostics.hypotheses import Cause
-from jointid.diagnostics.loop_findings import LoopCheck
-from jointid.diagnostics.other_laws import PERIOD
 from jointid.models.controllers import PD, Cascade
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
@@ -38,7 +37,7 @@ def test_a_drive_that_runs_faster_than_its_log_is_named(times: int) -> None:
     """With the rate that fits best, and before the delay that would explain much of it."""
     check, value, _, corrected = _checked(*drive(CASCADE, times, noise=0.05), "inertia")
     first = check.findings[0]
-    assert first.test.name == PERIOD
+    assert first.test.fault is PERIOD
     assert first.test.size == pytest.approx(1.0, abs=0.2)
     assert first.law is not None
     assert first.law.rate == pytest.approx(1e3 * times)
@@ -60,7 +59,7 @@ def test_what_the_log_leaves_open_of_the_reference_is_tried_both_ways() -> None:
 @pytest.mark.parametrize("law", [CASCADE, SERVO])
 def test_a_drive_that_runs_at_the_rate_of_its_log_is_not_blamed(law: Cascade | PD) -> None:
     check, _, _, _ = _checked(*drive(law, 1, noise=0.05), "inertia")
-    assert PERIOD not in [one.test.name for one in check.findings]
+    assert PERIOD not in [one.test.fault for one in check.findings]
     assert check.undecided is None
 
 
@@ -81,8 +80,8 @@ def test_the_check_of_one_fault_leaves_the_period_out() -> None:
     estimate = identify(record, loop)
     only = check_loop(estimate, record, LoopTests(faults=("delay",)))
     assert [one.test.name for one in only.findings] == ["delay"]
-    both = check_loop(estimate, record, LoopTests(faults=("delay", PERIOD)))
-    assert both.findings[0].test.name == PERIOD
+    both = check_loop(estimate, record, LoopTests(faults=("delay", PERIOD.name)))
+    assert both.findings[0].test.fault is PERIOD
 
 
 def test_no_other_cause_is_looked_for_where_the_period_is_all_that_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -93,13 +92,13 @@ def test_no_other_cause_is_looked_for_where_the_period_is_all_that_is_wrong(monk
     record, loop = drive(CASCADE, 8, noise=0.05)
     verdict = ji.identify(record, loop).checks.verdicts[-1]
     assert verdict.reasons[0].code is Reason.LOOP_NOT_AS_DECLARED
-    assert verdict.reasons[0].values["suspect"] == PERIOD
+    assert verdict.reasons[0].values["suspect"] == PERIOD.name
 
 
 def test_the_search_for_a_cause_tries_the_period() -> None:
     record, loop = drive(CASCADE, 8, noise=0.05)
     first = find_causes(record, loop).tried[0]
-    assert first.cause is Cause.PERIOD
+    assert first.fault is PERIOD
     assert first.words.startswith("the controller runs faster than the log: declare its period, about 0.1")
 
 
@@ -109,7 +108,7 @@ def test_a_stiffness_of_a_faster_drive_is_not_relied_on() -> None:
     record, loop = drive(CASCADE, 8, flexible=True)
     check, value, spread, corrected = _checked(record, loop, "stiffness")
     assert abs(value - FLEXIBLE["stiffness"]) > 1.5 * spread
-    assert check.findings[0].test.name == PERIOD
+    assert check.findings[0].test.fault is PERIOD
     assert corrected == pytest.approx(FLEXIBLE["stiffness"], rel=0.02)
     answer = ji.identify(record, loop).answer
     assert not answer.reliable
@@ -122,7 +121,7 @@ def test_pulses_blame_the_period_and_no_gain(times: int) -> None:
     record, loop = drive(CASCADE, times, flexible=True, pulsed=True)
     estimate = ji.identify(record, loop)
     verdict = estimate.checks.verdicts[-1]
-    assert verdict.reasons[0].values["suspect"] == PERIOD
+    assert verdict.reasons[0].values["suspect"] == PERIOD.name
     assert f"at {times} kHz" in str(estimate.answer)
 
 
@@ -138,7 +137,7 @@ def test_what_a_record_does_not_exclude_speaks_against_the_stiffness() -> None:
     told = check.findings[:1] or ([check.undecided] if check.undecided else [])
     answer = ji.identify(record, loop).answer
     if abs(value - FLEXIBLE["stiffness"]) > spread:
-        assert [one.test.name for one in told] == [PERIOD]
+        assert [one.test.fault for one in told] == [PERIOD]
         assert not answer.reliable
     if not check.findings and check.undecided is not None:
         assert check.status is Status.UNKNOWN

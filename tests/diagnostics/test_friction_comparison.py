@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 import jointid as ji
 from jointid.common.errors import MethodError
-from jointid.diagnostics.friction_comparison import FrictionComparison, FrictionShown, compare_frictions
+from jointid.diagnostics.law_comparison import FrictionComparison, FrictionShown
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
@@ -19,6 +20,8 @@ from jointid.simulation.loop_input import prepare
 from tests.mistakes import cut
 from tests.plants import prismatic
 from tests.simulation.test_friction_in_pieces import RISES, rigid, slow
+
+compare_frictions = partial(ji.compare, among="frictions")
 
 
 @pytest.fixture(scope="module")

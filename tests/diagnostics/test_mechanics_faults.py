@@ -9,23 +9,23 @@ import numpy as np
 import pytest
 
 import jointid as ji
+from jointid.common.arrays import FloatArray
 from jointid.diagnostics.check_loop import check_loop
-from jointid.diagnostics.intervals import rebuild_problem
-from jointid.diagnostics.lack_of_fit import worst_shift
-from jointid.diagnostics.mechanics_faults import (
-    BACKLASH,
+from jointid.diagnostics.faults.cogging import COGGING
+from jointid.diagnostics.faults.fault import Fault, FaultSignature
+from jointid.diagnostics.faults.friction import (
     CHANGING_FRICTION,
-    COGGING,
     COULOMB,
-    CUBIC_SPRING,
     LOAD_DEPENDENT_FRICTION,
-    MECHANICS,
-    SECOND_MODE,
     VISCOUS,
     WINDING_FRICTION,
-    solve_with_fault,
-    vary_mechanics,
 )
+from jointid.diagnostics.faults.registry import FAULTS
+from jointid.diagnostics.faults.springs import BACKLASH, CUBIC_SPRING, SECOND_MODE
+from jointid.diagnostics.faults.trials import solve_with_fault, vary_mechanics
+from jointid.diagnostics.intervals import rebuild_problem
+from jointid.diagnostics.lack_of_fit import worst_shift
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.answer import Trust
 from jointid.simulation.closed_loop import simulate as simulate_exactly
 from jointid.simulation.loop_input import prepare
@@ -34,6 +34,12 @@ from studies.healthy import drive
 from studies.mechanics import simulate, spoiled
 from tests.estimates import identify
 from tests.faults import problem, setting
+
+MECHANICS = {one for one in FAULTS if one.mechanical}
+
+
+def vary(problem: ClosedLoopProblem, x: FloatArray) -> list[FaultSignature]:
+    return list(vary_mechanics(problem, x, FAULTS))
 
 
 @pytest.mark.parametrize("seed", [3001, 3005])  # P-PI and PID
@@ -49,14 +55,14 @@ def test_each_signature_is_what_another_law_changes_per_unit_of_its_size() -> No
     where = setting("L19", brief=True)
     made = problem(where, None, None)
     x, largest = made.vector(where.truth), float(np.max(np.abs(made.measured)))
-    found = list(vary_mechanics(made, x))
-    assert {one.name for one in found} == set(MECHANICS) - {COGGING}  # whose period is looked for in the residual
-    assert len({(one.name, one.shape) for one in found}) == len(found)  # a test names one of them
+    found = vary(made, x)
+    assert {one.fault for one in found} == MECHANICS - {COGGING}  # whose period is looked for in the residual
+    assert len({(one.fault, one.shape) for one in found}) == len(found)  # a test names one of them
     for one in found:
         assert one.raw is not None
         np.testing.assert_allclose(one.column, made.filtered(one.raw), rtol=0, atol=1e-12 * largest)
     for shape, part in ((VISCOUS, "viscous"), (COULOMB, "coulomb")):  # half of the loss at the end is lost on average
-        column = next(one.column for one in found if (one.name, one.shape) == (CHANGING_FRICTION, shape))
+        column = next(one.column for one in found if (one.fault, one.shape) == (CHANGING_FRICTION, shape))
         lost = {f"{side}_{part}": 0.9 * where.truth[f"{side}_{part}"] for side in ("motor", "load")}
         steady = made.filtered(made.torque(made.vector({**where.truth, **lost})) - made.torque(x)) / 0.2
         cosine = float(column @ steady) / float(np.linalg.norm(column) * np.linalg.norm(steady))
@@ -65,7 +71,7 @@ def test_each_signature_is_what_another_law_changes_per_unit_of_its_size() -> No
 
 
 @pytest.mark.parametrize(
-    ("fault", "seed", "name"),
+    ("fault", "seed", "named"),
     [
         ("cubic spring", 3005, CUBIC_SPRING),
         ("load-dependent friction", 3003, LOAD_DEPENDENT_FRICTION),
@@ -75,13 +81,13 @@ def test_each_signature_is_what_another_law_changes_per_unit_of_its_size() -> No
         pytest.param("backlash", 3010, BACKLASH, marks=pytest.mark.slow),
     ],
 )
-def test_what_is_wrong_is_named_first(fault: str, seed: int, name: str) -> None:
+def test_what_is_wrong_is_named_first(fault: str, seed: int, named: Fault) -> None:
     made = spoiled(seed, fault, 8.0 if seed < 1000 else 12.0)
     assert made is not None
     check = check_loop(identify(made.record, made.axis.loop), made.record)
-    assert check.findings[0].test.name == name
-    assert {CUBIC_SPRING, BACKLASH} - {one.test.name for one in check.findings}  # two words for one thing
-    asked = {CUBIC_SPRING: "three-piece", BACKLASH: "backlash", SECOND_MODE: "elastic-load"}.get(name)
+    assert check.findings[0].test.fault is named
+    assert {CUBIC_SPRING, BACKLASH} - {one.test.fault for one in check.findings}  # two words for one thing
+    asked = {CUBIC_SPRING: "three-piece", BACKLASH: "backlash", SECOND_MODE: "elastic-load"}.get(named)
     assert asked is None or f'; to identify it, set joint.spring = "{asked}"' in str(check.sentences[0])
 
 
@@ -91,7 +97,7 @@ def test_a_small_second_mode_is_found_by_a_search() -> None:
     assert made is not None
     estimate = identify(made.record, made.axis.loop)
     check = check_loop(estimate, made.record)
-    assert [one.test.name for one in check.findings] == [SECOND_MODE]
+    assert [one.test.fault for one in check.findings] == [SECOND_MODE]
     assert check.findings[0].test.shape == pytest.approx(made.size * made.axis.about["mode"], rel=0.5)
 
 
@@ -153,7 +159,7 @@ def test_a_rigid_joint_has_no_spring() -> None:
     rigid = ji.ClosedLoop(ji.RigidJoint(kind=axis.loop.joint.kind), axis.loop.controller)
     record = axis.record.without("motor_position", "load_position")
     estimate = identify(record, rigid, ji.DIDIM())
-    assert not {one.name for one in check_loop(estimate, record).tests} & set(MECHANICS)
+    assert not {one.fault for one in check_loop(estimate, record).tests} & MECHANICS
 
 
 def test_they_are_the_same_of_a_friction_with_a_number_for_each_direction() -> None:
@@ -167,12 +173,12 @@ def test_they_are_the_same_of_a_friction_with_a_number_for_each_direction() -> N
     beside = made.parameters[len(made.joint.parameters) :]
     own = tuple(p.fixed(values[p.name]) if p.name == "offset" else p for p in asymmetric.parameters)
     other = replace(made, loop=loop, parameters=(*own, *beside))
-    ours, theirs = list(vary_mechanics(made, x)), list(vary_mechanics(other, other.vector(values)))
+    ours, theirs = vary(made, x), vary(other, other.vector(values))
     for one in theirs:
-        same = next(other for other in ours if (other.name, other.shape) == (one.name, one.shape))
+        same = next(other for other in ours if (other.fault, other.shape) == (one.fault, one.shape))
         assert np.linalg.norm(one.column - same.column) < 1e-6 * np.linalg.norm(same.column)
     frictions = {LOAD_DEPENDENT_FRICTION, WINDING_FRICTION, CHANGING_FRICTION}
-    assert {CUBIC_SPRING, BACKLASH, *frictions} <= {one.name for one in theirs}
+    assert {CUBIC_SPRING, BACKLASH, *frictions} <= {one.fault for one in theirs}
 
 
 def test_friction_that_winds_up_is_identified_from_all_that_was_tried_of_it() -> None:
@@ -188,7 +194,7 @@ def test_friction_that_winds_up_is_identified_from_all_that_was_tried_of_it() ->
 def test_what_the_user_holds_is_not_tried_otherwise() -> None:
     where = setting("L19", brief=True)
     made = problem(where, None, None).keeping({"stiffness": where.truth["stiffness"]})
-    found = {one.name for one in vary_mechanics(made, made.vector(where.truth))}
+    found = {one.fault for one in vary(made, made.vector(where.truth))}
     assert {LOAD_DEPENDENT_FRICTION, WINDING_FRICTION} <= found
     assert not found & {CUBIC_SPRING, BACKLASH, SECOND_MODE}
 

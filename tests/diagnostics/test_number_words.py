@@ -12,9 +12,9 @@ import pytest
 import jointid as ji
 from jointid.config import loads
 from jointid.config.contents import JointFile
-from jointid.diagnostics.fault_tests import FaultTest
-from jointid.diagnostics.loop_findings import Finding, LoopCheck
-from jointid.diagnostics.number_words import tell_difference_in_drive
+from jointid.diagnostics.faults.fault import FaultTest
+from jointid.diagnostics.faults.findings import Finding, LoopCheck
+from jointid.diagnostics.faults.numbers import describe_in_drive, number_fault
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import ClosedLoop
@@ -128,16 +128,17 @@ def test_a_number_is_told_as_the_drive_shows_it(
     there: DriveNumber, declared: float, size: float, std: float, said: str
 ) -> None:
     """A longer time is a smaller gain, and the longer half of its interval is told."""
-    test = FaultTest(there.number, (), declared, size, std, size / std, 1e-9)
-    assert tell_difference_in_drive(there, test, {there.number: declared}, spread=True) == said
+    test = FaultTest(number_fault(there.number), (), declared, size, std, size / std, 1e-9)
+    assert describe_in_drive(there, test, {there.number: declared}, spread=True) == said
 
 
 def _check(*shown: DriveNumber) -> LoopCheck:
-    test = FaultTest("velocity_gain", ("gain",), 5.5, -1.0, 0.1, -10.0, 1e-9)
+    test = FaultTest(number_fault("velocity_gain"), (number_fault("gain"),), 5.5, -1.0, 0.1, -10.0, 1e-9)
     law = {"velocity_gain": 5.5, "gain": 0.5}
-    units = {"torque": "N m", "velocity": "rad/s"}
+    units = {"torque": "N m", "position": "rad", "velocity": "rad/s"}
+    rival = replace(test, fault=number_fault("integral_gain"), alike=())
     return LoopCheck(
-        (Finding(test, 4.5, ("integral_gain",), {}),), (test,), 0.05, {}, units,
+        (Finding(test, 4.5, (rival,), {}),), (test,), 0.05, {}, units,
         law=law, shown={one.number: one for one in shown},
     )  # fmt: skip
 
@@ -156,9 +157,9 @@ def test_what_looks_alike_is_off_by_as_much() -> None:
 def test_the_times_of_a_pid_change_with_its_position_gain() -> None:
     there = DriveNumber("position_gain", "position_gain", "A/rad", 1.0, declared=4.0)
     time = DriveNumber("derivative_gain", "derivative_time", "ms", 1e3, declared=66.0, per="position_gain")
-    test = FaultTest("position_gain", (), 4.0, 0.4, 0.04, 10.0, 1e-9)
+    test = FaultTest(number_fault("position_gain"), (), 4.0, 0.4, 0.04, 10.0, 1e-9)
     check = LoopCheck(
-        (Finding(test, 4.4, (), {}),), (test,), 0.05, {}, {"torque": "A", "velocity": "rad/s"},
+        (Finding(test, 4.4, (), {}),), (test,), 0.05, {}, {"torque": "A", "position": "rad", "velocity": "rad/s"},
         law={"position_gain": 4.0, "derivative_gain": 0.264}, shown={one.number: one for one in (there, time)},
     )  # fmt: skip
     expected = "the position gain is 4.40 A/rad, declared 4 A/rad, with the derivative time 60.0 ms"

@@ -9,9 +9,10 @@ import pytest
 
 import jointid as ji
 from jointid.diagnostics.check_loop import LoopTests, check_loop
-from jointid.diagnostics.fault_tests import FaultTest
-from jointid.diagnostics.loop_findings import Finding, LoopCheck, ParameterShift
-from jointid.diagnostics.other_laws import MEASURED_VELOCITY, PERIOD, PRESENT_SAMPLE, OtherLaw, list_other_laws
+from jointid.diagnostics.faults.fault import FaultTest
+from jointid.diagnostics.faults.findings import Finding, LoopCheck, OtherLaw, ParameterShift
+from jointid.diagnostics.faults.numbers import DELAY
+from jointid.diagnostics.faults.other_laws import MEASURED_VELOCITY, PERIOD, PRESENT_SAMPLE, list_other_laws
 from jointid.estimation.result.answer import Trust, moved_by_loop
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import (
@@ -78,7 +79,7 @@ def test_a_velocity_that_is_no_difference_is_named_before_a_faster_drive() -> No
     record, loop = run(made, earlier), ClosedLoop(made.joint, declared)
     check = check_loop(identify(record, loop), record, LoopTests(most=1))
     [first] = check.findings
-    assert first.test.name == MEASURED_VELOCITY
+    assert first.test.fault is MEASURED_VELOCITY
     assert check.sentences[0].startswith("the velocity is measured or observed, half a period earlier")
     assert "declare velocity_filter = [1.5, -0.5]" in check.reasons[0].brief
 
@@ -91,9 +92,9 @@ def test_a_law_of_two_parts_is_named_as_both_and_neither_is_looked_for_again() -
     record, loop = run(made, true), ClosedLoop(made.joint, declared)
     check = check_loop(identify(record, loop), record)
     [first, *others] = [one.test.name for one in check.findings]
-    assert first == f"{MEASURED_VELOCITY} and {PRESENT_SAMPLE}"
-    assert not {MEASURED_VELOCITY, PRESENT_SAMPLE} & {*others}
-    only = check_loop(identify(record, loop), record, LoopTests(faults=(MEASURED_VELOCITY, "delay")))
+    assert first == "measured_velocity and present_sample"
+    assert not {"measured_velocity", "present_sample"} & {*others}
+    only = check_loop(identify(record, loop), record, LoopTests(faults=(MEASURED_VELOCITY.name, "delay")))
     assert first not in [one.test.name for one in only.findings]
 
 
@@ -101,18 +102,20 @@ def test_laws_that_explain_as_much_are_told_once() -> None:
     """Each of its own name; of rates one, with the others beside it; and what is left open is told as that only."""
     declared = Cascade(position_gain=1.0, velocity_gain=1.0, integral_gain=50.0)
     present, measured, both = list_other_laws(declared, T)
-    assert len({present.name, measured.name, both.name}) == 3
+    assert len({present.fault, measured.fault, both.fault}) == 3
     rates = [
         OtherLaw((PERIOD,), f"it runs at {kilo} kHz", f"{1 / kilo} ms", declared, 1e3 * kilo) for kilo in (2, 4, 8)
     ]
-    test = FaultTest(measured.name, (), 0.0, 1.0, 0.1, 10.0, 1e-9)
+    test = FaultTest(measured.fault, (), 0.0, 1.0, 0.1, 10.0, 1e-9)
     changes = {"inertia": ParameterShift(1.0, 5.0)}
     first = Finding(test, None, (), changes, measured, 0.01, (both, *rates))
-    check = LoopCheck((first,), (), 0.05, {"inertia": "ZZ"}, {"inertia": "kg", "torque": "N", "velocity": "m/s"})
+    check = LoopCheck(
+        (first,), (), 0.05, {"inertia": "ZZ"}, {"inertia": "kg", "torque": "N", "position": "m", "velocity": "m/s"}
+    )
     [told] = check.sentences
     assert told.startswith(f"{measured.words}: declare {measured.remedy}; or {both.words}, which this record does not")
     assert "; or it runs at 2 kHz (or 4, 8 kHz), which this record does not tell apart: 0.5 ms" in told
-    open_ = replace(first, test=replace(test, name=PERIOD), law=rates[1], alike=())
+    open_ = replace(first, test=replace(test, fault=PERIOD), law=rates[1], alike=())
     told, left = replace(check, undecided=open_).sentences
     assert "it runs at 2 kHz (or 8 kHz)" in told
     assert left.startswith("it may be that it runs at 4 kHz")
@@ -136,7 +139,7 @@ def test_an_integral_that_takes_in_the_present_sample_is_named() -> None:
     """Both gains move together, and the inertia is the true one with it."""
     estimate, record, check = _checked(present=True)
     found = check.findings[0]
-    assert found.test.name == PRESENT_SAMPLE
+    assert found.test.fault is PRESENT_SAMPLE
     assert found.test.size == pytest.approx(1.0, abs=3 * found.test.std)
     assert check.sentences[0].startswith("the integral takes in the present sample, too: declare velocity_gain 6.0 %")
     truth, inertia = _quiet().values["inertia"], estimate.params["inertia"]
@@ -146,12 +149,12 @@ def test_an_integral_that_takes_in_the_present_sample_is_named() -> None:
     assert corrected == pytest.approx(truth, rel=0.01)
     made = _quiet()
     verdict = ji.identify(record, ClosedLoop(made.joint, made.controller)).checks.verdicts[-1]
-    assert verdict.reasons[0].values["suspect"] == PRESENT_SAMPLE
+    assert verdict.reasons[0].values["suspect"] == PRESENT_SAMPLE.name
 
 
 def test_a_law_that_is_as_declared_is_not_blamed() -> None:
     _, _, check = _checked(present=False)
-    assert PRESENT_SAMPLE not in [one.test.name for one in check.findings]
+    assert PRESENT_SAMPLE not in [one.test.fault for one in check.findings]
     assert check.undecided is None
 
 
@@ -183,16 +186,16 @@ def test_what_the_record_does_not_exclude_speaks_against_the_value_where_it_woul
 def test_the_check_of_one_fault_leaves_the_law_out() -> None:
     estimate, record, _ = _checked(present=True)
     check = check_loop(estimate, record, LoopTests(faults=("delay",)))
-    assert PRESENT_SAMPLE not in [one.test.name for one in check.findings]
-    [found, *_] = check_loop(estimate, record, LoopTests(faults=(PRESENT_SAMPLE, "delay"))).findings
-    assert found.test.name == PRESENT_SAMPLE
+    assert PRESENT_SAMPLE not in [one.test.fault for one in check.findings]
+    [found, *_] = check_loop(estimate, record, LoopTests(faults=(PRESENT_SAMPLE.name, "delay"))).findings
+    assert found.test.fault is PRESENT_SAMPLE
 
 
 def test_beside_a_fault_that_moves_nothing_the_other_law_still_speaks_against_the_value() -> None:
     estimate, _, check = _checked(present=True)
     found, inertia = check.findings[0], estimate.params["inertia"]
     assert inertia.stderr is not None
-    late = replace(found, test=replace(found.test, name="delay", size=1e-4, std=1e-5), changes={}, law=None)
+    late = replace(found, test=replace(found.test, fault=DELAY, size=1e-4, std=1e-5), changes={}, law=None)
     moved = replace(found, changes={"inertia": ParameterShift(-5.0 * inertia.stderr, -5.0)})
     both = replace(check, findings=(late,), undecided=moved)
     assert both.status is Status.FAILED

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from jointid.common.arrays import FloatArray
-from jointid.diagnostics.plain_causes import find_plain_cause, find_steps
+from jointid.diagnostics.faults.forces import find_steps
+from jointid.diagnostics.faults.motion import find_plain_cause
 from jointid.records.record import Channel, Record
 from jointid.simulation.excitation import trapezoids
 from jointid.uncertainty.verdict import Reason

@@ -11,8 +11,8 @@ import jointid as ji
 from jointid.common.messages import Message
 from jointid.diagnostics import run_checks
 from jointid.diagnostics.check_loop import SearchState
+from jointid.diagnostics.faults.findings import LoopCheck
 from jointid.diagnostics.intervals import rebuild_problem
-from jointid.diagnostics.loop_findings import LoopCheck
 from jointid.diagnostics.unmodelled_motion import PredictedResidual, _responses, predict_residual
 from jointid.estimation.identify import fit as fit_records
 from jointid.estimation.result.answer import Trust

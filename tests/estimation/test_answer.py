@@ -151,7 +151,7 @@ def test_the_number_of_checks_that_passed_does_not_contradict_the_answer() -> No
 
 
 def test_symbols_and_remarks_are_explained_below_the_table_on_a_screen() -> None:
-    rows = (*flexible(1000.0, 10.0).params, parameter("damping", "F12", "N m s/rad", 1.0, 0.1))
+    rows = (*flexible(1000.0, 10.0).params.rows, parameter("damping", "F12", "N m s/rad", 1.0, 0.1))
     estimate = replace(flexible(1000.0, 10.0), params=Params(rows, ("motor_inertia",), np.zeros((0, 0)), ""))
     text = str(judged(estimate, damping=1.0))
     assert "K12, F12: stiffness c and damping d of the spring; ZZ1, ZZ2: inertias J1, J2" in text.splitlines()
@@ -269,7 +269,7 @@ def test_a_stiffness_behind_a_late_encoder_is_not_relied_on_but_an_inertia_is() 
 
 def test_a_value_that_is_only_known_with_others_is_not_relied_on() -> None:
     found = judged(flexible(1000.0, 10.0))
-    rows = tuple(replace(p, identifiable=False) if p.name == "stiffness" else p for p in found.params)
+    rows = tuple(replace(p, identifiable=False) if p.name == "stiffness" else p for p in found.params.rows)
     answer = amended(found, params={"rows": rows}).answer
     assert (answer.trust.code, answer.trust.values["reasons"]) == (Trust.NOT_YET, ["only_together"])
 
@@ -280,7 +280,7 @@ def test_an_error_that_is_no_number_is_not_relied_on() -> None:
 
 
 def test_a_value_that_was_declared_is_not_said_to_be_found() -> None:
-    rows = tuple(replace(p, free=False, stderr=None) for p in RIGID.params)
+    rows = tuple(replace(p, free=False, stderr=None) for p in RIGID.params.rows)
     answer = judged(amended(RIGID, params={"rows": rows})).answer
     assert str(answer) == "Inertia 94.903 kg (fixed). It was declared, not identified."
     assert not answer.reliable

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import RecordError
-from jointid.diagnostics.method_comparison import MethodComparison, compare_methods
+from jointid.diagnostics.compare import compare
+from jointid.diagnostics.method_comparison import MethodComparison
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.output import json as answers
@@ -23,7 +24,7 @@ from tests.text import unwrapped
 @pytest.fixture(scope="module")
 def flexible() -> MethodComparison:
     axis = twin()
-    return compare_methods(axis.record, axis.loop, didim=FlexibleDIDIM(frequency=30.0))
+    return compare(axis.record, axis.loop, didim=FlexibleDIDIM(frequency=30.0))
 
 
 def test_every_method_that_can_run_has_run(flexible: MethodComparison) -> None:
@@ -48,15 +49,15 @@ def test_a_disagreement_is_pointed_out(flexible: MethodComparison) -> None:
 
 
 def test_what_cannot_run_is_listed_with_the_reason(emps: Record) -> None:
-    found = compare_methods(emps.without("motor_position"), ClosedLoop(RigidJoint(), CONTROLLER))
+    found = compare(emps.without("motor_position"), ClosedLoop(RigidJoint(), CONTROLLER))
     assert list(found.estimates) == ["DIDIM", "DIDIM asymmetric"]
     assert "IDIM-LS cannot run: IDIM needs motor_position; this record has torque, reference" in unwrapped(str(found))
     assert found.disagreements == ()
     assert "no two methods differ by more than their intervals allow" in unwrapped(str(found))
-    alone = compare_methods(emps, RigidJoint())
+    alone = compare(emps, RigidJoint())
     assert list(alone.estimates) == ["IDIM-LS", "IDIM-IRLS", "IDIM-LS asymmetric"]
     assert "DIDIM cannot run: DIDIM simulates the closed loop, so it needs the controller" in str(alone)
-    fixed = compare_methods(emps, RigidJoint(), parameters={"viscous": RigidJoint().parameters[1].fixed(207.0)})
+    fixed = compare(emps, RigidJoint(), parameters={"viscous": RigidJoint().parameters[1].fixed(207.0)})
     assert fixed.estimates["IDIM-LS"].values["viscous"] == 207.0
     assert fixed.estimates["IDIM-LS asymmetric"].values["viscous_forwards"] == pytest.approx(171, abs=1)
 
@@ -65,7 +66,7 @@ def test_a_record_that_cannot_be_is_refused_at_once(emps: Record) -> None:
     assert emps.torque is not None
     still = replace(emps, torque=replace(emps.torque, values=np.full(len(emps.torque), 3.0)))
     with pytest.raises(RecordError, match="The torque is 3 N in every sample"):
-        compare_methods(still, RigidJoint())
+        compare(still, RigidJoint())
 
 
 def test_the_answer_is_written(flexible: MethodComparison, tmp_path: Path) -> None:

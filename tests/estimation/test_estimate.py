@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.common.errors import ExtraError, RecordError
+from jointid.common.errors import ExtraError, MethodError, RecordError, UnknownName
 from jointid.common.text import interval, number
 from jointid.estimation.result.estimate import Estimate, fingerprint, law_fingerprint, relative_error
 from jointid.estimation.result.parts import Checks, Data, EstimatedParameter, Fit, Iteration, Params, Settings
@@ -105,6 +106,47 @@ intervals     for a white residual
 """
 
 
+def test_parameters_are_a_mapping_of_rows() -> None:
+    rows = dict(ESTIMATE.params)
+    assert list(rows) == [row.name for row in ESTIMATE.params.rows]
+    assert rows["viscous"] is ESTIMATE.params["Fv"] is ESTIMATE["viscous"]
+    assert "viscous" in ESTIMATE.params
+    assert "Fv" in ESTIMATE.params
+    assert "stiffness" not in ESTIMATE.params
+    assert (rows["viscous"].axis, rows["viscous"].side) == ("", None)
+    flexible = replace(rows["viscous"], name="elbow.load_viscous")
+    assert (flexible.axis, flexible.side) == ("elbow", "load")
+
+
+def test_a_records_own_parameters_have_keys_of_their_own() -> None:
+    params = replace(ESTIMATE.params, own=((ESTIMATE["viscous"],), (ESTIMATE["inertia"],)))
+    assert list(params)[-2:] == ["viscous@1", "inertia@2"]
+    assert len(dict(params)) == len(params.rows) + 2
+    with pytest.raises(UnknownName, match="inertia@2"):
+        params["inertia@3"]
+
+
+def test_intervals_of_any_level() -> None:
+    inside = ESTIMATE.conf_int(0.5)
+    assert list(inside) == ["inertia", "viscous", "initial_position"]  # neither refused nor fixed
+    assert inside["viscous"] == pytest.approx((207.534 - 0.67449 * 1.25, 207.534 + 0.67449 * 1.25))
+    assert ESTIMATE.conf_int()["viscous"] == pytest.approx((207.534 - 1.959964 * 1.25, 207.534 + 1.959964 * 1.25))
+    wide = amended(ESTIMATE, params={"rows": (replace(ESTIMATE["viscous"], lack_of_fit=1.25),)})
+    assert wide.conf_int()["viscous"][1] == pytest.approx(207.534 + 1.959964 * 1.25 * 2**0.5)
+    with pytest.raises(MethodError, match="received 95"):
+        ESTIMATE.conf_int(95.0)
+
+
+def test_residual_and_frequencies() -> None:
+    assert ESTIMATE.residual == pytest.approx(0.04 * TORQUE)
+    assert ESTIMATE.frequencies == {}
+    values = {"motor_inertia": 70.0, "load_inertia": 35.0, "stiffness": 8e5}
+    rows = tuple(parameter(name, name, "", value, None) for name, value in values.items())
+    flexible = amended(ESTIMATE, params={"rows": rows})
+    assert flexible.frequencies["free_free"] == pytest.approx((8e5 * 105 / 70 / 35) ** 0.5 / (2 * np.pi))
+    assert amended(ESTIMATE, params={"rows": rows[:2]}).frequencies == {}
+
+
 def test_the_table_to_the_letter() -> None:
     assert str(ESTIMATE) == TABLE
     assert ESTIMATE.summary() == TABLE
@@ -128,7 +170,7 @@ def test_an_estimate_is_saved_as_the_command_writes_it(tmp_path: Path) -> None:
 def test_a_data_frame_has_a_row_for_each_parameter() -> None:
     pytest.importorskip("pandas")
     frame = ESTIMATE.to_dataframe()
-    assert list(frame.index) == [p.name for p in ESTIMATE.params]
+    assert list(frame.index) == [p.name for p in ESTIMATE.params.rows]
     assert frame.loc["inertia", "value"] == ESTIMATE["inertia"].value
     assert tuple(frame.loc["inertia", ["lower", "upper"]]) == ESTIMATE["inertia"].interval
     assert np.isnan(frame.loc["coulomb", "value"])
@@ -197,7 +239,9 @@ def test_every_key_of_the_json_is_documented() -> None:
 def test_an_estimate_is_read_back(tmp_path: Path) -> None:
     whole = amended(
         ESTIMATE,
-        params={"rows": (*ESTIMATE.params[:2], parameter("coulomb", "Fc", "N", 20.1, 0.1), *ESTIMATE.params[3:])},
+        params={
+            "rows": (*ESTIMATE.params.rows[:2], parameter("coulomb", "Fc", "N", 20.1, 0.1), *ESTIMATE.params.rows[3:])
+        },
     )
     answers.write(answers.to_dict(whole), tmp_path / "out.json")
     assert answers.read_identified(tmp_path / "out.json", LOOP.joint, LOOP) == whole.identified

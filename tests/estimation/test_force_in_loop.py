@@ -32,7 +32,7 @@ def solved(axis: Servo) -> tuple[ClosedLoopProblem, Solution]:
     problem = torque_problem(axis.record, axis.loop, Filtering(), axis.loop.joint.parameters)
     problem = problem.keeping({"initial_velocity": 0.0})
     found = ji.identify(axis.record, axis.loop, checks=False)
-    start = problem.vector({row.name: row.value or 0.0 for row in found.params})
+    start = problem.vector({row.name: row.value or 0.0 for row in found.params.rows})
     return problem, solve(problem, least_squares(problem, 1e-7), start)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.diagnostics.method_comparison import compare_methods
+from jointid.diagnostics.compare import compare
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit, OpenLoopFit
 from jointid.estimation.problems.closed_loop import beginning_position, torque_problem
@@ -124,7 +124,7 @@ def test_a_vertical_axis_from_torque_alone() -> None:
     record = simulated_record(LIFT, reference, LIFT_TRUTH, sample_time=1e-3, injected=known)
     estimate = identify(torque_only(record), LIFT)
     assert_found(estimate, LIFT_TRUTH, 1e-6)
-    assert [p.name for p in estimate.params if not p.free][:2] == ["offset", "counterbalance_constant"]
+    assert [p.name for p in estimate.params.rows if not p.free][:2] == ["offset", "counterbalance_constant"]
 
 
 def test_where_a_motor_hangs_is_read_off_the_first_torque() -> None:
@@ -178,7 +178,7 @@ def test_fixing_the_offset_tells_the_rest() -> None:
 
 
 def test_every_method_side_by_side() -> None:
-    found = {one.name: one.estimate for one in compare_methods(arm(), ARM).methods}
+    found = {one.name: one.estimate for one in compare(arm(), ARM).methods}
     for name in ("DIDIM", "DIDIM asymmetric", "IDIM-LS"):
         estimate = found[name]
         assert estimate is not None
@@ -188,7 +188,7 @@ def test_every_method_side_by_side() -> None:
         name: LIFT_TRUTH[name] for name in ("gravity_constant", "counterbalance_constant")
     }
     reference = trapezoids((0.042, 0.083, 0.125), 0.83, 0.2, 1e-3, duration=10.0)
-    tried = compare_methods(simulated_record(lift, reference, values, sample_time=1e-3), lift).methods
+    tried = compare(simulated_record(lift, reference, values, sample_time=1e-3), lift).methods
     assert not any("asymmetric" in one.name for one in tried)
 
 

@@ -51,7 +51,7 @@ def test_instruments_remove_the_bias_of_a_disturbance_in_the_loop() -> None:
     inside = [
         abs(estimate.values[p.name] - truth[p.name]) <= 2 * float(p.stderr or 0.0)
         for estimate in instrumented
-        for p in estimate.params
+        for p in estimate.params.rows
     ]
     assert np.mean(inside) >= 0.85
 
@@ -130,7 +130,7 @@ def test_spikes_in_the_torque_do_not_move_the_robust_estimate() -> None:
     plain, moved = (identify(record, axis.loop, IDIM()) for record in (axis.record, wrong))
 
     def change(one: Estimate, two: Estimate) -> float:
-        return max(abs(two.values[p.name] - one.values[p.name]) / float(p.stderr or 1.0) for p in one.params)
+        return max(abs(two.values[p.name] - one.values[p.name]) / float(p.stderr or 1.0) for p in one.params.rows)
 
     assert change(plain, moved) > 4.0
     assert change(before, after) < 1.0
@@ -158,7 +158,7 @@ def test_weights_tell_the_damping_and_pull_nothing_to_zero(loop: str, monkeypatc
     axis = twin(loop, noise="white")  # type: ignore[arg-type]
     plain, balanced = (identify(axis.record, axis.loop, IDIM(e)) for e in ("ols", "weighted"))  # type: ignore[arg-type]
     assert float(balanced["damping"].stderr or 0.0) < 0.5 * float(plain["damping"].stderr or 0.0)
-    assert all(abs(p.value - axis.truth[p.name]) <= 3 * float(p.stderr or 0.0) for p in balanced.params)  # type: ignore[operator]
+    assert all(abs(p.value - axis.truth[p.name]) <= 3 * float(p.stderr or 0.0) for p in balanced.params.rows)  # type: ignore[operator]
     monkeypatch.setattr(linear, "_PULL", 0.0)
     pulled = identify(axis.record, axis.loop, IDIM("weighted"))
     assert pulled.values["stiffness"] < 0.975 * axis.truth["stiffness"]
@@ -225,7 +225,7 @@ def test_the_difference_of_two_encoders_zeros_is_found_whether_it_was_asked_for_
     moved = axis.record.with_channels({"load_position": replace(load, values=load.values + off)})
     plain = identify(axis.record, axis.loop.joint, IDIM())
     found = identify(moved, axis.loop.joint, IDIM(effects=effects))
-    assert [row.name for row in found.params].count("encoder_offset") == 1
+    assert [row.name for row in found.params.rows].count("encoder_offset") == 1
     assert found["stiffness"].value == pytest.approx(plain["stiffness"].value, rel=1e-3)
     force = (found["stiffness"].value or 0.0) * off
     sign = 1.0 if effects and effects[0].side == "motor" else -1.0

@@ -196,7 +196,7 @@ def test_a_record_in_a_file_is_that_in_memory(tmp_path: Path) -> None:
         identify(source, LOOP, windows=Windowing(length=5.0))
         for source in (stored(tmp_path / "day.npy", record), record)
     )
-    for p in here.params:
+    for p in here.params.rows:
         assert there[p.name].value == pytest.approx(p.value, rel=1e-12)
 
 
@@ -241,7 +241,7 @@ def test_a_joint_that_changes_is_seen_and_one_that_does_not_is_not() -> None:
     assert len(steady.checks.drift.segments) == 8
     assert steady.checks.drift.agreement is not None
     assert not steady.checks.drift.agreement.differs
-    assert "no parameter changes" in describe_drift(steady.checks.drift, steady.params)
+    assert "no parameter changes" in describe_drift(steady.checks.drift, steady.params.rows)
     warming = joined(*(rigid(100.0, seed=k, viscous=80.0 - 10.0 * k) for k in range(4)))
     estimate = identify(warming, LOOP, windows=Windowing(length=4.0))
     assert "viscous" in estimate.checks.drift.names

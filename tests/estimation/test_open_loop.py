@@ -89,8 +89,8 @@ def test_a_search_that_cannot_begin_claims_nothing() -> None:
     }
     found = ji.identify(record(), ji.OpenLoop(JOINT), FIT, filtering=FILTERING, parameters=light)
     assert not found.fit.converged
-    assert [p.stderr for p in found.params if p.free] == [None] * 10
-    assert not any(p.identifiable for p in found.params)
+    assert [p.stderr for p in found.params.rows if p.free] == [None] * 10
+    assert not any(p.identifiable for p in found.params.rows)
     said = found.checks.warnings
     assert "with these values nothing can be simulated, so nothing is known of them; give other starts" in said
     assert "motor_viscous is at its bound, where it does not follow the record" in said

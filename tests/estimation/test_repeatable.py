@@ -149,7 +149,7 @@ def at_rows(problem: ClosedLoopProblem, x: np.ndarray) -> tuple[np.ndarray, np.n
 
 def emps_fit(record: Record) -> tuple[ClosedLoopProblem, np.ndarray, np.ndarray, Cells]:
     estimate = identify(record, LOOP)
-    values = {p.name: p.value for p in estimate.params}
+    values = {p.name: p.value for p in estimate.params.rows}
     problem = torque_problem(record, LOOP, Filtering(), LOOP.joint.parameters)
     x = problem.vector({name: value or 0.0 for name, value in values.items()})
     residual, J = problem.linearise(x)

@@ -167,7 +167,7 @@ def noisy() -> Estimate:
 def test_a_second_record_narrows_the_intervals(noisy: Estimate) -> None:
     """Each record by itself, and both: about the root of the sum of their informations."""
     first, second = ({p.name: p for p in record.alone} for record in noisy.data.records)
-    for p in noisy.params:
+    for p in noisy.params.rows:
         alone = [float(each[p.name].stderr or 0.0) for each in (first, second)]
         assert float(p.stderr or 0.0) <= 1.1 * np.sum(np.array(alone) ** -2.0) ** -0.5, p.name
         assert abs(float(p.value or 0.0) - twins("white").truth[p.name]) <= 3 * float(p.stderr or 0.0)
@@ -195,7 +195,8 @@ def test_what_one_record_refuses_another_may_tell() -> None:
     truth = {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": -3.0}
     estimate = identify(logged(RIGID, truth), RIGID)
     refusing = amended(
-        estimate, params={"rows": tuple(replace(p, value=None) if p.name == "coulomb" else p for p in estimate.params)}
+        estimate,
+        params={"rows": tuple(replace(p, value=None) if p.name == "coulomb" else p for p in estimate.params.rows)},
     )
     first, second = starts([refusing, estimate])
     assert first == second
@@ -265,7 +266,7 @@ def test_weighing_what_repeats_away_would_believe_a_wrong_model(emps: Record) ->
     state = tuple(replace(p, start=0.0) for p in INITIAL_STATE)
     estimate = identify(emps, RIGID)
     problem = torque_problem(emps, RIGID, Filtering(), RIGID.joint.parameters, state)
-    one = by_itself(problem, {p.name: p.value or 0.0 for p in estimate.params})
+    one = by_itself(problem, {p.name: p.value or 0.0 for p in estimate.params.rows})
     assert one.values["viscous"] == pytest.approx(210, abs=2)
     assert whitened(one).values["viscous"] > 235
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.diagnostics.friction_comparison import compare_frictions
+from jointid.diagnostics.compare import compare
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import FlexibleJoint
@@ -22,7 +22,7 @@ def test_a_flexible_joint_tells_its_law(law: str) -> None:
     loop, values = with_law(case, law)
     found = identify(noisy(case, loop, values), loop)
     assert abs(found["stiffness"].value - values["stiffness"]) < 3 * found["stiffness"].stderr
-    for p in found.params:
+    for p in found.params.rows:
         if p.of_joint and p.identifiable and p.value is not None and p.stderr:
             assert abs(p.value - values[p.name]) < 4.5 * p.stderr, p.name
 
@@ -31,7 +31,7 @@ def test_a_flexible_joint_tells_its_law(law: str) -> None:
 def test_the_record_shows_that_its_friction_winds_up() -> None:
     case = prismatic(1)
     loop, values = with_law(case, "presliding")
-    found = compare_frictions(noisy(case, loop, values), case.loop)
+    found = compare(noisy(case, loop, values), case.loop, "frictions")
     assert found.shown.name == "presliding"
     assert found.sentence.endswith('; set joint.friction = "presliding" to identify it.')
 

@@ -9,7 +9,7 @@ import pytest
 
 import jointid as ji
 from jointid.common.errors import MethodError
-from jointid.diagnostics.friction_comparison import compare_frictions
+from jointid.diagnostics.compare import compare
 from jointid.diagnostics.validation import validate
 from jointid.models.friction import FRICTIONS, AsymmetricStribeckFriction, StribeckFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
@@ -53,7 +53,7 @@ def test_a_flexible_joint_tells_that_of_both_sides(shares: dict[str, float]) -> 
     case = prismatic(1)
     loop, values = slow(case, shares)
     estimate = identify(noisy(case, loop, values), loop)
-    for row in estimate.params:
+    for row in estimate.params.rows:
         if row.name in values:
             assert row.value is not None
             assert row.stderr is not None
@@ -95,7 +95,7 @@ def test_the_real_axis_has_less_friction_towards_standstill(friction: str, emps:
 def test_both_records_of_the_real_axis_show_the_same_law(emps: Record, emps_pulses: Record) -> None:
     changes = []
     for record in (emps, emps_pulses):
-        found = compare_frictions(record.without("motor_position"), ClosedLoop(RigidJoint(), CONTROLLER))
+        found = compare(record.without("motor_position"), ClosedLoop(RigidJoint(), CONTROLLER), "frictions")
         assert found.shown.name == "asymmetric-stribeck"
         changes.append((found.shown.values["stribeck_force"], found.shown.std["stribeck_force"]))
     (first, std), (second, other) = changes

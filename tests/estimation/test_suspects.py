@@ -14,15 +14,12 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.diagnostics.check_loop import LoopTests, check_loop, search_faults
 from jointid.diagnostics.check_loop import _solve as solve_as_ever
-from jointid.diagnostics.fault_tests import (
-    FaultSignature,
-    FaultTest,
-    compute_signatures,
-    fit_whitener,
-    rank_tests,
-    score_signatures,
-)
-from jointid.diagnostics.loop_findings import Finding, LoopCheck, ParameterShift
+from jointid.diagnostics.fault_tests import compute_signatures, fit_whitener, rank_tests, score_signatures
+from jointid.diagnostics.faults.fault import Fault as KnownFault
+from jointid.diagnostics.faults.fault import FaultSignature, FaultTest
+from jointid.diagnostics.faults.findings import Finding, LoopCheck, ParameterShift
+from jointid.diagnostics.faults.numbers import number_fault
+from jointid.diagnostics.faults.registry import FAULTS as KNOWN
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
@@ -91,7 +88,7 @@ def test_a_stribeck_friction_looks_like_its_column() -> None:
     where = setting("L19", brief=True)
     clean = problem(where, None, None)
     x = clean.vector(where.truth)
-    columns = [a for a in compute_signatures(clean, x)[2] if a.name == "stribeck"]
+    columns = [a for a in compute_signatures(clean, x)[2] if a.fault.name == "stribeck"]
     nearest = min(columns, key=lambda a: abs((a.shape or 0.0) - 5e-3))
     faulty = problem(where, FAULTS["stribeck"], None)
     shown = clean.filtered(faulty.measured - clean.measured)
@@ -104,7 +101,7 @@ def test_the_gain_of_a_known_signal_is_a_column() -> None:
     where = setting("L19", brief=True)
     clean = problem(where, None, None)
     x = clean.vector(where.truth)
-    column = next(a.column for a in compute_signatures(clean, x)[2] if a.name == "injected_gain")
+    column = next(a.column for a in compute_signatures(clean, x)[2] if a.fault.name == "injected_gain")
     assert where.record.injected is not None
     known = where.record.injected.channel
     stronger = replace(where.record.injected, channel=replace(known, values=1.01 * known.values))
@@ -120,7 +117,7 @@ def test_a_measured_torque_that_holds_its_disturbance_does_not_hold_a_friction()
     for tap in (Tap.COMMAND, Tap.MEASURED):
         made = problem(replace(where, record=replace(where.record, tap=tap)), None, None)
         alternatives = compute_signatures(made, made.vector(where.truth))[2]
-        columns[tap] = next(a.column for a in alternatives if a.name == "stribeck")
+        columns[tap] = next(a.column for a in alternatives if a.fault.name == "stribeck")
     apart = np.linalg.norm(columns[Tap.MEASURED] - columns[Tap.COMMAND])
     assert apart < 1e-3 * np.linalg.norm(columns[Tap.COMMAND])
 
@@ -159,9 +156,9 @@ def test_a_slow_motion_leaves_no_fault_too_sure() -> None:
         columns, noise = lines @ rng.standard_normal((lines.shape[1], 12)), rng.standard_normal(400)
         own = columns[:, :9]
         left = noise - own @ np.linalg.lstsq(own, noise, rcond=None)[0]
-        faults = [FaultSignature(name, column) for name, column in zip("abc", columns[:, 9:].T, strict=True)]
+        faults = [FaultSignature(number_fault(n), column) for n, column in zip("abc", columns[:, 9:].T, strict=True)]
         motion = cells(*lines[:, [0, 9]].T)
-        tests = score_signatures(left, own, faults, dict.fromkeys("abc", 0.0), lambda motion=motion: motion)
+        tests = score_signatures(left, own, faults, {one.fault: 0.0 for one in faults}, lambda motion=motion: motion)
         found += [one.statistic for one in tests]
     assert np.std(found) < 1.2
 
@@ -189,13 +186,18 @@ def test_impossible_settings_are_refused(wrong: dict[str, float]) -> None:
         LoopTests(**wrong)  # type: ignore[arg-type]
 
 
+def named(name: str) -> KnownFault:
+    """Return the fault of that code, or of the number of the controller."""
+    return next((one for one in KNOWN if one.name == name), None) or number_fault(name)
+
+
 def _check(name: str, size: float, std: float, declared: float = 0.0, **more: object) -> LoopCheck:
-    suspect = FaultTest(name, (), declared, size, std, size / std, 1e-9, None)
+    suspect = FaultTest(named(name), (), declared, size, std, size / std, 1e-9, None)
     finding = Finding(
         suspect, None, (), {"motor_viscous": ParameterShift(-59.0, -3.1), "stiffness": ParameterShift(1.0, 0.1)}
     )
     symbols = {"motor_viscous": "Fv1", "stiffness": "K12"}
-    units = {"motor_viscous": "N s/m", "stiffness": "N/m", "torque": "N", "velocity": "m/s"}
+    units = {"motor_viscous": "N s/m", "stiffness": "N/m", "torque": "N", "position": "m", "velocity": "m/s"}
     changed = replace(finding, test=replace(suspect, **{k: v for k, v in more.items() if k != "value"}))  # type: ignore[arg-type]
     if "value" in more:
         changed = replace(changed, value=more["value"])  # type: ignore[arg-type]
@@ -340,7 +342,7 @@ def test_behind_a_transmission_a_fault_names_its_side(check: LoopCheck, sentence
 
 def test_what_turns_has_a_constant_torque() -> None:
     check = _check("offset", -3.16, 0.05)
-    turning = replace(check, units=dict(check.units) | {"torque": "N m", "velocity": "rad/s"})
+    turning = replace(check, units=dict(check.units) | {"torque": "N m", "position": "rad", "velocity": "rad/s"})
     assert turning.sentences[0].startswith("a constant torque of -3.16 +- 0.10 N m is not declared")
 
 
@@ -351,14 +353,18 @@ def test_a_change_of_thousands_is_said_in_plain_digits() -> None:
 
 
 def test_what_cannot_be_told_apart_is_said() -> None:
-    check = _check("velocity_gain", -10.0, 1.0, 240.0, alike=("gain",))
-    rivalled = replace(check, findings=(replace(check.findings[0], rivals=("log_gain",)),))
+    check = _check("velocity_gain", -10.0, 1.0, 240.0, alike=(named("gain"),))
+
+    def of(name: str, *alike: str) -> FaultTest:
+        return replace(check.tests[0], fault=named(name), alike=tuple(map(named, alike)))
+
+    rivalled = replace(check, findings=(replace(check.findings[0], rivals=(of("log_gain"),)),))
     assert (
         "or so is the gain, which this loop cannot distinguish from the velocity gain; the logged torque would explain "
         "nearly as much" in unwrapped(str(rivalled))
     )
     assert "velocity_gain or gain" in str(rivalled).splitlines()[-1]
-    several = replace(check, findings=(replace(check.findings[0], rivals=("log_gain or injected_gain",)),))
+    several = replace(check, findings=(replace(check.findings[0], rivals=(of("log_gain", "injected_gain"),)),))
     assert "; the logged torque or the injected signal would explain" in unwrapped(str(several))
     assert check.reasons[0].brief == "the velocity gain is 4.2 % smaller than declared, or so is the gain"
 
@@ -367,7 +373,7 @@ def test_what_is_significant_stands_first_however_strong_the_others_are() -> Non
     """A search among many periods finds the stronger shape, and by chance."""
 
     def test(name: str, strength: float, p_value: float) -> FaultTest:
-        return FaultTest(name, (), 0.0, strength, 1.0, strength, p_value)
+        return FaultTest(named(name), (), 0.0, strength, 1.0, strength, p_value)
 
     tests = [test("cogging", 4.0, 0.8), test("limit", 2.0, 0.3), test("delay", 2.8, 0.02), test("offset", -3.0, 0.01)]
     assert [one.name for one in rank_tests(tests, 0.05)] == ["offset", "delay", "limit", "cogging"]

@@ -123,10 +123,10 @@ CASES = [("rigid", "symmetric"), ("rigid", "asymmetric"), ("flexible", "symmetri
 def test_either_side_of_a_gear_gives_the_same_answer(gear: Transmission, model: str, friction: str) -> None:
     """Values and deviations, to rounding, some 1e-11, in as many simulations."""
     motor, there = by_motor(model, None, friction), found(model, gear, friction)
-    back = there.params if gear.side == "motor" else there.other_side
-    assert [p.unit for p in back] == [p.unit for p in motor.params]
-    assert apart(values_of(motor.params), values_of(back)) < CLOSE
-    assert apart(deviations_of(motor.params), deviations_of(back)) < CLOSE
+    back = there.params.rows if gear.side == "motor" else there.other_side
+    assert [p.unit for p in back] == [p.unit for p in motor.params.rows]
+    assert apart(values_of(motor.params.rows), values_of(back)) < CLOSE
+    assert apart(deviations_of(motor.params.rows), deviations_of(back)) < CLOSE
     assert there.fit.simulations == motor.fit.simulations
     assert there.fit.filtered_error == pytest.approx(motor.fit.filtered_error, rel=1e-9)
     truth, name = (FLEXIBLE, "stiffness") if model == "flexible" else (RIGID, "inertia")
@@ -203,13 +203,13 @@ def test_a_link_in_gravity_is_the_same_on_either_side_of_its_gear(side: Side, si
     weight = Gravity("link", Counterbalance(cos=0.1 * r), angle=1.0 if side == "load" else sign / 100.0)
     geared = FlexibleJoint("revolute", transmission=gear, gravity=weight)
     there = identify(on_side(record, gear), ClosedLoop(geared, replace(LAW, ratio=gear.torque("motor"))))
-    back = there.params if side == "motor" else there.other_side
-    of_joint = [p.of_joint for p in motor.params]
-    here, beside = (values_of(list(compress(found, of_joint))) for found in (motor.params, back))
+    back = there.params.rows if side == "motor" else there.other_side
+    of_joint = [p.of_joint for p in motor.params.rows]
+    here, beside = (values_of(list(compress(found, of_joint))) for found in (motor.params.rows, back))
     assert apart(here, beside) < CLOSE
     begun = next(p for p in back if p.name == "initial_position")  # beside 0: what counts is its deviation
     assert abs((begun.value or 0.0) - (motor["initial_position"].value or 0.0)) < 1e-6 * (begun.stderr or 0.0)
-    assert apart(deviations_of(motor.params), deviations_of(back)) < 1e-7
+    assert apart(deviations_of(motor.params.rows), deviations_of(back)) < 1e-7
     assert there.fit.simulations == motor.fit.simulations
     for name in ("stiffness", "load_inertia", "motor_inertia", "gravity_cos", "gravity_sin"):
         assert abs((motor[name].value or 0.0) - values[name]) <= 4 * (motor[name].stderr or 0.0), name
@@ -229,7 +229,7 @@ def test_several_records_are_told_on_both_sides() -> None:
         [on_side(r, TURNED) for r in (light, loaded)], geared, several=SeveralRecords(added_inertia=[0.0, 0.5])
     )
     assert motor["inertia"].value == pytest.approx(2e-4, rel=0.01)
-    assert apart(values_of(motor.params), values_of(there.other_side)) < 1e-8
+    assert apart(values_of(motor.params.rows), values_of(there.other_side)) < 1e-8
     # At the bottom a last step that changes the criterion by 1e-12 is taken on one side, and made shorter on the other.
     assert abs(there.fit.simulations - motor.fit.simulations) <= 0.1 * motor.fit.simulations
     text, answer = there.document().text(300), to_dict(there)
@@ -279,8 +279,8 @@ def test_units_of_mass_length_and_time_do_not_matter_behind_a_gear(model: str, m
         "m": length,
         "m/s": length / time,
     }
-    values = {p.name: None if p.value is None else p.value * by[p.unit] for p in plain.params}
-    assert apart(values, values_of(moved.params)) < CLOSE
+    values = {p.name: None if p.value is None else p.value * by[p.unit] for p in plain.params.rows}
+    assert apart(values, values_of(moved.params.rows)) < CLOSE
     assert moved.fit.simulations == plain.fit.simulations
 
 
@@ -309,8 +309,8 @@ def test_inverse_models_have_both_sides_too(gear: Transmission) -> None:
     motor = identify(record, joint_of("rigid", None), IDIM(effects=(PositionHarmonics(period, 2), Drift("both"))))
     effects = (PositionHarmonics(period / abs(gear.motor_per_load), 2), Drift("both"))
     there = identify(on_side(record, gear), joint_of("rigid", gear), IDIM(effects=effects))
-    assert apart(values_of(motor.params), values_of(there.other_side)) < 1e-7  # a parabola of small amplitudes
-    assert [p.unit for p in there.other_side] == [p.unit for p in motor.params]
+    assert apart(values_of(motor.params.rows), values_of(there.other_side)) < 1e-7  # a parabola of small amplitudes
+    assert [p.unit for p in there.other_side] == [p.unit for p in motor.params.rows]
 
 
 @pytest.mark.parametrize(
@@ -320,7 +320,7 @@ def test_methods_without_a_controller_have_both_sides_too(method: DriveSideFit |
     closed = DriveSide if isinstance(method, DriveSideFit) else OpenLoop
     motor = identify(logged("rigid"), closed(joint_of("rigid", None)), method)
     there = identify(on_side(logged("rigid"), SCREW), closed(joint_of("rigid", SCREW)), method)
-    assert apart(values_of(motor.params), values_of(there.other_side)) < 1e-6
+    assert apart(values_of(motor.params.rows), values_of(there.other_side)) < 1e-6
     assert there.fit.simulations == motor.fit.simulations
 
 
@@ -360,7 +360,7 @@ def test_a_drive_of_today_is_the_same_on_either_side() -> None:
     for gear in (TURNED, SCREW):
         seen = ClosedLoop(joint_of("rigid", gear), replace(law, ratio=gear.torque("motor")))
         there = identify(on_side(record, gear), seen)
-        assert apart(values_of(motor.params), values_of(there.other_side)) < 1e-8
+        assert apart(values_of(motor.params.rows), values_of(there.other_side)) < 1e-8
         assert there.fit.simulations == motor.fit.simulations
     assert motor["initial_torque"].free
 

@@ -51,12 +51,12 @@ def tuned() -> Any:
 
 def comparison() -> Any:
     record, loop = reports.rigid_record(seed=2, name=reports.EVIL)
-    return ji.compare_methods(record, loop)
+    return ji.compare(record, loop)
 
 
 def change(tmp_path: Any) -> Any:
     path = results()["estimate"].save(tmp_path / "a.json")
-    return ji.compare_estimates(read_report(path), read_report(path))
+    return ji.compare(read_report(path), read_report(path))
 
 
 class Tags(HTMLParser):

@@ -296,7 +296,7 @@ def test_what_cannot_be_tuned_is_refused_in_a_sentence(estimate: Estimate) -> No
 
 
 def test_an_interval_that_holds_unstable_joints_states_no_margin(estimate: Estimate) -> None:
-    wide = tuple(replace(p, stderr=6 * p.stderr) if p.stderr else p for p in estimate.params)
+    wide = tuple(replace(p, stderr=6 * p.stderr) if p.stderr else p for p in estimate.params.rows)
     assert estimate.settings.loop is not None
     controller = estimate.settings.loop.controller
     assert isinstance(controller, Cascade)
@@ -343,7 +343,7 @@ def test_the_figure_shows_joint_and_loops_in_their_units(tuned: Tuned) -> None:
 
 
 def test_an_interval_stops_short_of_a_joint_without_a_spring(estimate: Estimate) -> None:
-    wide = tuple(replace(p, stderr=p.value) if p.name == "stiffness" else p for p in estimate.params)
+    wide = tuple(replace(p, stderr=p.value) if p.name == "stiffness" else p for p in estimate.params.rows)
     interval = possible_joints(amended(estimate, params={"rows": wide}), 0.95, PERIOD)
     joints = interval.at(interval.points(0))
     assert min(one["stiffness"] for one in joints) == pytest.approx(1e-3 * estimate.values["stiffness"])
@@ -355,7 +355,7 @@ def without_stiffness(estimate: Estimate) -> Estimate:
     """The estimate as it is where the record does not show the spring, bounded at one load share of two."""
     parted = ("motor_", "load_", "stiffness", "damping")
     lost = tuple(
-        replace(p, value=None, stderr=None) if p.name.startswith(parted) else p for p in estimate.params
+        replace(p, value=None, stderr=None) if p.name.startswith(parted) else p for p in estimate.params.rows
     )  # fmt: skip
     assert estimate.checks.known is not None
     sums = tuple(one for one in estimate.checks.known.physical if one.combination.kind == "sum")

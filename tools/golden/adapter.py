@@ -465,7 +465,7 @@ def report(folder: Path, joint: Path, record: Path, *, profiles: bool = True) ->
         file = ji.load(joint)
         logged = file.record(record)
         made = file.identify(logged, checks=False)
-        free = [p.name for p in made.params if p.of_joint and p.free]
+        free = [p.name for p in made.params.rows if p.of_joint and p.free]
         told = ji.Report.of(made, logged, profiles=free)
         answer |= {name: json.loads(told.answer())[name] for name in ("profiles", "absent")}
     return {
@@ -1016,7 +1016,7 @@ def whole(found: Any) -> Json:
     """Return an estimate with its covariance, its predicted torque and all that is known of combinations."""
     answer = estimate(ji.to_dict(found))
     answer["verdicts"].pop("loop", None)  # see `check_loop`
-    free = [p for p in found.params if p.free]
+    free = [p for p in found.params.rows if p.free]
     known, fitted = found.checks.known, found.fit
     correlation = np.asarray(found.params.correlation)
     std = np.array([p.stderr if p.stderr is not None else np.nan for p in free])[: len(correlation)]

@@ -21,7 +21,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.config import loads
 from jointid.uncertainty.covariance import bandwidth
-from jointid.uncertainty.identifiability import Known
+from jointid.uncertainty.identifiability import Kind, Known
 from jointid.uncertainty.resampling import BANDWIDTHS
 
 
@@ -145,7 +145,7 @@ def _simulate(file: JointFile, motion: Record, asked: Simulated) -> Record:
 
 
 def _list_found(estimate: Estimate) -> Iterator[tuple[str, Found]]:
-    for p in estimate.params:
+    for p in estimate.params.rows:
         if p.of_joint:
             yield p.name, Found(finite(p.value), finite(p.stderr) if p.free else None, p.unit)
     for name, one in _totals(estimate):
@@ -155,7 +155,7 @@ def _list_found(estimate: Estimate) -> Iterator[tuple[str, Found]]:
 def _truth(estimate: Estimate, asked: Simulated) -> Iterator[tuple[str, float]]:
     """Yield true values of the identified quantities, if the model is the simulated one."""
     values = dict(asked.values)
-    for p in estimate.params:
+    for p in estimate.params.rows:
         if p.of_joint and p.name in values:
             yield p.name, values[p.name]
     for name, one in _totals(estimate):
@@ -168,5 +168,5 @@ def _totals(estimate: Estimate) -> Iterator[tuple[str, Known]]:
     """Yield the sums of both sides, identifiable where their parts are not."""
     known = estimate.checks.known
     for one in () if known is None else known.physical:
-        if one.combination.name.startswith("total "):
-            yield one.combination.name.replace(" ", "_"), one
+        if one.combination.kind is Kind.SUM:
+            yield f"total_{one.combination.quantity}", one

@@ -115,6 +115,11 @@ def encodable(text: str, encoding: str | None) -> str:
     return text
 
 
+def sentence(text: str) -> str:
+    """Return a clause as a sentence of its own."""
+    return f"{text[:1].upper()}{text[1:]}{'' if text.endswith('.') else '.'}"
+
+
 def listed(words: Sequence[str]) -> str:
     """Join words: "Fc", "Fc and Fv", "Fc, Fv and F12"."""
     *most, last = words

@@ -17,7 +17,7 @@ from jointid.controller_id.loop_record import prepare_loop_record
 from jointid.controller_id.ranking import ALIKE, Rival
 from jointid.controller_id.regression import compare_with_regression
 from jointid.controller_id.search import search
-from jointid.diagnostics.plain_causes import find_steps
+from jointid.diagnostics.faults.forces import find_steps
 from jointid.models.controllers import Controller, shift_start
 from jointid.records.record import Record
 from jointid.uncertainty.covariance import Covariance

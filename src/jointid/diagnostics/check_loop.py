@@ -1,7 +1,7 @@
 """Check that the closed loop and the log of an estimate are as declared; find their faults, the likeliest first.
 
 Each fault of `fault_tests` is tested alone, those of loop and log as one family, so that one is found in at most 5 % of
-the records without one; those of the mechanics (`mechanics_faults`) as another, in a tenth of that. The fault with the
+the records without one; those of the mechanics as another, in a tenth of that. The fault with the
 largest statistic is named, and with it those that are nearly as likely by the ratio of the likelihoods. Then the
 problem is solved again with the fault corrected, which shows its effect on the parameters of the joint, and the
 remaining faults are tested again.
@@ -18,34 +18,17 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.parameters import Quantity, unit_of
-from jointid.diagnostics.cogging import find_cogging, may_cog
-from jointid.diagnostics.fault_signature import FaultSignature
 from jointid.diagnostics.fault_tests import (
-    INJECTED_GAIN,
-    LIMIT,
-    OFFSET,
-    PRESLIDING,
-    STRIBECK,
-    FaultTest,
     compute_signatures,
     fit_whitener,
     rank_tests,
     score_signatures,
     strength_of,
 )
-from jointid.diagnostics.intervals import rebuild_problem
-from jointid.diagnostics.loop_findings import Finding, LoopCheck, ParameterShift
-from jointid.diagnostics.mechanics_faults import (
-    BACKLASH,
-    COGGING,
-    CUBIC_SPRING,
-    MECHANICS,
-    SECOND_MODE,
-    WINDING_FRICTION,
-    search_second_mode,
-    solve_with_fault,
-)
-from jointid.diagnostics.other_laws import (
+from jointid.diagnostics.faults.fault import FaultSignature, FaultTest, Hint
+from jointid.diagnostics.faults.findings import Finding, LoopCheck, ParameterShift
+from jointid.diagnostics.faults.forces import OFFSET, free_number
+from jointid.diagnostics.faults.other_laws import (
     MEASURED_VELOCITY,
     PERIOD,
     PRESENT_SAMPLE,
@@ -57,12 +40,15 @@ from jointid.diagnostics.other_laws import (
     refit_other_laws,
     runs_at_the_logs_rate,
 )
+from jointid.diagnostics.faults.registry import FAULTS
+from jointid.diagnostics.faults.trials import solve_with_fault
+from jointid.diagnostics.intervals import rebuild_problem
 from jointid.estimation.descent import descend
 from jointid.estimation.methods.force_in_loop import find_force, simulate_with_force
 from jointid.estimation.problems.base import surrounding
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.controllers import numbers_of, with_numbers
+from jointid.models.controllers import numbers_of
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import FlexibleJoint, Joint, frictions_beside, springs_beside
 from jointid.records.record import Record
@@ -70,10 +56,6 @@ from jointid.uncertainty.covariance import robust
 from jointid.uncertainty.position_dependent_error import Cells, cells, widen
 
 _RIVAL = 6.0  # twice the logarithm of a likelihood ratio of 20
-_ALTERNATIVES = (
-    {STRIBECK, PRESLIDING, WINDING_FRICTION},
-    {CUBIC_SPRING, BACKLASH},
-)  # after one, the other is no separate fault
 _HALF = 0.5  # of the size by one step that must remain when the problem is solved again
 _ROUNDING = 1e-9  # of the torque: a residual this small has no statistics
 _SIGNIFICANT = 0.05  # a fault with a larger p-value explains nothing
@@ -84,7 +66,6 @@ _AT_LEAST = 0.6  # of what half of the log's period changes, by one step: less s
 _REACH = 2.0  # times the same is what any faster drive changes
 _MATTERS = 1.5  # deviations: a faster drive that moves no parameter so far by one step is not looked for
 _TIMES_UNDECIDED = (2, 8)  # where the evidence is for none: further ones move nothing much further
-_WORTH_A_SEARCH = 1.5  # deviations of a load that swings as tried
 _FORCES = 16  # pairs of opposite ones: the deviation of what they show is known to an eighth
 _TOLERANCE = 1e-6  # of the refinement with a fault corrected: far below a deviation
 
@@ -137,7 +118,7 @@ def check_loop(
     """
     if estimate.settings.loop is None:
         raise MethodError("IDIM simulates no loop, so there is none to check; identify with DIDIM and the controller.")
-    for p in estimate.params:
+    for p in estimate.params.rows:
         if p.value is None:
             raise MethodError(
                 f"The estimate gives no {p.name}, so its loop cannot be simulated; identify a joint whose parameters "
@@ -147,7 +128,7 @@ def check_loop(
         f"The estimate was identified from {estimate.data.record}, and {record.name} has another torque; give the "
         "record it was identified from."
     )
-    std = {p.name: p.stderr for p in estimate.params if p.stderr is not None}
+    std = {p.name: p.stderr for p in estimate.params.rows if p.stderr is not None}
     problem, x = rebuild_problem(estimate, record, another)
     return search_faults(problem, x, settings, std, record, shown)[0]
 
@@ -233,7 +214,7 @@ def search_faults(
             first_law = first_law or told
             alike = [one for one in laws if one is not told and one.possible and one.as_likely([told])]
             findings.append(_find_other_law(state, told, found, settings.level, known, alike))
-            named = (*state.named, *(part for one in (told, *alike) for part in one.refit.law.parts))
+            named = (*state.named, *(part.name for one in (told, *alike) for part in one.refit.law.parts))
             state = replace(state, problem=told.refit.problem, x=told.refit.x, named=named)
             others = []
             continue
@@ -241,7 +222,7 @@ def search_faults(
         findings.append(_make_finding(state, after, found, settings.level, known))
         state = after
     open_ones: list[Finding] = []
-    if possible := [one for one in others if one.possible and one.test.name == PRESENT_SAMPLE]:
+    if possible := [one for one in others if one.possible and one.test.fault is PRESENT_SAMPLE]:
         solved = state if findings else replace(state, x=descend(problem, state.x, _TOLERANCE).x)
         open_ones += [_find_other_law(solved, one, found, settings.level, known) for one in possible]
     if first is not None and (rates := _list_rates_left_open(faster, first, findings, first_law)):
@@ -250,15 +231,12 @@ def search_faults(
     moving = [one for one in open_ones if any(map(_is_out, one.changes.values()))]
     undecided = max(moving, key=_size_of_change, default=None)
     joint = problem.loop.joint
-    units = {p.name: joint.unit(p) for p in joint.parameters}
-    force = units[OFFSET]
-    units |= {"torque": force, "velocity": unit_of(Quantity.VELOCITY, joint.kind, force)}
     check = LoopCheck(
         tuple(findings),
         () if first is None else first.tests,
         settings.level,
         symbols={p.name: p.symbol for p in joint.parameters},
-        units=units,
+        units=_units(joint),
         side=None if joint.transmission is None else joint.transmission.side,
         undecided=undecided,
         law=numbers_of(problem.loop.controller),
@@ -266,6 +244,13 @@ def search_faults(
         laws=_laws_to_try(joint),
     )
     return check, state
+
+
+def _units(joint: Joint) -> dict[str, str]:
+    """Return the units of a joint's parameters by name, and of "torque", "position" and "velocity"."""
+    units = {p.name: joint.unit(p) for p in joint.parameters}
+    motion = {"torque": Quantity.FORCE, "position": Quantity.POSITION, "velocity": Quantity.VELOCITY}
+    return units | {name: unit_of(quantity, joint.kind, units[OFFSET.name]) for name, quantity in motion.items()}
 
 
 def _laws_to_try(joint: Joint) -> tuple[str, ...]:
@@ -278,18 +263,18 @@ def _laws_to_try(joint: Joint) -> tuple[str, ...]:
 
 def _run_tests(state: SearchState, settings: LoopTests) -> _TestResults:
     residual, own, signatures = compute_signatures(state.problem, state.x)
-    known = dict.fromkeys(a.name for a in signatures)
-    laws = (PRESENT_SAMPLE, MEASURED_VELOCITY, PERIOD, *((COGGING,) if may_cog(state.problem.joint) else ()))
+    known = {a.fault.name: a.fault for a in signatures}
+    searched = (one.name for one in FAULTS if one.applies is not None and one.applies(state.problem.joint))
+    laws = (PRESENT_SAMPLE.name, MEASURED_VELOCITY.name, PERIOD.name, *searched)
     wrong = [name for name in settings.faults or () if name not in (*known, *state.named, *laws)]
     if wrong:
         choice = ", ".join((*known, *laws))
         raise MethodError(f"No fault called {', '.join(wrong)} can be tested in this record; choose from {choice}.")
-    asked = [n for n in known if n not in state.named and (settings.faults is None or n in settings.faults)]
     controller = state.problem.loop.controller
-    undeclared = {STRIBECK: 0.0, PRESLIDING: 0.0, LIMIT: 0.0, OFFSET: 0.0, INJECTED_GAIN: 1.0}
-    undeclared |= dict.fromkeys(MECHANICS, 0.0)
     declared = {
-        name: undeclared[name] if name in undeclared else surrounding(name, controller).start or 0.0 for name in asked
+        fault: surrounding(name, controller).start or 0.0 if fault.declared is None else fault.declared
+        for name, fault in known.items()
+        if not {name, fault.kin} & {*state.named} and (settings.faults is None or name in settings.faults)
     }
     where, by_forces = cache(lambda: _assign_cells(state)), cache(lambda: _simulate_forces(state))
     tests = score_signatures(residual, _stack_columns(state, own), signatures, declared, where, by_forces)
@@ -298,36 +283,20 @@ def _run_tests(state: SearchState, settings: LoopTests) -> _TestResults:
 
 
 def _look_further(state: SearchState, found: _TestResults, settings: LoopTests) -> _TestResults:
-    """Return the tests with those of faults whose shape has to be searched for."""
-    return _look_for_second_mode(state, _look_for_cogging(state, found, settings), settings)
-
-
-def _look_for_cogging(state: SearchState, found: _TestResults, settings: LoopTests) -> _TestResults:
-    """Return the tests with that of a ripple, of the period that the residual comes back with."""
-    if COGGING in state.named or COGGING not in (settings.faults or (COGGING,)):
-        return found
-    own = _stack_columns(state, found.own)
-    signature = find_cogging(state.problem, state.x, found.residual, own, fit_whitener(found.residual))
-    return found if signature is None else _with_test(state, found, settings, signature)
-
-
-def _with_test(
-    state: SearchState, found: _TestResults, settings: LoopTests, *signatures: FaultSignature
-) -> _TestResults:
-    """Return tests with that of a fault in one shape or several, which takes the place of one of that name."""
-    better = _test_signature(state, found, *signatures)
-    others = (one for one in found.tests if one.name != better.name)
-    tests = rank_tests((better, *others), settings.level)
-    return replace(found, signatures=(*found.signatures, *signatures), tests=tests)
-
-
-def _look_for_second_mode(state: SearchState, found: _TestResults, settings: LoopTests) -> _TestResults:
-    """Return the tests with that of a load that swings by a search, where the modes that were tried hint at it."""
-    test = next((one for one in found.tests if one.name == SECOND_MODE), None)
-    if test is None or test.p_value <= settings.level or test.strength < _WORTH_A_SEARCH:
-        return found
-    ends = tuple(search_second_mode(state.problem, state.x))
-    return _with_test(state, found, settings, *ends) if ends else found
+    """Return the tests with those of faults whose shape is searched for, each in the place of its other test."""
+    whiten = fit_whitener(found.residual)
+    for fault in FAULTS:
+        asked = settings.faults is None or fault.name in settings.faults
+        if fault.search is None or not asked or fault.name in state.named:
+            continue
+        test = next((one for one in found.tests if one.fault == fault), None)
+        hint = Hint(found.residual, _stack_columns(state, found.own), whiten, test, settings.level)
+        signatures = fault.search(state.problem, state.x, hint)
+        if signatures:
+            better = _test_signature(state, found, *signatures)
+            tests = rank_tests((better, *(one for one in found.tests if one is not test)), settings.level)
+            found = replace(found, signatures=(*found.signatures, *signatures), tests=tests)
+    return found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -340,7 +309,7 @@ class _OtherLawTest:
     @property
     def possible(self) -> bool:
         """Whether the record does not exclude the other law; a rate between two that were tried is near to both."""
-        roughly = _BETWEEN_RATES if self.test.name == PERIOD else 0.0
+        roughly = _BETWEEN_RATES if self.test.fault is PERIOD else 0.0
         return 1 - self.test.size <= max(_EXCLUDED * self.test.std, roughly)
 
     @property
@@ -370,7 +339,8 @@ def _test_other_laws(state: SearchState, found: _TestResults, settings: LoopTest
     tests = []
     wrong = settings.faults is not None or any(one.p_value <= settings.level for one in found.tests)
     laws = (PRESENT_SAMPLE, *((MEASURED_VELOCITY,) if wrong else ()))
-    asked = set(laws) & set(settings.faults or laws)
+    names = {one.name for one in laws}
+    asked = names & set(settings.faults or names)
     for refitted in refit_other_laws(state.problem, state.x, asked - {*state.named}):
         test = _test_signature(state, found, refitted.signature)
         if test.std > 0:
@@ -385,7 +355,7 @@ def _test_faster_laws(
 
     One run at half of the log's period says whether that can be: a faster drive changes twice as much at most.
     """
-    problem, asked = state.problem, PERIOD in (settings.faults or (PERIOD,))
+    problem, asked = state.problem, settings.faults is None or PERIOD.name in settings.faults
     if record is None or not (asked and runs_at_the_logs_rate(problem)):
         return []
     step = _step_to_a_faster_law(state, found, record)
@@ -451,7 +421,7 @@ def _may_matter(
 def _test_signature(state: SearchState, found: _TestResults, *of_law: FaultSignature) -> FaultTest:
     """Return the test of what another law changes, in one shape or several, beside those of the faults."""
     own, signatures = _stack_columns(state, found.own), [*found.signatures, *of_law]
-    declared = {of_law[0].name: 0.0}
+    declared = {of_law[0].fault: 0.0}
     test = score_signatures(found.residual, own, signatures, declared, found.where, found.by_forces)[0]
     return replace(test, p_value=min((len(found.tests) + 1) * test.p_value, 1.0))
 
@@ -468,7 +438,7 @@ def _list_rates_left_open(
             is said already.
         law: the first law that was found; a rate that is far less likely is excluded by it, too.
     """
-    found = next((one for one in findings if one.test.name == PERIOD), None)
+    found = next((one for one in findings if one.test.fault is PERIOD), None)
     if found is not None and _size_of_change(found)[0] > _INTERVAL:
         return []
     told = [*faster, *([] if law is None else [law])]
@@ -488,7 +458,7 @@ def _find_other_law(
 ) -> Finding:
     """Return another law as a finding, with what it changes, and the laws that explain as much, the likeliest first."""
     least = other.test.strength**2 - _RIVAL
-    rivals = tuple(s.label for s in found.tests if s.p_value <= level and s.strength**2 > least)
+    rivals = tuple(s for s in found.tests if s.p_value <= level and s.strength**2 > least)
     problem, x = other.refit.problem, other.refit.x
     left = float(np.linalg.norm(problem.residual(x))) / problem.size
     law, changes = other.refit.law, _changes(state, problem.values(x), found, known)
@@ -534,10 +504,10 @@ def _accept_fault(state: SearchState, found: _TestResults) -> SearchState:
     those of the joint, so that the error of its size does not mislead later tests.
     """
     suspect, problem = found.tests[0], state.problem
-    signature = next(a for a in found.signatures if (a.name, a.shape) == (suspect.name, suspect.shape))
-    alternatives = next((group for group in _ALTERNATIVES if suspect.name in group), ())
-    named = (*state.named, suspect.name, *suspect.alike, *alternatives)
-    if suspect.name in MECHANICS and (end := solve_with_fault(problem, state.x, suspect.name)):
+    signature = next(a for a in found.signatures if (a.fault, a.shape) == (suspect.fault, suspect.shape))
+    fault = suspect.fault
+    named = (*state.named, fault.name, *(one.name for one in suspect.alike), *filter(None, (fault.kin,)))
+    if fault.mechanical and (end := solve_with_fault(problem, state.x, fault)):
         problem = replace(problem, measured=problem.measured - end.change)
         corrected = (*state.corrected, signature)
         return SearchState(problem, descend(problem, state.x, _TOLERANCE).x, corrected, named, end.values)
@@ -552,7 +522,7 @@ def _accept_fault(state: SearchState, found: _TestResults) -> SearchState:
     except MethodError:  # the number goes to where its part of the law vanishes
         return held
     reached = wider.values(x)[suspect.name] - suspect.declared
-    astray = suspect.name != LIMIT and reached * suspect.size < _HALF * suspect.size**2
+    astray = fault.value is None and reached * suspect.size < _HALF * suspect.size**2
     if astray or np.linalg.norm(wider.residual(x)) > np.linalg.norm(found.residual):
         # A bound or another fault prevents the fit: the test stands, the joint stays as it is.
         return held
@@ -561,23 +531,9 @@ def _accept_fault(state: SearchState, found: _TestResults) -> SearchState:
 
 def _free_parameter(problem: ClosedLoopProblem, suspect: FaultTest) -> tuple[ClosedLoopProblem, float]:
     """Return the problem with the parameter of a fault free, and its start."""
-    start = suspect.declared + suspect.size
-    if suspect.name == OFFSET:
-        return problem.changed({p.name: replace(p, free=True) for p in problem.parameters if p.name == OFFSET}), start
-    if suspect.name == LIMIT:  # the declared limit may be infinite, where no search can begin
-        start = (suspect.shape or 0.0) / _torque_per_unit(problem)
-        loop = replace(problem.loop, controller=with_numbers(problem.loop.controller, {LIMIT: start}))
-        law = problem.experiment.law_of(loop.controller)
-        problem = replace(problem, loop=loop, experiment=problem.experiment.with_law(law))
-    wider = problem.freeing(suspect.name)
-    p = next(p for p in wider.parameters if p.name == suspect.name)
-    return wider, max(start, p.lower)
-
-
-def _torque_per_unit(problem: ClosedLoopProblem) -> float:
-    """Return the torque on the joint per unit of the controller output."""
-    controller = problem.loop.controller
-    return float(getattr(controller, "gain", 1.0) * abs(getattr(controller, "ratio", 1.0)))
+    if suspect.fault.free is not None:
+        return suspect.fault.free(problem, suspect)
+    return free_number(problem, suspect.name, suspect.declared + suspect.size)
 
 
 def _make_finding(
@@ -585,7 +541,7 @@ def _make_finding(
 ) -> Finding:
     suspect = found.tests[0]
     least = strength_of(suspect) ** 2 - _RIVAL
-    rivals = tuple(s.label for s in found.tests[1:] if s.p_value <= level and strength_of(s) ** 2 > least)
+    rivals = tuple(s for s in found.tests[1:] if s.p_value <= level and strength_of(s) ** 2 > least)
     values = after.problem.values(after.x)
     changes = _changes(state, {**values, **after.identified}, found, known)
     free = [p.name for p in after.problem.free]
@@ -593,8 +549,8 @@ def _make_finding(
         whole = float(np.linalg.norm(after.problem.residual(after.x))) / after.problem.size
         return Finding(suspect, None, rivals, changes, left=whole if after.identified else None)
     value = values[suspect.name]
-    if suspect.name == LIMIT:
-        return Finding(suspect, value * _torque_per_unit(state.problem), rivals, changes)
+    if suspect.fault.value is not None:
+        return Finding(suspect, suspect.fault.value(state.problem, value), rivals, changes)
     residual, slopes = after.problem.linearise(after.x)
     columns = _stack_columns(after, -slopes)
     covariance, _ = widen(robust(columns, columns, residual), columns, columns, residual, _assign_cells(after))

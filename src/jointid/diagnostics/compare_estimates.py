@@ -281,5 +281,6 @@ def _describe_change(row: QuantityChange) -> str:
 
 
 def _format_p(p_value: float, *, labelled: bool = False) -> str:
-    text = "< 1e-6" if p_value < 1e-6 else number(p_value, 2)
-    return text if not labelled else f"p {text}" if text.startswith("<") else f"p = {text}"
+    if p_value < 1e-6:
+        return "p < 1e-6" if labelled else "< 1e-6"
+    return f"p = {number(p_value, 2)}" if labelled else number(p_value, 2)

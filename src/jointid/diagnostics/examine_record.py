@@ -21,17 +21,16 @@ from jointid.common.parameters import Parameter
 from jointid.common.text import counted, number
 from jointid.common.transmission import Transmission
 from jointid.diagnostics.experiment_design import advise, design_stiffness_test
+from jointid.diagnostics.faults.motion import find_plain_cause, find_standstill
 from jointid.diagnostics.find_causes import find_causes
 from jointid.diagnostics.identify import identify
 from jointid.diagnostics.law_on_position import LawOnPosition, compare_law
-from jointid.diagnostics.plain_causes import find_plain_cause
-from jointid.diagnostics.standstill import find_standstill
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.answer import loop_verdict
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import ClosedLoop, Joint
-from jointid.records.checks import find_record_warnings, limit_faults, still_faults
+from jointid.records.checks import find_record_warnings, hunting_warnings, limit_faults, still_faults
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, lowpass
 from jointid.simulation.prescribed import DriveSide, OpenLoop
@@ -300,7 +299,7 @@ def _look_at_motion(record: Record, loop: ClosedLoop | None) -> Looked:
         f"{number(float(np.ptp(reference.values)), 3)} {unit} of travel, up to {number(fastest, 3)} {unit}/s, "
         f"{counted(turns, 'reversal')}, {number(100 * (1 - float(np.mean(moving))), 2)} % of the time at rest"
     )
-    hunting = [one for one in find_record_warnings(record, ("torque", "reference")) if one.startswith("the axis hunts")]
+    hunting = [*hunting_warnings(record)]
     return Looked(Question.MOTION, not hunting, (*hunting, said), Fault.MOTION_POOR if hunting else None)
 
 
@@ -344,7 +343,7 @@ def _explain(
     if causes is None or not (causes.found or causes.unexplained > _NO_RESPONSE):
         return Looked(Question.FIT, False, said, Fault.NOT_IDENTIFIED)
     named = causes.explanations
-    fault = str(named[0].cause) if named else str(causes.message.code)
+    fault = named[0].fault.name if named else str(causes.message.code)
     return Looked(Question.FIT, False, (causes.message.words,), fault)
 
 
@@ -367,7 +366,7 @@ def _look_at_estimate(estimate: Estimate) -> Iterator[Looked]:
 
 def _determine(estimate: Estimate) -> Iterator[Determined]:
     """Yield how well each parameter, and what is known only together, is determined."""
-    for row in estimate.params:
+    for row in estimate.params.rows:
         if not row.of_joint or (not row.free and row.value is not None):
             continue
         if row.value is None or row.stderr is None:

@@ -186,7 +186,7 @@ def advise(
     own = problem.free_joint
     names = [p.name for p in own]
     known = estimate.params.covariance
-    reported = {p.name: p.stderr or 0.0 for p in estimate.params if p.name in names}
+    reported = {p.name: p.stderr or 0.0 for p in estimate.params.rows if p.name in names}
     work = Work(progress, "predicting other experiments", 4, "parts")
     sensors = []
     for name, description, information in _list_encoders(problem, x, noise, choose_encoder_steps(record, encoder_step)):
@@ -246,7 +246,7 @@ def rebuild_declared_problem(estimate: Estimate, record: Record) -> tuple[Closed
         f"The estimate is of {estimate.data.record}, and {record.name} holds another torque; give the record it is of."
     )
     problem, x = rebuild_problem(estimate, record, another)
-    freed = [p.name for p in estimate.params if p.free and not p.of_joint]
+    freed = [p.name for p in estimate.params.rows if p.free and not p.of_joint]
     if any(name not in INITIAL for name in freed):
         raise MethodError(
             f"A prediction takes the loop as declared, and here {', '.join(freed)} was free; identify with those fixed."
@@ -352,7 +352,7 @@ def design_stiffness_test(
     wide = replace(problem, filtering=band)
     error = wide.filtered(estimate.fit.measured - estimate.fit.predicted)
     assert estimate.checks.known is not None
-    rigid = {p.name: p.value or 0.0 for p in estimate.params if acts_on_whole(p.name) or not p.of_joint}
+    rigid = {p.name: p.value or 0.0 for p in estimate.params.rows if acts_on_whole(p.name) or not p.of_joint}
     rigid = {one.combination.quantity: one.value for one in estimate.checks.known.physical} | rigid
     height, width = pulse or choose_pulse(problem, rigid)
     rung = replace(wide, experiment=add_pulses(problem, height, width).experiment)

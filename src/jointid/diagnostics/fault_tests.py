@@ -1,15 +1,8 @@
-"""Signatures of faults of loop and log, and the score test of each alone, and of those of `mechanics_faults`.
+"""Score test of each fault alone.
 
 For a solved problem, the signature of a fault is one column, the derivative of the filtered torque by the size of the
-fault, the joint's parameters held:
-
-- numbers of the law (``position_gain``, ``velocity_gain``, ``gain``, ..., ``delay``), ``log_gain`` and
-  ``log_delay``: exact derivatives;
-- ``injected_gain``: the known signal is larger than the record says;
-- ``offset``: a constant force, where the joint is declared without one;
-- ``limit``: the law's output is cut off below its declared limit, at some shares of the largest torque it asks for;
-- ``stribeck``: the motor's friction is larger by ``S exp(-(v / vs)^2)`` at low speed, for some vs: a force on the
-  simulated motion, through the loop; ``presliding``: it is smaller by that.
+fault, the joint's parameters held. Of numbers of the law and of the log it is exact; the other faults make their own
+(`faults.registry`).
 
 A wrong ``drive_gain`` is none of them: it scales the whole record, and with it the joint, so it is not identifiable. A
 gain that applies to one part only is: the law's (``gain``, ``velocity_gain``), the log's (``log_gain``),
@@ -37,7 +30,7 @@ given the joint's parameters, are one.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import TypeAlias
@@ -45,69 +38,26 @@ from typing import TypeAlias
 import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
-from jointid.diagnostics.fault_signature import FaultSignature
-from jointid.diagnostics.mechanics_faults import COGGING, MECHANICS, ONE_SIDED, vary_mechanics
+from jointid.diagnostics.faults.fault import Fault, FaultSignature, FaultTest
+from jointid.diagnostics.faults.forces import OFFSET
+from jointid.diagnostics.faults.numbers import DELAY, LOG_DELAY, LOG_GAIN, number_fault
+from jointid.diagnostics.faults.registry import FAULTS
+from jointid.diagnostics.faults.trials import vary_mechanics
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import numbers_of
-from jointid.models.friction import PreslidingFriction, StribeckFriction
-from jointid.records.record import Tap
-from jointid.simulation.loop_input import to_log
 from jointid.uncertainty.covariance import robust, smoothed_spectrum
 from jointid.uncertainty.position_dependent_error import Cells, widen
 
-STRIBECK, PRESLIDING, LIMIT, OFFSET, INJECTED_GAIN = "stribeck", "presliding", "limit", "offset", "injected_gain"
-
-_ONE_SIDED = (STRIBECK, PRESLIDING, LIMIT, *ONE_SIDED)  # faults whose size can only be positive
-_SPEEDS = (0.02, 0.04, 0.08)  # of the largest speed: the Stribeck speeds that are tried
-_SHARES = (0.5, 0.6, 0.7, 0.8, 0.9)  # of the largest torque the law asks for: the limits that are tried
-_FORCE = 1e-3  # of the largest torque: small enough for the friction to answer it linearly
-_STEP = 1e-4  # of the known signal
 _ORDER, _FLOOR = 16, 1e-2  # of the autoregressive model; of its variance, white: a stop band is not to be blown up
 _RANK = 1e-10  # of the largest singular value of columns
 _COLLINEAR = 1e-12  # of the square of a column: a smaller remainder beside the joint's parameters is rounding
 _SAME = 0.999  # cosine of two collinear columns
-_LAST = ("gain", INJECTED_GAIN)  # named only where no other fault is collinear
 _KEPT = 0.25  # of a frequency at least: what a fit takes nearly all of is not known from the remainder
 _WIDENED = 0.05  # a test with a larger p-value is not significant, however its deviation is widened
 _RARER = 10  # times as rarely as one of the loop, a fault of the mechanics is found where there is none
 _MORE = 1.2  # times the deviation: what 32 forces show is so much more in one of twenty by chance
 
 Filter: TypeAlias = Callable[[FloatArray], FloatArray]
-
-
-@dataclass(frozen=True, slots=True)
-class FaultTest:
-    """Test of one fault.
-
-    Attributes:
-        name: "position_gain", "delay", "log_gain", ...: see the module.
-        alike: faults that no record of this loop can distinguish from it.
-        declared: value; 0 for what is not declared at all.
-        size: value less the declared one; of a limit, the observed share of what it cuts off.
-        std: standard deviation of the size, autocorrelation-robust.
-        statistic: their ratio.
-        p_value: adjusted for all tests of the record together.
-        shape: the level of a limit in the torque's unit, or a Stribeck speed.
-    """
-
-    name: str
-    alike: tuple[str, ...]
-    declared: float
-    size: float
-    std: float
-    statistic: float
-    p_value: float
-    shape: float | None = None
-
-    @property
-    def label(self) -> str:
-        """Its name, and those of the faults it cannot be distinguished from."""
-        return " or ".join((self.name, *self.alike))
-
-    @property
-    def strength(self) -> float:
-        """The absolute statistic; at least 0 for a fault that can only be positive."""
-        return max(self.statistic, 0.0) if self.name in _ONE_SIDED else abs(self.statistic)
 
 
 def compute_signatures(
@@ -121,74 +71,22 @@ def compute_signatures(
     """
     taken = {p.name for p in problem.free}
     numbers = numbers_of(problem.loop.controller).items()  # a gain of 0 is a choice, not a fault
-    wanted = [n for n, v in numbers if n == "delay" or (v and math.isfinite(v) and n != LIMIT)]
-    names = [name for name in (*wanted, "log_gain", "log_delay") if name not in taken]
+    own_signature = {fault.name for fault in FAULTS if fault.vary}
+    wanted = [n for n, v in numbers if n == DELAY.name or (v and math.isfinite(v) and n not in own_signature)]
+    names = [name for name in (*wanted, LOG_GAIN.name, LOG_DELAY.name) if name not in taken]
     wider = problem.freeing(*names)
-    bare = [p for p in wider.parameters if p.name == OFFSET and not p.free and (p.start or 0.0) == 0.0]
+    bare = [p for p in wider.parameters if p.name == OFFSET.name and not p.free and (p.start or 0.0) == 0.0]
     wider = wider.changed({p.name: replace(p, free=True) for p in bare})
     residual, slopes = wider.linearise(wider.vector(problem.values(x)))
     columns = dict(zip((p.name for p in wider.free), -slopes.T, strict=True))
     own = np.column_stack([columns[p.name] for p in problem.free])
     found = [
-        *(FaultSignature(name, columns[name]) for name in (*names, *(p.name for p in bare))),
-        *_vary_injected_gain(problem, x),
-        *_vary_low_speed_friction(problem, x),
-        *vary_mechanics(problem, x),
-        *([] if LIMIT in taken else _vary_limit(problem, x)),
+        *(FaultSignature(number_fault(name), columns[name]) for name in names),
+        *(FaultSignature(OFFSET, columns[p.name]) for p in bare),
+        *(one for vary in dict.fromkeys(fault.vary for fault in FAULTS if fault.vary) for one in vary(problem, x)),
+        *vary_mechanics(problem, x, FAULTS),
     ]
     return residual, own, tuple(a for a in found if np.linalg.norm(a.column) > 0)
-
-
-def _vary_injected_gain(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultSignature]:
-    """Yield the signature of the injected signal's gain, where the signal is added after the limit."""
-    if not np.any(problem.experiment.after_limit):
-        return
-
-    def scaled(by: float) -> FloatArray:
-        return problem.torque(x, lambda e: replace(e, after_limit=by * e.after_limit, logged=by * e.logged))
-
-    raw = (scaled(1 + _STEP) - scaled(1 - _STEP)) / (2 * _STEP)
-    yield FaultSignature(INJECTED_GAIN, problem.filtered(raw), raw=raw)
-
-
-def _vary_low_speed_friction(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultSignature]:
-    """Yield the signatures of a friction that is larger, or smaller, at low speed."""
-    if isinstance(problem.joint.friction, StribeckFriction | PreslidingFriction):  # its own law has that
-        return
-    velocity = problem.simulate(x).motor_velocity
-    if velocity.size != problem.experiment.after_limit.size:
-        return  # a force at the controller's instants needs the motion there
-    small = _FORCE * float(np.max(np.abs(problem.measured)))
-
-    def forced(force: FloatArray) -> FloatArray:
-        return problem.torque(x, lambda e: replace(e, after_limit=e.after_limit + force))
-
-    for share in _SPEEDS:
-        speed = share * float(np.max(np.abs(velocity), initial=0.0))
-        if speed > 0:
-            force = -np.exp(-((velocity / speed) ** 2)) * np.sign(velocity)
-            raw = (forced(small * force) - forced(-small * force)) / (2 * small)
-            if problem.experiment.tap is Tap.MEASURED:
-                raw = raw - to_log(problem.experiment, force)  # the force itself is not logged
-            column = problem.filtered(raw)
-            yield FaultSignature(STRIBECK, column, speed, raw)
-            yield FaultSignature(PRESLIDING, -column, speed, -raw)
-
-
-def _vary_limit(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultSignature]:
-    """Yield the signatures of lower limits: the whole change of the torque, so a size of 1 is the limit itself."""
-    if not hasattr(problem.loop.controller, LIMIT):
-        return
-    output = problem.torque(x, lambda e: replace(e, tap=Tap.COMMAND, logged=np.zeros_like(e.logged)))
-    asked, free = float(np.max(np.abs(output))), problem.torque(x)
-
-    def limited(level: float) -> FloatArray:
-        return problem.torque(x, lambda e: e.with_law(e.law.with_limit(level)))
-
-    for share in _SHARES:
-        level = share * asked
-        if level < problem.experiment.law.limit:
-            yield FaultSignature(LIMIT, problem.filtered(limited(level) - free), level)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,7 +112,7 @@ def score_signatures(
     residual: FloatArray,
     own: FloatArray,
     signatures: Sequence[FaultSignature],
-    declared: Mapping[str, float],
+    declared: Mapping[Fault, float],
     where: Callable[[], Cells],
     by_forces: Callable[[], Sequence[FloatArray]] = tuple,
 ) -> tuple[FaultTest, ...]:
@@ -224,7 +122,7 @@ def score_signatures(
         residual: (rows,) of a solved problem, in the order of time.
         own: (rows, free) columns of its free parameters, and of faults already corrected.
         signatures: of all faults: none of them is noise.
-        declared: value, by the name of each fault to be tested.
+        declared: value of each fault to be tested.
         where: returns the rows' cells; called only where a test is significant, as is the next.
         by_forces: returns residuals, (rows,) each, that random forces in the loop would leave alone.
     """
@@ -232,7 +130,7 @@ def score_signatures(
     whiten = fit_whitener(_give_back(residual - basis @ (basis.T @ residual), _share_taken(basis)))
     basis, error = _find_basis(whiten(own)), whiten(residual)
     left = error - basis @ (basis.T @ error)
-    steps = [_choose_step([a for a in signatures if a.name == name], whiten, basis, left) for name in declared]
+    steps = [_choose_step([a for a in signatures if a.fault == fault], whiten, basis, left) for fault in declared]
     groups = _group_identical(steps)
 
     @cache
@@ -240,7 +138,7 @@ def score_signatures(
         return np.array([whiten(one) for one in by_forces()]).reshape(-1, residual.size)
 
     taken = _share_taken(basis)
-    of_mechanics = [group[0].signature.name in MECHANICS for group in groups]
+    of_mechanics = [group[0].signature.fault.mechanical for group in groups]
     families = [of_mechanics.count(mechanics) * (_RARER if mechanics else 1) for mechanics in of_mechanics]
     found = [
         _test_group(group, left, taken, family, declared, where, forced)
@@ -257,12 +155,11 @@ def rank_tests(tests: Iterable[FaultTest], level: float) -> tuple[FaultTest, ...
 def strength_of(test: FaultTest) -> float:
     """Return the strength of a test beside others.
 
-    A ripple's period is searched for among so many that the best of them is strong by chance: it is as strong as a
-    single test of its p-value.
+    A shape that is the best of many is strong by chance: the fault is as strong as a single test of its p-value.
     """
     from scipy.stats import norm
 
-    if test.name != COGGING or test.p_value <= 0.0:
+    if test.fault.applies is None or test.p_value <= 0.0:
         return test.strength
     return min(test.strength, float(norm.isf(0.5 * test.p_value)))
 
@@ -324,7 +221,7 @@ def _choose_step(shapes: Sequence[FaultSignature], whiten: Filter, basis: FloatA
         square = float(alone @ alone)
         # A column in the span of the joint's parameters is not identifiable.
         size = float(alone @ left) / square if square > _COLLINEAR * float(column @ column) else 0.0
-        gain = size * size * square if size > 0 or signature.name not in _ONE_SIDED else 0.0
+        gain = size * size * square if size > 0 or not signature.fault.one_sided else 0.0
         steps.append(_Step(signature, sum(one.tried for one in shapes), size, gain, alone))
     return max(steps, key=lambda step: step.gain)
 
@@ -332,12 +229,12 @@ def _choose_step(shapes: Sequence[FaultSignature], whiten: Filter, basis: FloatA
 def _group_identical(steps: Sequence[_Step]) -> list[list[_Step]]:
     """Return the steps in groups with collinear columns."""
     groups: list[list[_Step]] = []
-    for step in sorted(steps, key=lambda step: step.signature.name in _LAST):
+    for step in sorted(steps, key=lambda step: step.signature.fault.last):
         size = float(np.linalg.norm(step.alone))
         for group in groups:
             other = group[0].alone
             cosine = float(step.alone @ other) / max(size * float(np.linalg.norm(other)), np.finfo(float).tiny)
-            if step.signature.name not in _ONE_SIDED and abs(cosine) > _SAME:
+            if not step.signature.fault.one_sided and abs(cosine) > _SAME:
                 group.append(step)
                 break
         else:
@@ -350,7 +247,7 @@ def _test_group(
     left: FloatArray,
     taken: FloatArray,
     family: int,
-    declared: Mapping[str, float],
+    declared: Mapping[Fault, float],
     where: Callable[[], Cells],
     forced: Callable[[], FloatArray],
 ) -> FaultTest:
@@ -361,16 +258,16 @@ def _test_group(
     """
     from scipy.stats import t
 
-    step, name = group[0], group[0].signature.name
+    step, fault = group[0], group[0].signature.fault
     alone = step.alone[:, np.newaxis]
     after = _give_back(left - step.size * step.alone, taken + _share_taken(alone / column_norms(alone)))
-    alike = tuple(other.signature.name for other in group[1:])
+    alike = tuple(other.signature.fault for other in group[1:])
 
     def judge(std: float, degrees: float = math.inf) -> FaultTest:
         ratio = step.size / std if std > 0 else 0.0
-        tail = t.sf(ratio, degrees) if name in _ONE_SIDED else 2 * t.sf(abs(ratio), degrees)
+        tail = t.sf(ratio, degrees) if fault.one_sided else 2 * t.sf(abs(ratio), degrees)
         p_value = min(float(tail) * step.shapes * family, 1.0)
-        return FaultTest(name, alike, declared[name], step.size, std, ratio, p_value, step.signature.shape)
+        return FaultTest(fault, alike, declared[fault], step.size, std, ratio, p_value, step.signature.shape)
 
     covariance = robust(alone, alone, after)
     test = judge(float(covariance.std[0]))

@@ -2,7 +2,7 @@
 
 A sensitivity says what a small deviation of one number would change (`check_loop`). A torque that is ten times too
 large, or a sample time that is twice as long, is no small deviation, and what fits it best among sensitivities is any
-number, not the right one. So each cause is put right in turn (`hypotheses`), the joint is identified again under it,
+number, not the right one. So each cause is put right in turn (`Fault.correct`), the joint is identified again under it,
 and the causes are ranked by the error that is left: the right one leaves what the right model leaves.
 
 It looks for one mistake. Of two at once a number that is free may make up for much of both: so a cause must leave about
@@ -15,69 +15,126 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import TypeAlias
 
 import numpy as np
 
+from jointid.common.document import Document, Documented, Listing, Table
 from jointid.common.errors import FaultsError, JointidError, RecordError
-from jointid.common.messages import Progress, silent
-from jointid.diagnostics.cause_words import Explanation, tell
-from jointid.diagnostics.causes import Causes
-from jointid.diagnostics.fault_tests import FaultTest
-from jointid.diagnostics.hypotheses import Cause, Hypothesis, known_factors, list_hypotheses
-from jointid.diagnostics.hypothesis_fits import (
-    ASTRAY,
-    FIRST,
-    MORE,
-    Fit,
-    descend,
-    fit_flexible,
-    fit_rigid,
-    follow,
-    pose,
-    start_at,
-)
+from jointid.common.messages import Message, Progress, silent
+from jointid.common.text import number
+from jointid.diagnostics.faults.fault import Explanation, Fault, FaultTest, Hypothesis, Measure
+from jointid.diagnostics.faults.forces import find_steps
+from jointid.diagnostics.faults.motion import find_lost_motion, find_plain_cause, find_standstill
+from jointid.diagnostics.faults.registry import FAULTS
+from jointid.diagnostics.hypothesis_fits import ASTRAY, MORE, Fit, descend, fit_flexible, fit_rigid, pose, start_at
 from jointid.diagnostics.linear_response import MEMORY, find_unexplained_share
-from jointid.diagnostics.plain_causes import find_plain_cause, find_steps
-from jointid.diagnostics.standstill import find_lost_motion, find_standstill
-from jointid.estimation.identify_record import identify_record
-from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.methods.prescribed import DriveSideFit, grid_starts
 from jointid.estimation.problems.closed_loop import torque_problem
-from jointid.estimation.problems.prescribed import motion_problem
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.controllers import numbers_of
 from jointid.models.controllers.drive_numbers import DriveNumber
-from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
+from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.prescribed import DriveSide
-from jointid.uncertainty.verdict import POOR_FIT
+from jointid.uncertainty.verdict import POOR_FIT, Reason
 
-_EXPLAINS = 0.85  # of the declared error: what a cause must at least take away to be one
-_EXPLAINS_BY_TIME = 0.6  # of the same, for a sample time that is wrong by a factor: that spoils all of a fit
+_EXPLAINS = 0.85  # of the declared error: what the nearest cause leaves at most
 _FITS = 0.15  # of the torque: what a right model leaves at most
 _CLEARLY = 0.3  # of the declared error: so little says enough where no model fits
-_MORE_IS_WRONG = 1.15  # times what free linear responses leave: who leaves more is not all that is wrong
-_MORE_OF_A_LAW = 1.3  # times the same: a law that the loop check found, and leaves no more, is all that is wrong
-_MORE_OF_A_MOTION = 2.0  # times the same, of a motion given as a reference: its response is the controller's, too
+_MORE_OF_A_LAW = 1.3  # times what free linear responses leave: a law that leaves no more is all that is wrong
 _FAR_MORE = 2.0  # times the same: an estimate that leaves so much, and is doubted, is looked at
 _AS_GOOD = 1.1  # times the least error: such a cause may be the right one, too
-_FLEXIBLE = 2.0  # times: what a mode takes away; of a friction that no model has its parameters take a third at most
+_NOTHING_OF_IT = 0.8  # of the torque: a joint that is moved leaves less, whatever else moves it
+_NO_RESPONSE = 0.1  # of the torque: so much that is no response to the reference may be another signal's
 _NAMED = 3
-_RENAMED = 1.5  # times: a factor that is found so near to a known one may be that one
-_HARDLY_MORE = 1.03  # times the error that a factor leaves: a known one that leaves no more is as good
 _SUSPICIOUS = 0.1  # of the torque: where so much is left, a cause is looked for, whatever sensitivities show
 _MUCH_LARGER = 0.25  # of a declared number: a fault so large is looked at
 _MUCH_LATER = 0.5  # periods
-_HARDLY = 0.1  # periods: a filter or a delay that is off by less is none
-_SMALL = math.log(1.5)  # a number that is off by less is no such mistake: `check_loop` tells it, and its interval
 
 
-_Found: TypeAlias = tuple[Cause, float | None, float]
+_Found: TypeAlias = tuple[Fault, float | None, float]
 """A cause, its number, and the share of the torque that is left with it put right."""
+
+
+@dataclass(frozen=True, slots=True)
+class Causes(Documented):
+    """What explains a record that does not fit the declared drive.
+
+    Attributes:
+        declared_error: share of the filtered torque that is left as the drive is declared; infinite where its loop
+            cannot be simulated.
+        explanations: the likeliest first, three at most, which this record cannot tell apart; none where nothing that
+            was tried explains it.
+        nearest: the single causes that explain most, two at most, where more than one thing is wrong; else none.
+        unexplained: share of the torque that free linear responses to the reference leave; 0 where it was not asked.
+        tried: what was left by each cause that was put right, the least first.
+        plain: what the samples show, or a motor at rest, where nothing else explains the record; else None.
+    """
+
+    declared_error: float
+    explanations: tuple[Explanation, ...]
+    tried: tuple[Explanation, ...]
+    nearest: tuple[Explanation, ...] = ()
+    unexplained: float = 0.0
+    plain: Message | None = None
+
+    @property
+    def found(self) -> bool:
+        """True if there is a cause to tell, be it the nearest one only."""
+        return bool(self.explanations or self.nearest or self.plain)
+
+    @property
+    def message(self) -> Message:
+        """The causes in a sentence, under the code of the likeliest one."""
+        if self.plain is not None:
+            return self.plain
+        left = (
+            "with the drive as declared the loop cannot be simulated"
+            if math.isinf(self.declared_error)
+            else f"as declared {number(100 * self.declared_error, 2)} % of the torque is not explained"
+        )
+        if self.nearest:
+            first = self.nearest[0]
+            nearest = "the nearest is that" if len(self.nearest) == 1 else "the nearest are that"
+            clause = f"none of the usual causes alone explains it, so more than one thing may be wrong: {nearest} "
+            clause += ", and that ".join(one.words for one in self.nearest)
+            words = f"{clause}; the first still leaves {number(100 * first.error, 2)} % of the torque, of which "
+            words += f"{number(100 * self.unexplained, 2)} % is no response to the reference; {left}"
+            values = {"tried": self._names, "nearest": [one.fault.name for one in self.nearest], "error": first.error}
+            return Message(Reason.NO_CAUSE_FOUND, words, values, clause)
+        if not self.explanations:
+            clause = "the drive as declared does not fit, and none of the usual causes explains it"
+            words = f"{left}, and none of the usual causes explains it ("
+            words += f"{', '.join(one.fault.title for one in self.tried)})"
+            if self.unexplained > _NO_RESPONSE:
+                other = f"; {number(100 * self.unexplained, 2)} % of the torque is no response to the reference: "
+                other += (
+                    "check which column is the torque, and of which axis"
+                    if self.unexplained > _NOTHING_OF_IT
+                    else ("if a signal is injected, declare it (channel injected)")
+                )
+                clause, words = clause + other, words + other
+            return Message(Reason.NO_CAUSE_FOUND, words, {"tried": self._names}, clause)
+        best = self.explanations[0]
+        clause = ", or ".join(one.words for one in self.explanations)
+        clause += f", or {best.fault.doubt}" if best.fault.doubt else ""
+        words = f"{clause}: with this put right {number(100 * best.error, 2)} % of the torque is left; {left}"
+        values = {
+            "causes": [{"cause": one.fault.name, "value": one.value, "error": one.error} for one in self.explanations],
+            "declared_error": None if math.isinf(self.declared_error) else self.declared_error,
+        }
+        return Message(Reason.CAUSE_FOUND, words, values, clause)
+
+    @property
+    def _names(self) -> list[str]:
+        return [one.fault.name for one in self.tried]
+
+    def document(self, *, details: bool = False) -> Document:
+        """Return the causes, and the table of all that were tried; there are no further details."""
+        del details
+        rows = tuple((one.words, f"{number(100 * one.error, 2)} %") for one in self.tried)
+        return Document("Cause", (Listing((str(self.message),)), Table(("put right", "torque left"), rows)))
 
 
 def find_causes(
@@ -115,33 +172,63 @@ def find_causes(
     tried = list_hypotheses(record, loop, filtering)
     progress(f"looking for the cause: {len(tried)} are put right in turn, and the joint identified again")
     fits = fit_flexible(tried, loop) if isinstance(loop.joint, FlexibleJoint) else fit_rigid(tried, loop.joint)
-    known = [_with_known_factor(fit, loop) for fit in fits]
-    found: list[_Found] = [(f.hypothesis.cause, f.number, f.error) for f in known if f.hypothesis.cause]
-    position = _position_as_reference(record, loop, filtering, fits[0] if fits else None)
-    if position is not None:
-        found.append((Cause.REFERENCE_IS_POSITION, None, position))
-    if isinstance(loop.joint, RigidJoint) and (spring := _as_flexible(tried[0], found)) is not None:
-        found.append(spring)
-    declared = min((f.error for f in fits if f.hypothesis.cause is None), default=math.inf)
+    found = _judge_faults(tried[0], fits, loop)
+    declared = min((f.error for f in fits if f.hypothesis.fault is None), default=math.inf)
     if estimate is not None:
         declared = min(declared, estimate.fit.filtered_error)
-    if fits and fits[0].hypothesis.cause is not None:  # its number counts, not that its search found the better end
+    if fits and fits[0].hypothesis.fault is not None:  # its number counts, not that its search found the better end
         declared = min(declared, _declared_from(fits[0], tried[0]))
-    tellings = [tell(cause, value, error, loop, shown) for cause, value, error in sorted(found, key=lambda one: one[2])]
-    once = {one.cause: one for tellings_of in reversed(tellings) for one in tellings_of[:1]}
+    tellings = [explain(*one, loop, shown) for one in sorted(found, key=lambda one: one[2])]
+    once = {one.fault: one for tellings_of in reversed(tellings) for one in tellings_of[:1]}
     tried_out = tuple(sorted(once.values(), key=lambda one: one.error))
     explaining = _explaining(tellings, declared, loop, record.torque.sample_time)
     left = _unexplained(fits[0]) if fits else 0.0
-    moved = bool(explaining) and explaining[0].cause is Cause.REFERENCE_IS_POSITION
-    by_response = (_MORE_OF_A_MOTION if moved else _MORE_IS_WRONG) * left
-    # In a loop that rings for long, responses as short as these leave much, too.
-    if explaining and explaining[0].error > (min(by_response, _FITS) if left > 0 else _FITS):
-        others = (one for one in tried_out if one.cause is not explaining[0].cause)
-        return Causes(declared, (), tried_out, (explaining[0], *_near(others, declared)), left)
     if explaining:
+        best = explaining[0]
+        # In a loop that rings for long, responses as short as these leave much, too.
+        if best.error > (min(best.fault.more_than_responses * left, _FITS) if left > 0 else _FITS):
+            others = (one for one in tried_out if one.fault is not best.fault)
+            return Causes(declared, (), tried_out, (best, *_near(others, declared)), left)
         return Causes(declared, explaining, tried_out, unexplained=left)
     left = left or _left_as_declared(tried[0])
     return Causes(declared, (), tried_out, unexplained=left, plain=find_lost_motion(record, loop, left))
+
+
+def list_hypotheses(record: Record, loop: ClosedLoop, filtering: Filtering) -> tuple[Hypothesis, ...]:
+    """Return the drive as it is declared, and every fault that this record and controller can have corrected.
+
+    Args:
+        record: with torque and reference.
+        loop: as it is declared.
+        filtering: resolved.
+    """
+    declared = Hypothesis(None, record, (loop,), filtering)
+    corrected = (replace(one, fault=f) for f in FAULTS if f.correct is not None for one in f.correct(declared))
+    return (declared, *corrected)
+
+
+def _judge_faults(declared: Hypothesis, fits: Sequence[Fit], loop: ClosedLoop) -> list[_Found]:
+    """Return what is left with each fault corrected."""
+    found: list[_Found] = []
+    for fit in fits:
+        fault = fit.hypothesis.fault
+        if fault is not None:
+            better = fit if fault.refine is None else fault.refine(fit, loop)
+            found.append((fault, better.number, better.error))
+    for fault in FAULTS:
+        least = min((error for _, _, error in found), default=math.inf)
+        judged = None if fault.judge is None else fault.judge(declared, fits[0] if fits else None, least)
+        if judged is not None:
+            found.append((fault, *judged))
+    return found
+
+
+def explain(
+    fault: Fault, value: float | None, error: float, loop: ClosedLoop, shown: Iterable[DriveNumber] = ()
+) -> tuple[Explanation, ...]:
+    """Return the causes that a corrected fault stands for; numbers are shown as the drive has them."""
+    meanings = fault.explain(value, loop, {one.number: one for one in shown})
+    return tuple(Explanation(cause, words, by, error) for cause, words, by in meanings)
 
 
 def _near(others: Iterable[Explanation], declared: float) -> tuple[Explanation, ...]:
@@ -191,8 +278,8 @@ def explain_misfit(
     poor = estimate.fit.filtered_error > _SUSPICIOUS
     gross = any(_is_gross(fault, estimate.data.sample_time) for fault in faults)
     # A spring that is refused ends at bounds as a rule, whether or not anything is wrong.
-    refused = any(p.value is None for p in estimate.params)
-    strained = not refused and any(p.of_joint and p.at_bound is not None for p in estimate.params)
+    refused = any(p.value is None for p in estimate.params.rows)
+    strained = not refused and any(p.of_joint and p.at_bound is not None for p in estimate.params.rows)
     if not (poor or gross or ((unchecked or faults) and (strained or _is_doubtful(estimate, record, loop)))):
         return None
     if left is not None and not gross and left <= _MORE_OF_A_LAW * _left_by_a_response(estimate, record, loop):
@@ -215,12 +302,11 @@ def _left_by_a_response(estimate: Estimate, record: Record, loop: ClosedLoop) ->
     return find_unexplained_share(problem, record.reference.values)
 
 
-def _is_gross(fault: FaultTest, period: float) -> bool:
+def _is_gross(test: FaultTest, period: float) -> bool:
     """Whether a fault is so large that its sensitivity is no guide to it."""
-    if fault.name.endswith("delay"):
-        return abs(fault.size) > _MUCH_LATER * period
-    scale = 1.0 if fault.name == "log_gain" else abs(fault.declared)
-    return scale > 0 and abs(fault.size) > _MUCH_LARGER * scale
+    if test.fault.measure is Measure.TIME:
+        return abs(test.size) > _MUCH_LATER * period
+    return abs(test.size) > _MUCH_LARGER * abs(test.declared) > 0
 
 
 def explain_failure(
@@ -264,84 +350,18 @@ def _explaining(
     if not tellings or _is_small(tellings[0][0], loop, period):
         return ()
     least = tellings[0][0].error
-    if tellings[0][0].cause is Cause.SAMPLE_TIME and least > _EXPLAINS_BY_TIME * declared:
+    if least > tellings[0][0].fault.must_leave * declared or least > max(_FITS, _CLEARLY * min(declared, 1.0)):
         return ()
-    if least > _EXPLAINS * declared or least > max(_FITS, _CLEARLY * min(declared, 1.0)):
-        return ()
-    found: dict[Cause, Explanation] = {}
+    found: dict[Fault, Explanation] = {}
     for one in (one for each in tellings if each[0].error <= _AS_GOOD * least for one in each):
         if not _is_small(one, loop, period):
-            found.setdefault(one.cause, one)
+            found.setdefault(one.fault, one)
     return tuple(found.values())[:_NAMED]
 
 
 def _is_small(one: Explanation, loop: ClosedLoop, period: float) -> bool:
     """Whether a cause is a number that differs little from what is declared."""
-    numbers = numbers_of(loop.controller)
-    filtering = getattr(loop.controller, "velocity_filter", (1.0,))
-    if one.cause is Cause.VELOCITY_FILTER and isinstance(filtering, tuple) and filtering != (1.0,):
-        return False  # a first order in the place of taps is no small change
-    if one.value is not None and one.cause in _OF_A_TIME:
-        return abs(one.value - numbers.get(_OF_A_TIME[one.cause], 0.0)) < _HARDLY * period
-    if one.value is None or one.cause not in _OF_A_NUMBER:
-        return False
-    declared = numbers.get(_OF_A_NUMBER[one.cause], 0.0) if _OF_A_NUMBER[one.cause] else 1.0
-    return one.value > 0 < declared and abs(math.log(one.value / declared)) < _SMALL
-
-
-_OF_A_NUMBER = {
-    Cause.TORQUE_SCALE: "",  # told as a factor
-    Cause.LAW_GAIN: "",
-    Cause.REFERENCE_SCALE: "",
-    Cause.POSITION_GAIN: "position_gain",
-    Cause.DERIVATIVE_GAIN: "derivative_gain",
-    Cause.INTEGRAL: "integral_gain",
-}
-_OF_A_TIME = {
-    Cause.VELOCITY_FILTER: "velocity_filter.time_constant",
-    Cause.TORQUE_FILTER: "",  # one more than those that are declared
-    Cause.DELAY: "delay",
-    Cause.REFERENCE_DELAY: "reference_delay",
-}
-
-
-def _as_flexible(declared: Hypothesis, found: Sequence[_Found]) -> _Found | None:
-    """Return the mode that explains a record of a rigid joint clearly better than any other cause; else None.
-
-    Its further parameters make up for a part of other causes, so as good as they is not enough.
-    """
-    rigid = declared.loops[0].joint
-    assert isinstance(rigid, RigidJoint)
-    loop = replace(declared.loops[0], joint=rigid.flexible)
-    try:
-        best = next(iter(fit_flexible((replace(declared, loops=(loop,)),), loop)), None)
-    except (JointidError, np.linalg.LinAlgError):  # the other causes stand
-        return None
-    if best is None or best.error * _FLEXIBLE > min((error for _, _, error in found), default=math.inf):
-        return None
-    values = best.values
-    if not all(values[name] > 0 for name in ("motor_inertia", "load_inertia", "stiffness")):
-        return None
-    return Cause.FLEXIBLE, FlexibleJoint.frequencies(values)["free_free"], best.error
-
-
-def _with_known_factor(fit: Fit, loop: ClosedLoop) -> Fit:
-    """Return the fit of a factor on the loop's gain with a known one, where that leaves hardly more.
-
-    What no model has, as a ripple, moves a factor that is free; 75 is then 57.3, which an angle in degrees makes.
-    """
-    if fit.hypothesis.cause is not Cause.LAW_GAIN or fit.number is None:
-        return fit
-    declared = numbers_of(loop.controller)["gain"]
-    near = sorted((abs(math.log(factor * declared / fit.number)), factor) for factor in known_factors(loop))
-    for far, factor in near:
-        if far > math.log(_RENAMED):
-            break
-        held = fit.problem.keeping({"gain": factor * declared})
-        end = descend(replace(fit, problem=held, x=held.vector(fit.values)), FIRST)
-        if end is not None and end.error <= _HARDLY_MORE * fit.error:
-            return end
-    return fit
+    return one.fault.negligible is not None and one.fault.negligible(one.value, loop, period)
 
 
 def _declared_from(best: Fit, declared: Hypothesis) -> float:
@@ -352,30 +372,3 @@ def _declared_from(best: Fit, declared: Hypothesis) -> float:
     start = start_at(declared, problem, problem.vector(best.values))
     end = descend(start, MORE) if start.error < ASTRAY else None
     return math.inf if end is None else end.error
-
-
-def _position_as_reference(record: Record, loop: ClosedLoop, filtering: Filtering, best: Fit | None) -> float | None:
-    """Return what is left if the reference is the motor's position; None where that cannot be.
-
-    A flexible joint's motion is prescribed then, and what it does at rest is not compared; what is left is brought to
-    the measure of the other causes by what the best of them leaves in both.
-    """
-    assert record.reference is not None
-    assert record.torque is not None
-    moved = replace(record, motor_position=record.reference, load_position=None)
-    joint, settings = loop.joint, DriveSideFit()
-    try:
-        if not isinstance(joint, FlexibleJoint):
-            return identify_record(moved, joint, IDIM(), filtering=filtering).fit.filtered_error
-        around = settings.surroundings(record.torque.sample_time)
-        problem = motion_problem(moved, DriveSide(joint), filtering, joint.parameters, around)
-        start = grid_starts(problem, settings)[0][0]
-        solution = follow(problem, start, MORE)
-    except (JointidError, np.linalg.LinAlgError):
-        return None
-    left = float(np.linalg.norm(solution.residual)) / problem.size
-    if best is None or best.problem.measured.size != problem.measured.size:
-        return left
-    measured = best.problem.measured
-    other, size = (problem.filtered(one) for one in (measured - best.problem.torque(best.x), measured))
-    return left * best.error * float(np.linalg.norm(size) / np.linalg.norm(other))

@@ -17,7 +17,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray, triangle
 from jointid.common.errors import JointidError
 from jointid.common.parameters import Parameter
-from jointid.diagnostics.hypotheses import Cause, Hypothesis
+from jointid.diagnostics.faults.fault import Hypothesis
 from jointid.estimation.methods.stiffness_search import RIGID_CUTOFF
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.prescribed import DriveSideProblem
@@ -65,9 +65,9 @@ class Fit:
     @property
     def number(self) -> float | None:
         """The number that was put right, as it was found; None where the hypothesis has none."""
-        name = self.hypothesis.free
-        if self.hypothesis.cause is Cause.PERIOD:  # that of the start which ended best
-            return self.problem.experiment.law.period
+        name, chosen = self.hypothesis.free, self.hypothesis.number
+        if chosen is not None:  # that of the start which ended best
+            return chosen(self.problem)
         return self.values[name] if name else self.hypothesis.factor
 
 
@@ -86,12 +86,12 @@ def fit_flexible(tried: Sequence[Hypothesis], loop: ClosedLoop) -> list[Fit]:
     """Return where the hypotheses end with a flexible joint, from what a rigid one leaves far below its resonance."""
     assert isinstance(loop.joint, FlexibleJoint)
     fits = fit_rigid([replace(one, filtering=_low(one)) for one in tried], loop.joint.rigid, _ROUGHLY)
-    wide = {(one.cause, one.factor, one.free): one for one in tried}
+    wide = {(one.fault, one.factor, one.free): one for one in tried}
     least = min((fit.error for fit in fits), default=math.inf)
 
     def begun(rigid: Fit) -> list[Fit]:
         of = rigid.hypothesis
-        hypothesis = wide[of.cause, of.factor, of.free]
+        hypothesis = wide[of.fault, of.factor, of.free]
         problems = [pose(hypothesis, one) for one in _loops_near(hypothesis, rigid)]
         return _best(
             start for p in problems if p is not None for start in _flexible_starts(hypothesis, p, rigid.values)

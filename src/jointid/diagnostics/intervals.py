@@ -155,12 +155,12 @@ def rebuild_problem(estimate: Estimate, record: Record, another: str) -> tuple[C
     assert estimate.settings.loop is not None
     if record.torque is not None and fingerprint(record.torque.values) != estimate.data.fingerprint:
         raise MethodError(another)
-    values = {p.name: p.value or 0.0 for p in estimate.params}
+    values = {p.name: p.value or 0.0 for p in estimate.params.rows}
     problem = torque_problem(
         record, estimate.settings.loop, estimate.settings.filtering, estimate.settings.joint.parameters
     )
     problem = problem.freeing(*(name for name in values if name not in problem.units))
-    problem = problem.keeping({p.name: values[p.name] for p in estimate.params if not p.free})
+    problem = problem.keeping({p.name: values[p.name] for p in estimate.params.rows if not p.free})
     return problem, problem.vector(values)
 
 

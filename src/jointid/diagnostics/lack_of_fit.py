@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
-from jointid.diagnostics.loop_findings import LoopCheck
-from jointid.diagnostics.mechanics_faults import MECHANICS
+from jointid.diagnostics.faults.findings import LoopCheck
 from jointid.diagnostics.unmodelled_motion import PredictedResidual
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.assemble import Widening
@@ -19,7 +18,7 @@ def widen_for_faults(check: LoopCheck) -> list[Widening]:
 
     Faults of loop and log widen nothing: they are corrected, or not.
     """
-    found = [one for one in check.findings if one.test.name in MECHANICS]
+    found = [one for one in check.findings if one.test.fault.mechanical]
     moved: dict[str, float] = {}
     for finding in found:
         for name, change in finding.changes.items():

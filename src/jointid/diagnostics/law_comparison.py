@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from typing import ClassVar
 
 import numpy as np
@@ -29,6 +30,8 @@ from jointid.diagnostics.held_out import FEWEST, PARTS, TIMES, cut, mean_logarit
 from jointid.estimation.descent import Solved, least_squares
 from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.models.friction import SymmetricFriction
+from jointid.models.springs import LinearSpring
 from jointid.simulation.closed_loop import in_threads
 from jointid.solvers.solve import solve
 from jointid.uncertainty.position_dependent_error import uncertainty
@@ -151,6 +154,70 @@ class LawComparison(Documented):
         return words
 
 
+RIGID = "none"
+"""Name of the spring of a rigid joint, which is judged beside the laws."""
+
+
+class SpringShown(StrEnum):
+    """Answers to which spring a record shows, as codes."""
+
+    AS_DECLARED = "as_declared"
+    ANOTHER = "another_spring"
+    NONE = "no_spring"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpringComparison(LawComparison):
+    """The laws of a spring for one record, a rigid joint first; see `LawComparison`."""
+
+    kind = "spring"
+
+    @property
+    def answer(self) -> Message:
+        """Which spring the record shows, and what to declare."""
+        found, by_name = self.shown, {one.name: one for one in self.laws}
+        linear = by_name[LinearSpring.name]
+        values = {"spring": found.name, "declared": self.declared}
+        left = f"{percent(found.kept)} of the torque where it was not fitted"
+        if found.name == RIGID:
+            words = f"The record shows no spring: a rigid joint leaves {left}, one with a linear spring "
+            words += f'{percent(linear.kept)}; set joint.model = "rigid", or identify how soft the spring may be'
+            return Message(SpringShown.NONE, words, values)
+        if found.name == LinearSpring.name:
+            words = f"The record shows no other spring than a linear one, {found.words}, which leaves {left}"
+        else:
+            words = f"The record shows a {found.name} spring, {found.words}: it leaves {left}, a linear one "
+            words += percent(linear.kept)
+        code = SpringShown.AS_DECLARED if found.name == self.declared else SpringShown.ANOTHER
+        return Message(code, words + self._beside(), values)
+
+
+class FrictionShown(StrEnum):
+    """Answers to which friction a record shows, as codes."""
+
+    AS_DECLARED = "as_declared"
+    ANOTHER = "another_friction"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrictionComparison(LawComparison):
+    """The laws of friction for one record; see `LawComparison`."""
+
+    kind = "friction"
+
+    @property
+    def answer(self) -> Message:
+        """Which friction the record shows, and what to declare."""
+        found, by_name = self.shown, {one.name: one for one in self.laws}
+        simple = by_name[SymmetricFriction.name]
+        words = f"The record shows {found.name} friction, {found.words}: it leaves {percent(found.kept)} of the torque "
+        words += "where it was not fitted"
+        if found is not simple:
+            words += f", symmetric friction {percent(simple.kept)}"
+        code = FrictionShown.AS_DECLARED if found.name == self.declared else FrictionShown.ANOTHER
+        return Message(code, words + self._beside(), {"friction": found.name, "declared": self.declared})
+
+
 def percent(share: float | None) -> str:
     """Return a share as a reader has it."""
     return "-" if share is None else f"{number(100 * share, 3)} %"
@@ -259,7 +326,7 @@ def _interval(p: Parameter, value: float, std: float | None, unit: str, untold: 
     return f"{number(0.0 if near_none else value, 4)} +- {number(2 * std, 2)} {unit}"
 
 
-def compare(found: Sequence[tuple[JudgedLaw, FloatArray | None]]) -> tuple[JudgedLaw, ...]:
+def rank(found: Sequence[tuple[JudgedLaw, FloatArray | None]]) -> tuple[JudgedLaw, ...]:
     """Return laws with how much worse each predicts than the best one.
 
     Args:

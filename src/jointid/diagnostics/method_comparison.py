@@ -91,7 +91,7 @@ class MethodComparison(Documented):
         """
         rows: dict[str, dict[str, object]] = {}
         for name, estimate in self.estimates.items():
-            for p in estimate.params:
+            for p in estimate.params.rows:
                 if p.of_joint:
                     rows.setdefault(p.name, {"unit": p.unit}).update({name: p.value, f"{name} stderr": p.stderr})
         return data_frame(rows, "parameter")
@@ -112,9 +112,9 @@ class MethodComparison(Documented):
 
     def _table(self) -> Table:
         found, rows = self.estimates, []
-        symbols = {p.name: (p.symbol, p.unit) for e in found.values() for p in e.params if p.of_joint}
+        symbols = {p.name: (p.symbol, p.unit) for e in found.values() for p in e.params.rows if p.of_joint}
         for name, (symbol, unit) in symbols.items():
-            lines = (next((p for p in e.params if p.name == name), None) for e in found.values())
+            lines = (next((p for p in e.params.rows if p.name == name), None) for e in found.values())
             rows.append((symbol, unit, *map(_format_interval, lines)))
         fits = [estimate.fit for estimate in found.values()]
         rows.append(("torque error, raw", "%", *(f"{100 * fit.relative_error:.2f}" for fit in fits)))
@@ -194,13 +194,13 @@ def _describe_disagreements(found: Mapping[str, Estimate]) -> tuple[str, ...]:
     All use the same record, so their errors are correlated, and two valid methods differ by more far less often than
     once in twenty.
     """
-    names = dict.fromkeys(p.name for estimate in found.values() for p in estimate.params if p.of_joint)
+    names = dict.fromkeys(p.name for estimate in found.values() for p in estimate.params.rows if p.of_joint)
     sentences = []
     for name in names:
         rows = {
             key: p
             for key, estimate in found.items()
-            for p in estimate.params
+            for p in estimate.params.rows
             if p.name == name and p.value is not None and p.stderr is not None
         }
         pairs = [(_measure_gap(rows[one], rows[two]), one, two) for one, two in combinations(rows, 2)]

@@ -20,12 +20,11 @@ from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.common.messages import Message, Progress, Work, silent
 from jointid.common.parameters import POSITION_UNIT
 from jointid.diagnostics.experiment_design import StiffnessTestDesign, design_stiffness_test
+from jointid.diagnostics.faults.findings import LoopCheck
 from jointid.diagnostics.intervals import intervals
-from jointid.diagnostics.loop_findings import LoopCheck
 from jointid.diagnostics.validation import Validation, validate
 from jointid.estimation.result.answer import loop_verdict
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.joints import FlexibleJoint
 from jointid.models.linear import OUTPUTS, ComplexArray, frequency_response
 from jointid.models.motion import Motion
 from jointid.records.record import Channel, Record
@@ -181,7 +180,7 @@ def collect_report_data(
     response = attempt("response", "computing the frequency response", lambda: compute_response(estimate))
     curved_only = profiles is None
     if profiles is None:
-        free = tuple(p.name for p in estimate.params if p.of_joint and p.free)
+        free = tuple(p.name for p in estimate.params.rows if p.of_joint and p.free)
         profiles = (*free, "compliance") if "stiffness" in free else free
     followed = attempt(
         "profiles", "profiling the criterion",
@@ -271,11 +270,11 @@ def compute_response(estimate: Estimate) -> FrequencyResponse:
     if missing:
         raise MethodError(f"A frequency response needs every parameter, and {', '.join(missing)} is not identifiable.")
     flexible = joint.model == "flexible"
-    modes = FlexibleJoint.frequencies(values) if flexible and values["stiffness"] > 0 else {}
+    modes = estimate.frequencies
     highest = max(0.5 / estimate.data.sample_time, _ABOVE * max(modes.values(), default=0.0))
     grid = np.geomspace(_LOWEST, highest, _LINES)
     frequency = np.unique(np.concatenate([grid, [f for f in modes.values() if f > _LOWEST]]))
-    free = [p for p in estimate.params if p.free and p.of_joint and p.stderr is not None and p.name in values]
+    free = [p for p in estimate.params.rows if p.free and p.of_joint and p.stderr is not None and p.name in values]
     std = np.array([p.stderr for p in free], dtype=np.float64)
     covariance = np.outer(std, std) * estimate.params.correlation_of([p.name for p in free])
     outputs = OUTPUTS[1 : len(OUTPUTS) if flexible else 2 : 2]  # the velocities of the motor and of a flexible load

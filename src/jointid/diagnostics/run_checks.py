@@ -11,9 +11,9 @@ import numpy as np
 from jointid.common.errors import JointidError
 from jointid.common.messages import Progress, silent
 from jointid.diagnostics.check_loop import SearchState, search_faults
+from jointid.diagnostics.faults.motion import find_too_short
 from jointid.diagnostics.find_causes import explain_misfit
 from jointid.diagnostics.lack_of_fit import widen_for_faults, widen_for_rest
-from jointid.diagnostics.plain_causes import find_too_short
 from jointid.diagnostics.unmodelled_motion import PredictedResidual, predict_residual
 from jointid.estimation.result.assemble import CheckResults, FitResult, assemble
 from jointid.models.controllers.drive_numbers import DriveNumber
@@ -39,10 +39,10 @@ def run_checks(fit: FitResult, progress: Progress = silent, shown: Sequence[Driv
     progress("checking loop and log")
     check = state = rest = None
     verdict = skip_test(Subject.LOOP, "not checked, because the joint is not fully identified; identify it as rigid")
-    whole = all(p.value is not None for p in fit.params)
+    whole = all(p.value is not None for p in fit.params.rows)
     if whole:
         try:
-            std = {p.name: p.stderr for p in fit.params if p.stderr is not None}
+            std = {p.name: p.stderr for p in fit.params.rows if p.stderr is not None}
             check, state = search_faults(problem, x, std=std, record=record, shown=shown)
             verdict = Verdict(Subject.LOOP, check.status, check.reasons)
             rest = _predict_rest(state)

@@ -141,9 +141,9 @@ def _start(
         except (RecordError, MethodError) as error:
             refusal = error
             continue
-        lost = [p.name for p in found.params if p.of_joint and p.value is None]
+        lost = [p.name for p in found.params.rows if p.of_joint and p.value is None]
         if not lost:
-            return record, {p.name: p.value for p in found.params if p.value is not None}
+            return record, {p.name: p.value for p in found.params.rows if p.value is not None}
         refusal = MethodError(
             f"A window does not tell {', '.join(lost)}; give a longer window, or identify the joint as rigid."
         )

@@ -153,7 +153,7 @@ def _problem(
     Per torque that is `acting`, the gain of the drive may be free; else it is kept at 1.
     """
     loop, free = layout.loops[number], [name for name in layout.free if acting or name != "drive_gain"]
-    found = {p.name: p for p in fit.params}
+    found = {p.name: p for p in fit.params.rows}
     state = tuple(
         replace(p, start=found[p.name].value, free=found[p.name].free)
         for p in (*INITIAL_STATE, INITIAL_TORQUE)
@@ -254,9 +254,9 @@ def starts(fits: Sequence[FitResult]) -> list[dict[str, float]]:
     Raises:
         MethodError: a parameter is refused by all of them.
     """
-    every = [{p.name: p.value for p in e.params if p.value is not None} for e in fits]
+    every = [{p.name: p.value for p in e.params.rows if p.value is not None} for e in fits]
     anywhere = {name: value for each in reversed(every) for name, value in each.items()}
-    lost = [p.name for p in fits[0].params if p.name not in anywhere]
+    lost = [p.name for p in fits[0].params.rows if p.name not in anywhere]
     if lost:
         raise MethodError(
             f"No record by itself tells {', '.join(lost)}, so nothing is known to start from; "
@@ -334,7 +334,7 @@ def _build_result(solved: _Solved, simulations: int, weighting: str, about: tupl
     params = build_params(
         problem, end.x, name_deviations(problem, covariance), covariance.correlation, basis, lost, held
     )
-    rows = dict(zip([p.name for p in problem.parameters], params, strict=True))
+    rows = dict(zip([p.name for p in problem.parameters], params.rows, strict=True))
     own = tuple(tuple(rows[p.name] for p in problem.of_record(k) if "@" in p.name) for k in range(len(solved.records)))
     shared = tuple(row for name, row in rows.items() if "@" not in name)
     return FitResult(

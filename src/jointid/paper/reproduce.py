@@ -299,7 +299,7 @@ def _errata() -> list[Block]:
 
 def _parameters(estimate: Estimate) -> dict[str, tuple[str, ...]]:
     found: dict[str, tuple[str, ...]] = {}
-    for p in estimate.params:
+    for p in estimate.params.rows:
         if p.of_joint and p.value is not None and p.stderr is not None:
             percent = number(100 * p.stderr / abs(p.value), 2) if p.value else "-"
             found[p.name] = (number(p.value, 4), number(2 * p.stderr, 2), percent)

@@ -473,8 +473,8 @@ def plan_from_estimate(
     loop = estimate.settings.loop
     disturbed = noise or Noise.of(estimate, record)
     assert loop is not None
-    free = [p.name for p in estimate.params if p.free and p.of_joint]
-    rows = [i for i, p in enumerate(q for q in estimate.params if q.free) if p.of_joint]
+    free = [p.name for p in estimate.params.rows if p.free and p.of_joint]
+    rows = [i for i, p in enumerate(q for q in estimate.params.rows if q.free) if p.of_joint]
     covariance = estimate.params.covariance[np.ix_(rows, rows)]
     fixed = {p.name: p.fixed(estimate.values[p.name]) for p in loop.joint.parameters if p.name not in free}
     settings: dict[str, object] = {

@@ -83,14 +83,14 @@ class Noise:
             MethodError: the estimate is not of a simulated loop as declared, or not of this record, or refuses a value.
         """
         problem, x = rebuild_declared_problem(estimate, record)
-        if any(p.value is None or p.stderr is None for p in estimate.params if p.free):
+        if any(p.value is None or p.stderr is None for p in estimate.params.rows if p.free):
             raise MethodError(
                 "The noise of a first record is taken from an estimate that gives every parameter, and this record "
                 "does not identify all: jointid diagnose sensors says which test would; design_test takes rough values."
             )
         error, slopes = problem.linearise(x)
         alone = stationary(-slopes, -slopes, error).std
-        reported = {p.name: p.stderr for p in estimate.params}
+        reported = {p.name: p.stderr for p in estimate.params.rows}
         wider = {
             p.name: (reported.get(p.name) or std) / std for p, std in zip(problem.free, map(float, alone), strict=True)
         }

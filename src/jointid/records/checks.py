@@ -230,14 +230,8 @@ def find_record_warnings(record: Record, channels: Collection[str]) -> tuple[str
             f"{1e3 * lag.lag:.2g} ms later than {lag.early}: a spring is hidden behind it, and a stiffness from "
             "both encoders is not to be trusted"
         )
-    hunting = find_hunting(record) if {"torque", "reference"} <= set(channels) else None
-    if hunting is not None and record.torque is not None:
-        notes.append(
-            f"the axis hunts at rest (stick-slip): while the reference stands still the torque saws between "
-            f"{number(hunting.low, 2)} and {number(hunting.high, 2)} {record.torque.unit}, every "
-            f"{number(hunting.period, 2)} s, as an integral does against a friction that is larger at rest, which no "
-            "model here has; use a longer integral time, and a record without long rests"
-        )
+    if {"torque", "reference"} <= set(channels):
+        notes += hunting_warnings(record)
     return tuple(notes)
 
 
@@ -275,6 +269,18 @@ def find_encoder_lag(record: Record) -> EncoderLag | None:
         return None
     late, early = ("load_position", "motor_position") if lag > 0 else ("motor_position", "load_position")
     return EncoderLag(late, early, abs(lag), share)
+
+
+def hunting_warnings(record: Record) -> Iterator[str]:
+    """Yield that the axis hunts at rest, where it does."""
+    found = find_hunting(record)
+    if found is not None and record.torque is not None:
+        yield (
+            f"the axis hunts at rest (stick-slip): while the reference stands still the torque saws between "
+            f"{number(found.low, 2)} and {number(found.high, 2)} {record.torque.unit}, every "
+            f"{number(found.period, 2)} s, as an integral does against a friction that is larger at rest, which no "
+            "model here has; use a longer integral time, and a record without long rests"
+        )
 
 
 def _rounding_warnings(name: str, channel: Channel) -> Iterator[str]:

@@ -85,9 +85,9 @@ def possible_joints(estimate: Estimate, confidence: float, sample_time: float) -
     if estimate.checks.bounds:
         return _springs(estimate, confidence, 0.5 / sample_time)
     joint, values = estimate.settings.joint, estimate.identified.values
-    free = [p.name for p in estimate.params if p.free]
+    free = [p.name for p in estimate.params.rows if p.free]
     moving = {p.name: p for p in joint.parameters if p.quantity in _MOVES}
-    chosen = [p for p in estimate.params if p.name in moving and p.free]
+    chosen = [p for p in estimate.params.rows if p.name in moving and p.free]
     at = [free.index(p.name) for p in chosen]
     if any(p.stderr is None for p in chosen) or max(at, default=-1) >= len(estimate.params.correlation):
         raise MethodError(

@@ -101,7 +101,7 @@ def compute_minimum_detectable_change(
     both = alarm + normal.inv_cdf(power)
     quantities = [
         (p.name, p.symbol, p.unit, p.value, p.stderr)
-        for p in estimate.params
+        for p in estimate.params.rows
         if p.of_joint and p.value is not None and p.stderr
     ]
     if estimate.checks.known is not None:

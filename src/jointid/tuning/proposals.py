@@ -256,7 +256,7 @@ def lumped_parameters(estimate: Estimate) -> dict[str, LumpedParameter]:
         part: {n: w for side in sides for n, w in law.mean(part, side).items()} for part in PARTS
     }
     constant: dict[str, float] = {n: w for side in sides for n, w in law.constant(side).items()}
-    names = {p.name for p in estimate.params}
+    names = {p.name for p in estimate.params.rows}
     constant |= {name: 1.0 for name in ("offset", "gravity_constant") if name in names}
     wanted = {"inertia": {f"{side}inertia": 1.0 for side in sides}, **friction, "constant": constant}
     return {name: _total(estimate, weights) for name, weights in wanted.items()}

@@ -217,7 +217,7 @@ def _notes(case: _Case, present: LoopMargins, proposed: LoopMargins | None) -> l
             "the worst case is that of the springs considered, each with the friction as it was found: no statement of "
             "one confidence"
         )
-    held = [p.name for p in estimate.params if p.free and not p.of_joint and of_law(p.name)]
+    held = [p.name for p in estimate.params.rows if p.free and not p.of_joint and of_law(p.name)]
     if held:
         found.append(f"the interval is of the joint: {', '.join(held)} stand at the values that were found for them")
     if not present.worst.stable:

@@ -19,7 +19,7 @@ from jointid.common.charts import thin
 from jointid.common.document import inert
 from jointid.common.messages import Message
 from jointid.common.typography import typeset
-from jointid.diagnostics.loop_findings import Finding
+from jointid.diagnostics.faults.findings import Finding
 from jointid.estimation.result.consequence import consequence
 from jointid.output.figures.bokeh_backend import plot
 from jointid.output.figures.matplotlib_backend import svg

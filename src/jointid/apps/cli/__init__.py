@@ -6,7 +6,8 @@ import os
 
 __all__ = ["main"]
 
-INTERRUPTED = "Interrupted; no file is left half written."
+WHOLE = "no file is left half written."
+INTERRUPTED = f"Interrupted; {WHOLE}"
 SIGNALLED = 128
 """Added to a signal's number it is the exit code of a program that the signal ended."""
 

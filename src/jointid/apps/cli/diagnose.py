@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from jointid.apps.cli import robots
 from jointid.apps.cli.console import (
@@ -17,6 +17,9 @@ from jointid.apps.cli.console import (
     ready,
     show,
 )
+
+if TYPE_CHECKING:
+    from jointid.config import JointFile
 
 
 def robot(joint: Path, /, *, options: Options = DEFAULTS) -> None:
@@ -40,20 +43,7 @@ def methods(joint: Path, /, *, options: Options = DEFAULTS, filtering: Filtering
         options: those that most commands have.
         filtering: of every method, as for identify.
     """
-    from jointid import DIDIM, FlexibleDIDIM, compare_methods
-
-    file = options.load(joint, options.outputs, filtering=filtering)
-    record = file.record(options.record)
-    ready(options.progress)
-    comparison = compare_methods(
-        record,
-        file.loop or file.joint,
-        filtering=file.filtering,
-        parameters=file.parameters,
-        didim=file.method if isinstance(file.method, DIDIM | FlexibleDIDIM) else None,
-        progress=options.progress,
-    )
-    deliver(comparison, options.json)
+    _compare(options.load(joint, options.outputs, filtering=filtering), "methods", options)
 
 
 def springs(joint: Path, /, *, options: Options = DEFAULTS, filtering: FilteringName | None = None) -> None:
@@ -66,22 +56,7 @@ def springs(joint: Path, /, *, options: Options = DEFAULTS, filtering: Filtering
         options: those that most commands have.
         filtering: of every fit, as for identify.
     """
-    from jointid import FlexibleDIDIM, MethodError, compare_springs
-
-    file = options.load(joint, options.outputs, filtering=filtering, method="didim")
-    if file.loop is None:
-        raise MethodError("Springs are compared in the closed loop; declare the [controller].")
-    record = file.record(options.record)
-    ready(options.progress)
-    comparison = compare_springs(
-        record,
-        file.loop,
-        filtering=file.filtering,
-        parameters=file.parameters,
-        didim=file.method if isinstance(file.method, FlexibleDIDIM) else None,
-        progress=options.progress,
-    )
-    deliver(comparison, options.json)
+    _compare(options.load(joint, options.outputs, filtering=filtering, method="didim"), "springs", options)
 
 
 def friction(joint: Path, /, *, options: Options = DEFAULTS, filtering: FilteringName | None = None) -> None:
@@ -94,22 +69,21 @@ def friction(joint: Path, /, *, options: Options = DEFAULTS, filtering: Filterin
         options: those that most commands have.
         filtering: of every fit, as for identify.
     """
-    from jointid import DIDIM, FlexibleDIDIM, MethodError, compare_frictions
+    _compare(options.load(joint, options.outputs, filtering=filtering, method="didim"), "frictions", options)
 
-    file = options.load(joint, options.outputs, filtering=filtering, method="didim")
-    if file.loop is None:
-        raise MethodError("Frictions are compared in the closed loop; declare the [controller].")
-    record = file.record(options.record)
+
+def _compare(file: JointFile, among: Literal["methods", "springs", "frictions"], options: Options) -> None:
+    """Compare methods or laws, and write the result."""
+    from jointid import DIDIM, FlexibleDIDIM, MethodError, compare
+
+    if file.loop is None and among != "methods":  # before the record is read
+        raise MethodError(f"{among.capitalize()} are compared in the closed loop; declare the [controller].")
+    record, didim = file.record(options.record), file.method
     ready(options.progress)
-    comparison = compare_frictions(
-        record,
-        file.loop,
-        filtering=file.filtering,
-        parameters=file.parameters,
-        didim=file.method if isinstance(file.method, DIDIM | FlexibleDIDIM) else None,
-        progress=options.progress,
-    )
-    deliver(comparison, options.json)
+    known = {"filtering": file.filtering, "parameters": file.parameters, "progress": options.progress}
+    model = file.loop or file.joint
+    settings = didim if isinstance(didim, DIDIM | FlexibleDIDIM) else None
+    deliver(compare(record, model, among, didim=settings, **known), options.json)  # type: ignore[call-overload]
 
 
 def intervals(

@@ -13,7 +13,7 @@ import threading
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from jointid.apps.cli import INTERRUPTED
+from jointid.apps.cli import INTERRUPTED, WHOLE
 
 if TYPE_CHECKING:
     from sys import UnraisableHookArgs
@@ -29,11 +29,7 @@ class EndedError(BaseException):
 
 def describe(number: int) -> str:
     """Return by what the program is ended."""
-    return (
-        INTERRUPTED
-        if number == signal.SIGINT
-        else INTERRUPTED.replace("Interrupted", f"Ended by {signal.Signals(number).name}")
-    )
+    return INTERRUPTED if number == signal.SIGINT else f"Ended by {signal.Signals(number).name}; {WHOLE}"
 
 
 def listen_to_signals() -> None:

@@ -185,13 +185,13 @@ def compare(before: Path, after: Path, /, *, level: float = 0.05, json: Path | N
         level: chance that anything is called changed where nothing is, for all quantities together.
         json: also write the answer as JSON to this file.
     """
-    from jointid import compare_estimates
+    from jointid import compare
     from jointid.output import json as answers
 
     outputs = Outputs({"--json": json})
     outputs.spare("BEFORE", before)
     outputs.spare("AFTER", after)
-    deliver(compare_estimates(answers.read_report(before), answers.read_report(after), level), json)
+    deliver(compare(answers.read_report(before), answers.read_report(after), level=level), json)
 
 
 def export(

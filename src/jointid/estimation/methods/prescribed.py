@@ -252,7 +252,7 @@ class OpenLoopFit(Method):
         problem = position_problem(task.record, closing, task.filtering, task.parameters, self.log_delay, self.highpass)
         task.progress("identifying the drive side for a start")
         first = DriveSideFit(log_delay=self.log_delay, frequency=self.frequency, instruments="never").identify(task)
-        found = {p.name: p.value for p in first.params if p.value is not None}
+        found = {p.name: p.value for p in first.params.rows if p.value is not None}
         given = {p.name: p.start for p in problem.parameters if p.start is not None}
         start, solver = problem.vector({**found, **given}), LevenbergMarquardt(self.tolerance)
         solution = solve(problem, solver, start, _reported(task.progress))

@@ -69,14 +69,14 @@ class Answer:
 
 def answer_of(estimate: EstimateParts) -> Answer:
     """Return the first line of an estimate."""
-    rows = estimate.params
+    rows, of_records = estimate.params.rows, estimate.params.own
     free = [
         row
         for name in _ASKED
         for row in rows
         if row.name == name and (row.free or row.value is None or row.at_bound is not None)
     ]
-    own = [row for rows_of in rows.own[:1] for row in rows_of if row.name == "inertia" and row.free]
+    own = [row for rows_of in of_records[:1] for row in rows_of if row.name == "inertia" and row.free]
     if own and not free:  # each record has an inertia of its own: the first one's is told
         asked = replace(own[0], name="inertia@1")
     else:
@@ -105,7 +105,7 @@ def _with_pieces(estimate: EstimateParts, asked: EstimatedParameter, shown: str)
     joint = estimate.settings.joint
     if asked.name != "stiffness" or not isinstance(joint, FlexibleJoint):
         return shown
-    rows = {row.name: row for row in estimate.params}
+    rows = {row.name: row for row in estimate.params.rows}
     others = {p.name: _shown(rows[p.name]) for p in joint.spring.parameters[1:-1] if p.name in rows}
     return joint.spring.describe({asked.name: shown, **others})
 
@@ -152,7 +152,7 @@ def _mode(estimate: EstimateParts) -> float | None:
     """Return the free-free frequency of a flexible joint, Hz; None where there is none."""
     needed = ("motor_inertia", "load_inertia", "stiffness")
     values = estimate.values
-    held = any(p.at_bound is not None for p in estimate.params if p.name in needed)
+    held = any(p.at_bound is not None for p in estimate.params.rows if p.name in needed)
     if held or not all(values.get(name, 0.0) > 0 for name in needed):
         return None
     return FlexibleJoint.frequencies(values)["free_free"]
@@ -178,7 +178,7 @@ def _trust(estimate: EstimateParts, asked: EstimatedParameter) -> Message:
     against = _failed(estimate, asked)
     if against:
         return _not_yet(against)
-    moved = [row for row in estimate.params if row.name in moved_by_loop(estimate, beyond=2.0)]
+    moved = [row for row in estimate.params.rows if row.name in moved_by_loop(estimate, beyond=2.0)]
     if moved:
         symbols, fault = listed([row.symbol for row in moved]), loop_verdict(estimate)
         assert fault is not None
@@ -239,7 +239,7 @@ def _failed(estimate: EstimateParts, asked: EstimatedParameter) -> list[Message]
             found.append(replace(reason, clause=words))
     if loop is None or loop.status is not Status.FAILED:
         return found
-    held = [row.symbol for row in estimate.params if row.of_joint and row.at_bound is not None]
+    held = [row.symbol for row in estimate.params.rows if row.of_joint and row.at_bound is not None]
     if held:  # what is wrong is made up for by parameters: by how much a fault moves the others says little then
         words = f"{listed(held)} {'end' if len(held) > 1 else 'ends'} at a bound"
         found = [*found, Message(Against.HELD, words)]
@@ -302,7 +302,7 @@ def moved_by_loop(estimate: EstimateParts, beyond: float = 0.0) -> Mapping[str, 
         beyond: standard errors that a parameter must be moved by.
     """
     loop = loop_verdict(estimate)
-    rows = {row.name: row.stderr or 0.0 for row in estimate.params}
+    rows = {row.name: row.stderr or 0.0 for row in estimate.params.rows}
     total = sum_changes(() if loop is None else loop.reasons)
     return {name: by for name, by in total.items() if abs(by) > beyond * rows.get(name, 0.0)}
 

@@ -75,7 +75,7 @@ def assemble(fit: FitResult, checked: CheckResults | None = None, *, torque_cons
         torque_constant: with its unit, where all values are proportional to it.
     """
     checked = checked or CheckResults()
-    rows = tuple(_row(p, fit.at_bounds or {}, checked.widenings) for p in fit.params)
+    rows = tuple(_row(p, fit.at_bounds or {}, checked.widenings) for p in fit.params.rows)
     held = bounds_verdict(tuple(p.name for p in rows if p.at_bound is not None))
     subjects = {v.subject for v in checked.verdicts}
     own = (held if v.subject is Subject.BOUNDS else v for v in fit.checks.verdicts if v.subject not in subjects)

@@ -308,7 +308,7 @@ def _refuse(params: Params, told: Identifiability, joint: Joint, spring: Visibil
     parted = ("motor_", "load_", *(p.name for p in joint.spring.parameters))
     rows = tuple(
         replace(p, value=None, stderr=None, identifiable=False) if p.name.startswith(parted) and p.free else p
-        for p in params
+        for p in params.rows
     )
     return replace(params, rows=rows), replace(told, parameters=(), physical=sums, directions=(), limitations=())
 

@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import NormalDist
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from jointid.common.errors import MethodError, RecordError
 from jointid.estimation.result.answer import Answer, answer_of
 from jointid.estimation.result.parts import EstimateParts
 from jointid.models.disturbances import Effect
-from jointid.models.joints import ClosedLoop, Joint
+from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
 from jointid.records.signals.filtering import Filtering
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ class Estimate(EstimateParts, Documented):
     @property
     def success(self) -> bool:
         """True if the search converged and no parameter of the joint is refused; the verdicts say more."""
-        return self.fit.converged and all(p.value is not None for p in self.params if p.of_joint)
+        return self.fit.converged and all(p.value is not None for p in self.params.rows if p.of_joint)
 
     @property
     def answer(self) -> Answer:
@@ -99,6 +100,32 @@ class Estimate(EstimateParts, Documented):
         """Covariance of the errors of the free parameters, in the order of `params.names`."""
         return self.params.covariance
 
+    @property
+    def residual(self) -> FloatArray:
+        """Measured less predicted torque, raw, (samples,); empty for a log that is too long for memory."""
+        return self.fit.measured - self.fit.predicted
+
+    @property
+    def frequencies(self) -> dict[str, float]:
+        """Frequencies of a flexible joint by name, Hz, see `FlexibleJoint.frequencies`; none without its stiffness."""
+        known = {"motor_inertia", "load_inertia", "stiffness"} <= self.values.keys() and self.values["stiffness"] > 0
+        return FlexibleJoint.frequencies(self.values) if known else {}
+
+    def conf_int(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
+        """Return the confidence interval of every parameter that has one, by name.
+
+        Args:
+            level: probability that it covers the value; 0.954 gives `EstimatedParameter.interval`, two deviations.
+        """
+        if not 0.0 < level < 1.0:
+            raise MethodError(f"A confidence level lies between 0 and 1; received {level:g}.")
+        half = NormalDist().inv_cdf(0.5 + 0.5 * level)
+        return {
+            name: (p.value - half * p.deviation, p.value + half * p.deviation)
+            for name, p in self.params.items()
+            if p.value is not None and p.deviation is not None
+        }
+
     def __repr__(self) -> str:
         """Return model, method and answer: one line, or two."""
         return f"<Estimate of a {self.settings.joint.model} joint by {self.settings.method}: {self.answer}>"
@@ -110,7 +137,7 @@ class Estimate(EstimateParts, Documented):
         Raises:
             MethodError: a value is refused, without which no torque can be predicted.
         """
-        refused = [p.name for p in self.params if p.of_joint and p.value is None]
+        refused = [p.name for p in self.params.rows if p.of_joint and p.value is None]
         if refused:
             raise MethodError(
                 f"{', '.join(refused)} cannot be told from this record, so this estimate predicts no torque; identify "
@@ -140,7 +167,7 @@ class Estimate(EstimateParts, Documented):
             ExtraError: pandas is not installed.
         """
         rows = {}
-        for p in self.params:
+        for p in self.params.rows:
             lower, upper = p.interval or (None, None)
             rows[p.name] = {
                 "symbol": p.symbol,

@@ -29,7 +29,7 @@ def legend(estimate: EstimateParts, *, initial: bool = True) -> Iterator[str]:
         estimate: whose table it is.
         initial: whether the table shows the state at the first sample.
     """
-    rows = {p.name: p for p in estimate.params}
+    rows = {p.name: p for p in estimate.params.rows}
     both = [rows[name] for name in ("motor_inertia", "load_inertia") if name in rows]
     if {"stiffness", "damping"} <= rows.keys() and len(both) == 2:
         (one, other), spring = both, f"{rows['stiffness'].symbol}, {rows['damping'].symbol}"

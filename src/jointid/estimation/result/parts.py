@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, overload
+from typing import Literal
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.document import Documented
 from jointid.common.errors import UnknownName
 from jointid.common.messages import suggest
-from jointid.common.transmission import OtherSide, other_side
+from jointid.common.transmission import SIDES, OtherSide, Side, other_side
 from jointid.estimation.result.agreement import Agreement, DriftTest
 from jointid.models.disturbances import Effect
 from jointid.models.joints import ClosedLoop, Joint
@@ -59,6 +59,17 @@ class EstimatedParameter:
     lack_of_fit: float = 0.0
 
     @property
+    def axis(self) -> str:
+        """The axis of a robot; empty for a joint."""
+        return self.name.rpartition(".")[0]
+
+    @property
+    def side(self) -> Side | None:
+        """The side of the transmission or spring that it acts on; None where it acts on both or on neither."""
+        begin = self.name.rpartition(".")[2].partition("_")[0]
+        return next((side for side in SIDES if side == begin), None)
+
+    @property
     def deviation(self) -> float | None:
         """The standard error and the lack of fit together: half of half the interval; None without a standard error."""
         return None if self.stderr is None else math.hypot(self.stderr, self.lack_of_fit)
@@ -73,8 +84,8 @@ class EstimatedParameter:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Params(Sequence[EstimatedParameter]):
-    """The parameters of an estimate: a sequence, and by name or symbol: ``params["stiffness"]``, ``params["K12"]``.
+class Params(Mapping[str, EstimatedParameter]):
+    """The parameters of an estimate, by name or symbol: ``params["stiffness"]``, ``params["K12"]``.
 
     Attributes:
         rows: in the order of the model, then those of what surrounds it.
@@ -83,6 +94,8 @@ class Params(Sequence[EstimatedParameter]):
             is not known.
         basis: how the standard errors were obtained, in a sentence.
         own: of several records, the parameters that are each record's own, by their plain names.
+
+    Its keys are the names of the parameters, ``name@2`` for the second record's own.
     """
 
     rows: tuple[EstimatedParameter, ...]
@@ -91,40 +104,28 @@ class Params(Sequence[EstimatedParameter]):
     basis: str
     own: tuple[tuple[EstimatedParameter, ...], ...] = ()
 
-    @overload
-    def __getitem__(self, at: str | int) -> EstimatedParameter: ...
-
-    @overload
-    def __getitem__(self, at: slice) -> tuple[EstimatedParameter, ...]: ...
-
-    def __getitem__(self, at: str | int | slice) -> EstimatedParameter | tuple[EstimatedParameter, ...]:
-        """Return a parameter by its name or symbol, ``name@2`` the second record's own, or by its place.
+    def __getitem__(self, name: str) -> EstimatedParameter:
+        """Return a parameter by its name or symbol, ``name@2`` the second record's own.
 
         Raises:
             UnknownName: there is none of this name; the sentence has the nearest one.
         """
-        if not isinstance(at, str):
-            return self.rows[at]
-        named = self._named
-        if at not in named:
-            near = suggest(at, named, "choose one of them")
-            raise UnknownName(f'"{at}" is no parameter of this estimate; it has {", ".join(self._own_names)}: {near}')
-        return named[at]
+        named = {p.symbol + of: p for of, p in self._every} | {p.name + of: p for of, p in self._every}
+        if name not in named:
+            near = suggest(name, named, "choose one of them")
+            raise UnknownName(f'"{name}" is no parameter of this estimate; it has {", ".join(self)}: {near}')
+        return named[name]
 
-    @property
-    def _named(self) -> dict[str, EstimatedParameter]:
-        """Every parameter by its name and by its symbol."""
-        own = [(f"@{k}", p) for k, rows in enumerate(self.own, 1) for p in rows]
-        every = [*(("", p) for p in self.rows), *own]
-        return {p.symbol + of: p for of, p in every} | {p.name + of: p for of, p in every}
-
-    @property
-    def _own_names(self) -> list[str]:
-        return [*(p.name for p in self.rows), *(f"{p.name}@{k}" for k, rows in enumerate(self.own, 1) for p in rows)]
+    def __iter__(self) -> Iterator[str]:
+        return iter([p.name + of for of, p in self._every])
 
     def __len__(self) -> int:
-        """Number of parameters, without the records' own."""
-        return len(self.rows)
+        return len(self._every)
+
+    @property
+    def _every(self) -> list[tuple[str, EstimatedParameter]]:
+        """Every parameter, with what its key has behind its name."""
+        return [*(("", p) for p in self.rows), *((f"@{k}", p) for k, rows in enumerate(self.own, 1) for p in rows)]
 
     @property
     def stderr(self) -> FloatArray:
@@ -445,7 +446,7 @@ class EstimateParts:
     @property
     def values(self) -> dict[str, float]:
         """The parameters of joint and effects by name, fixed ones included; a refused one is missing."""
-        return {p.name: p.value for p in self.params if p.of_joint and p.value is not None}
+        return {p.name: p.value for p in self.params.rows if p.of_joint and p.value is not None}
 
     @property
     def other(self) -> OtherSide | None:
@@ -455,4 +456,4 @@ class EstimateParts:
     @property
     def other_side(self) -> tuple[EstimatedParameter, ...]:
         """The parameters on the other side of the transmission, in the same order; none without one."""
-        return on_other_side(self.params, self.other)
+        return on_other_side(self.params.rows, self.other)

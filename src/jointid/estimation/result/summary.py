@@ -75,7 +75,7 @@ def _sources(estimate: EstimateParts) -> Iterator[tuple[str, str]]:
     if not data.records:
         yield "read", ", ".join(data.channels)
     for k, record in enumerate(data.records, 1):
-        unit = next(p.unit for p in (*estimate.params, *estimate.params.own[k - 1]) if p.name.endswith("inertia"))
+        unit = next(p.unit for p in (*estimate.params.rows, *estimate.params.own[k - 1]) if p.name.endswith("inertia"))
         more = f", {number(record.added_inertia)} {unit} added to the load" if record.added_inertia else ""
         yield f"record {k}", f"{record.name}{more}; read: {', '.join(record.channels)}"
         if record.resampled is not None:
@@ -138,7 +138,7 @@ def _results(estimate: EstimateParts, *, details: bool) -> Iterator[tuple[str, s
             f"{100 * fit.relative_error:.4f} % raw{left}, {100 * fit.filtered_error:.4f} % filtered{rows}",
         )
     if checks.drift is not None:
-        yield "drift", describe_drift(checks.drift, estimate.params)
+        yield "drift", describe_drift(checks.drift, estimate.params.rows)
 
 
 def _effort(estimate: EstimateParts) -> Iterator[tuple[str, str]]:
@@ -197,7 +197,7 @@ def _shared(estimate: EstimateParts) -> Table:
     tests = {p.name: p for p in estimate.checks.agreement.parameters}
     there: list[tuple[str, ...]] = [(shown(p), p.unit) for p in estimate.other_side]
     rows = []
-    for p, beside in zip(estimate.params, there or [()] * len(estimate.params), strict=True):
+    for p, beside in zip(estimate.params.rows, there or [()] * len(estimate.params.rows), strict=True):
         test = tests.get(p.name)
         p_value, between = (f"{test.p_value:.2g}", number(test.between, 2)) if test else ("-", "-")
         rows.append((*_cells(p), *(_beside(each.get(p.name)) for each in alone), p_value, between, *beside))
@@ -242,7 +242,7 @@ def describe_drift(drift: DriftTest, params: Sequence[EstimatedParameter]) -> st
 
 def _segments(estimate: EstimateParts, drift: DriftTest) -> Table:
     """Return the table of the segments: each free parameter with two standard errors."""
-    free = [p for p in estimate.params if p.free]
+    free = [p for p in estimate.params.rows if p.free]
     header = ("from h", "to h", *(f"{p.symbol} {p.unit}" for p in free), "error %")
     rows = []
     for s in drift.segments:
@@ -281,10 +281,10 @@ def remarks(estimate: EstimateParts) -> dict[str, str]:
 
     Of a fault of loop or log it is by how much the value changes, in its unit, when the fault is corrected.
     """
-    found: dict[str, list[str]] = {p.name: ["at its bound"] for p in estimate.params if p.at_bound is not None}
+    found: dict[str, list[str]] = {p.name: ["at its bound"] for p in estimate.params.rows if p.at_bound is not None}
     for name, by in moved_by_loop(estimate, beyond=SHOWN_SHIFT).items():
         found.setdefault(name, []).append(f"loop: {signed(by, 3)}")
-    known, symbols = estimate.checks.known, {p.name: p.symbol for p in estimate.params}
+    known, symbols = estimate.checks.known, {p.name: p.symbol for p in estimate.params.rows}
     for limitation in () if known is None else known.limitations:
         pair = [name for name in limitation.values.get("parameters", ()) if name in symbols]
         if len(pair) == 2:  # of the joint, both of them
@@ -308,16 +308,16 @@ def parameters_table(
         letters: whether the field's letters stand beside the paper's: "ZZ1, J1".
     """
     header: tuple[str, ...] = ("symbol", "parameter", "value", "2 sigma", "2 sigma %", "unit")
-    shown_rows = [i for i, p in enumerate(estimate.params) if initial or p.name not in INITIAL]
-    rows = [parameter_row(estimate.params[i]) for i in shown_rows]
+    shown_rows = [i for i, p in enumerate(estimate.params.rows) if initial or p.name not in INITIAL]
+    rows = [parameter_row(estimate.params.rows[i]) for i in shown_rows]
     if letters:
-        beside = [field_symbol(estimate.params[i].name, estimate.params[i].unit) for i in shown_rows]
+        beside = [field_symbol(estimate.params.rows[i].name, estimate.params.rows[i].unit) for i in shown_rows]
         rows = [(f"{row[0]}, {one}" if one else row[0], *row[1:]) for row, one in zip(rows, beside, strict=True)]
     words, said = [0, 1, 5], remarks(estimate)
-    if any(estimate.params[i].name in said for i in shown_rows):
+    if any(estimate.params.rows[i].name in said for i in shown_rows):
         words.append(len(header))
         header = (*header, "remark")
-        rows = [(*row, said.get(estimate.params[i].name, "")) for row, i in zip(rows, shown_rows, strict=True)]
+        rows = [(*row, said.get(estimate.params.rows[i].name, "")) for row, i in zip(rows, shown_rows, strict=True)]
     if estimate.other is not None:
         words.append(len(header) + 1)
         header, there = (*header, f"{estimate.other.side} side", "unit"), estimate.other_side

@@ -361,7 +361,7 @@ def response_chart(estimate: Estimate, found: FrequencyResponse | None) -> Chart
 
 def correlation_chart(estimate: Estimate) -> Chart | None:
     """Return the correlations of the estimate's errors; None if they are unknown."""
-    free = [p for p in estimate.params if p.free][: len(estimate.params.correlation)]
+    free = [p for p in estimate.params.rows if p.free][: len(estimate.params.correlation)]
     own = [i for i, p in enumerate(free) if p.of_joint]
     if len(own) < 2 or any(free[i].value is None for i in own):
         return None
@@ -386,7 +386,7 @@ def profiles_chart(estimate: Estimate, found: Intervals | ReportData) -> Chart |
     for one in shown:
         risen = 2.0 * np.sqrt(np.maximum(one.rise, 0.0) / one.threshold)
         items: list[Item] = [Line(one.points, risen, MEASURED, "", 1.6, dots=True)]
-        known = next((p for p in estimate.params if p.symbol == one.formula and p.stderr), None)
+        known = next((p for p in estimate.params.rows if p.symbol == one.formula and p.stderr), None)
         std = None if known is None else known.stderr
         if one.name == "compliance" and estimate["stiffness"].stderr:
             std = (estimate["stiffness"].stderr or 0.0) * one.estimate**2
@@ -424,8 +424,8 @@ def convergence_chart(estimate: Estimate) -> Chart | None:
         )
     ]  # fmt: skip
     last, lines = trace[-1].values, []
-    told = all(p.value is not None for p in estimate.params)
-    own = {p.name: p.symbol for p in estimate.params if p.of_joint and p.free} if told else {}
+    told = all(p.value is not None for p in estimate.params.rows)
+    own = {p.name: p.symbol for p in estimate.params.rows if p.of_joint and p.free} if told else {}
     for (name, symbol), colour in zip(own.items(), OTHERS * 2, strict=False):
         ways = [line.values.get(name, math.nan) for line in trace]
         if last.get(name) and all(map(math.isfinite, ways)):

@@ -118,7 +118,11 @@ SHAPES: Mapping[str, Shape] = {
     ),
     "Determined": keys("name symbol unit two_sigma_percent=percent known=remark"),
     "LoopCheck": document("jointid.loop/1", "as_declared level sentences reasons findings undecided suspects=tests"),
-    "Finding": keys("suspect=test value rivals changes"),
+    "Finding": {
+        **keys("suspect=test value changes"),
+        "rivals": lambda finding: [test.label for test in finding.rivals],
+    },
+    "Fault": str,
     "FaultTest": keys("name alike declared more_than_declared=size std statistic p_value shape"),
     "Advice": document(
         "jointid.advice/1",
@@ -260,8 +264,8 @@ def to_dict(result: object) -> Json:
     """Return a result as a dict of numbers, words, lists and dicts, with its `schema`: what `--json` writes.
 
     Args:
-        result: of `identify`, `validate`, `compare_methods`, `compare_springs`, `compare_frictions`, `check_loop`,
-            `advise`, `design_stiffness_test`, `tune`, `learn_loop`, `inspect`, `compare_estimates`.
+        result: of `identify`, `validate`, `compare`, `check_loop`, `advise`, `design_stiffness_test`, `tune`,
+            `learn_loop`, `inspect`.
 
     Raises:
         MethodError: it is no such result.

@@ -88,7 +88,7 @@ def _other_side(estimate: Estimate) -> Json | None:
     side = estimate.other
     if side is None:
         return None
-    return {"side": side.side, "parameters": {p.name: p for p in on_other_side(estimate.params, side)}}
+    return {"side": side.side, "parameters": {p.name: p for p in on_other_side(estimate.params.rows, side)}}
 
 
 def _all_of_other_side(estimate: Estimate) -> Json | None:
@@ -156,7 +156,7 @@ def _drift(estimate: Estimate) -> Json:
             if judged is not None
         },
         "stretches": drift.segments,
-        "sentence": describe_drift(drift, estimate.params),
+        "sentence": describe_drift(drift, estimate.params.rows),
     }
 
 
@@ -171,7 +171,7 @@ _ALWAYS: dict[str, Shape] = {
         "intervals=params.basis"
     ),
     "spring": lambda estimate: estimate.settings.joint.spring_name,
-    "parameters": named("params"),
+    "parameters": named("params.rows"),
     "warnings": _warnings,
 }
 

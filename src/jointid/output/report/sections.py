@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -18,10 +17,10 @@ from jointid.common.document import (
     Paragraph,
     Table,
 )
-from jointid.common.text import listed, number
+from jointid.common.text import listed, number, sentence
 from jointid.common.typography import p_value
-from jointid.diagnostics.fault_tests import FaultTest
-from jointid.diagnostics.loop_findings import LoopCheck
+from jointid.diagnostics.faults.fault import FaultTest, Measure
+from jointid.diagnostics.faults.findings import LoopCheck
 from jointid.diagnostics.report_data import ReportData
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.summary import (
@@ -32,7 +31,6 @@ from jointid.estimation.result.summary import (
 )
 from jointid.output.report.pages import pictures_of
 from jointid.output.report.summary import summary_blocks, verdicts_in_full
-from jointid.output.report.wording import say_suspects, sentence, suspect
 from jointid.planning.design import Design
 from jointid.tuning.tuned import Tuned
 
@@ -98,7 +96,7 @@ def _loop(given: ReportData) -> list[Block]:
     if given.loop is None or table is None:
         return []
     told = given.loop.sentences if given.cause is None else [str(given.cause)]
-    return [Heading("Controller and log"), Listing(tuple(sentence(say_suspects(one)) for one in told)), table]
+    return [Heading("Controller and log"), Listing(tuple(sentence(one) for one in told)), table]
 
 
 def _tests(given: ReportData) -> list[Block]:
@@ -132,7 +130,7 @@ def _parabolic(given: ReportData) -> list[Block]:
     """Return of which quantities no profile is followed, since it would be what the table says."""
     if not given.parabolic:
         return []
-    symbols = {p.name: p.symbol for p in given.estimate.params} | {"compliance": "1/K12"}
+    symbols = {p.name: p.symbol for p in given.estimate.params.rows} | {"compliance": "1/K12"}
     return [
         Paragraph(
             f"Of {listed([symbols.get(name, name) for name in given.parabolic])} the criterion is a parabola as far as "
@@ -144,7 +142,7 @@ def _parabolic(given: ReportData) -> list[Block]:
 def _absent(given: ReportData, name: str) -> str:
     """Return why a part is not there."""
     estimate = given.estimate
-    refused = any(p.value is None for p in estimate.params)
+    refused = any(p.value is None for p in estimate.params.rows)
     why = given.absent.get(name)
     if why is None:
         why = {
@@ -216,37 +214,24 @@ def _suspects_table(given: ReportData) -> Table | None:
             ),
         )
     rows = []
-    loop = given.estimate.settings.loop
-    is_bound = loop is not None and math.isfinite(getattr(loop.controller, "limit", math.inf))
-    undeclared = {} if is_bound else {"limit": "a limit of the controller's output, which is declared to have none"}
     for test in given.loop.tests:
         scale, unit = _scale(test, given.loop)
-        words = " or ".join(undeclared.get(name, suspect(name)) for name in (test.name, *test.alike))
         found = "named above" if test.name in named else "likely" if test.p_value <= given.loop.level else "nothing"
-        rows.append(
-            (words, f"{scale * test.size:+.3g} ± {number(2 * scale * test.std, 2)}", unit, p_value(test.p_value), found)
-        )
+        size = f"{scale * test.size:+.3g} ± {number(2 * scale * test.std, 2)}"
+        rows.append((test.title, size, unit, p_value(test.p_value), found))
     header = ("suspect", "more than declared", "unit", "p", "found")
     return Table(header, tuple(rows), caption, words=(0, 2, 4))
 
 
 def _scale(test: FaultTest, check: LoopCheck) -> tuple[float, str]:
     """Return the factor and the unit in which the size of a fault is read."""
-    if test.name in ("delay", "log_delay"):
-        return 1e3, "ms"
-    if test.name in ("stribeck", "presliding", "offset", "cogging"):
-        return 1.0, check.units["torque"]
-    if test.name in (
-        "log_gain",
-        "injected_gain",
-        "limit",
-        "cubic_spring",
-        "load_dependent_friction",
-        "changing_friction",
-        "second_mode",
-    ):
-        return 100.0, "%"
-    return (100.0 / abs(test.declared), "%") if test.declared else (1.0, "")
+    of_declared = (100.0 / abs(test.declared), "%") if test.declared else (1.0, "")
+    return {
+        Measure.TIME: (1e3, "ms"),
+        Measure.TORQUE: (1.0, check.units["torque"]),
+        Measure.SHARE: (100.0, "%"),
+        Measure.DECLARED: of_declared,
+    }[test.fault.measure]
 
 
 def _checks_table(checks: tuple[Validation, ...]) -> Table | None:

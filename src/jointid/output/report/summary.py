@@ -6,14 +6,13 @@ from collections.abc import Callable, Iterator, Sequence
 
 from jointid.common.document import Block, Heading, Listing, Paragraph, Tone, Verdicts
 from jointid.common.messages import Message
-from jointid.common.text import interval, listed, number, rounded
+from jointid.common.text import interval, listed, number, rounded, sentence
 from jointid.diagnostics.report_data import ReportData
 from jointid.estimation.methods.registry import method_of
 from jointid.estimation.result.answer import Trust, told_bounds
 from jointid.estimation.result.consequence import consequence
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.summary import parameters_table
-from jointid.output.report.wording import say_suspects, sentence
 from jointid.planning.design import Design
 from jointid.tuning.tuned import Tuned
 
@@ -46,7 +45,7 @@ def summary_blocks(
     estimate = given.estimate
     answer = estimate.answer
     yield Heading("Result")
-    yield Paragraph(say_suspects(str(answer)), lead=True, tone=_TONES[Trust(answer.trust.code)])
+    yield Paragraph(str(answer), lead=True, tone=_TONES[Trust(answer.trust.code)])
     yield Paragraph(_source(estimate))
     yield from map(Paragraph, _results(estimate))
     yield Heading("Parameters")
@@ -125,7 +124,7 @@ def _checks(estimate: Estimate) -> Iterator[Block]:
     yield Paragraph(f"{len(passed)} of {len(verdicts)} checks passed. The appendix has the reasons in full.")
     yield Verdicts((*rows, *((v.subject.question, True, ()) for v in passed)))
     if estimate.checks.warnings:
-        yield Listing(tuple(sentence(say_suspects(warning)) for warning in estimate.checks.warnings))
+        yield Listing(tuple(sentence(warning) for warning in estimate.checks.warnings))
 
 
 def verdicts_in_full(estimate: Estimate) -> Iterator[Block]:
@@ -133,7 +132,7 @@ def verdicts_in_full(estimate: Estimate) -> Iterator[Block]:
     if estimate.checks.verdicts:
         rows = []
         for v in estimate.checks.verdicts:
-            reasons = tuple(sentence(say_suspects(str(reason))) for reason in v.reasons)
+            reasons = tuple(sentence(str(reason)) for reason in v.reasons)
             rows.append((v.subject.question, v.good, reasons))
         yield Verdicts(tuple(rows))
     else:
@@ -143,6 +142,6 @@ def verdicts_in_full(estimate: Estimate) -> Iterator[Block]:
 
 
 def _reasons(reasons: Sequence[Message]) -> str:
-    first, *others = (say_suspects(reason.brief) for reason in reasons)
+    first, *others = (reason.brief for reason in reasons)
     more = f" (and {len(others)} more in the appendix)" if others else ""
     return sentence(f"{first}{more}")

@@ -1,4 +1,8 @@
-"""An axis that hardly moves: held by its friction, or asked for less than its own disturbances make.
+"""Records whose motion tells too little: too short, one way only, or hardly any motion.
+
+A record that is too short, or that moves one way only, fits many drives: the Coulomb friction and the offset are one
+number then, and a factor of thousands explains it as well as none. An axis hardly moves where its friction holds it, or
+where its own disturbances make more than the reference asks.
 
 While a motor stands still its controller sees the whole reference as an error, so that the torque is what the law makes
 of the reference alone; that is simulated with a mass that nothing moves. A torque that is just this is of an axis at
@@ -17,9 +21,11 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.common.messages import Message
 from jointid.common.text import number
+from jointid.diagnostics.faults.forces import find_steps
+from jointid.diagnostics.linear_response import SHORTEST
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.records.checks import find_encoder_step
-from jointid.records.record import Record
+from jointid.records.record import Channel, Record
 from jointid.simulation.closed_loop import simulate
 from jointid.simulation.loop_input import prepare
 from jointid.uncertainty.verdict import Reason
@@ -31,6 +37,48 @@ _SAME_SIZE = 0.25  # so near to 1 is then its size
 _LOST = 0.3  # of the torque, that is no response to the reference
 _AS_LARGE = 0.5  # of what the reference would make at rest: axes that move make a sixth of it at most
 _REMEDY = "record a larger or faster motion"
+_LEAST = 1.0  # s of motion: a shorter record is not relied on
+_BACK = 0.05  # of all the way: who goes back less moves one way only
+
+
+def find_plain_cause(record: Record) -> Message | None:
+    """Return what the samples of torque and reference show without a simulation; None where they show nothing.
+
+    Args:
+        record: with torque and reference.
+    """
+    assert record.reference is not None
+    if record.injected is not None:  # that moves the joint, too
+        return None
+    return _too_short(record.reference, SHORTEST, "to tell what is wrong") or find_steps(record)
+
+
+def find_too_short(record: Record) -> Message | None:
+    """Return that a record is too short for a value to be relied on, however well it fits; None where it is not.
+
+    A motion one way has no reversal, so that a constant force stands for the Coulomb friction, and a short one leaves
+    many parameters to few rows.
+    """
+    if record.reference is None or record.injected is not None:
+        return None
+    return _too_short(record.reference, _LEAST, "to rely on")
+
+
+def _too_short(reference: Channel, needed: float, what_for: str) -> Message | None:
+    """Return that a record is too short, and how long would do; None where it is long enough."""
+    change = np.diff(reference.values)
+    (moving,) = np.nonzero(change)
+    seconds = reference.sample_time * (change.size + 1 - moving[0]) if moving.size else 0.0
+    there, back = float(np.sum(change[change > 0])), float(-np.sum(change[change < 0]))
+    both_ways = min(there, back) > _BACK * max(there, back)
+    if both_ways and seconds >= needed:
+        return None
+    if seconds >= needed:
+        clause = f"the record has motion one way only, which is too little {what_for}; there and back would do"
+    else:
+        lasts = f"it has {number(seconds, 2)} s of motion{'' if both_ways else ', one way only'}"
+        clause = f"the record is too short {what_for}: {lasts}; {SHORTEST:g} s or more, both ways, would do"
+    return Message(Reason.RECORD_TOO_SHORT, clause, {"seconds": seconds, "needed": SHORTEST}, clause)
 
 
 def find_standstill(record: Record, loop: ClosedLoop) -> Message | None:

@@ -26,7 +26,8 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.common.text import number
-from jointid.diagnostics.fault_signature import FaultSignature
+from jointid.diagnostics.faults.fault import Fault, FaultSignature, Hypothesis
+from jointid.diagnostics.faults.findings import Finding, LoopCheck, OtherLaw
 from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import PD, PID, Cascade, Controller, numbers_of, with_present_sample
@@ -34,37 +35,11 @@ from jointid.models.controllers.servo_base import DiagramController
 from jointid.records.record import Record
 from jointid.simulation.loop_input import prepare
 
-PRESENT_SAMPLE = "present_sample"
-MEASURED_VELOCITY = "measured_velocity"
-PERIOD = "period"
 TIMES_FASTER = (2, 4, 8, 16)
 """Than the log: at these rates a drive may run whose period is not declared."""
+_FASTER = (2, 4, 8)  # times the log's rate, of a hypothesis: further ones leave as much
 _SOLVED = 1e-6  # far below a deviation
 _HALF_A_PERIOD_EARLIER = (1.5, -0.5)  # of a difference of positions, which is the velocity half a period ago
-
-
-@dataclass(frozen=True, slots=True)
-class OtherLaw:
-    """A law that a drive may run instead of the declared one.
-
-    Attributes:
-        parts: names of what is other in it, as faults of the loop.
-        words: what the drive does then.
-        remedy: how it is declared.
-        controller: it.
-        rate: of it, Hz, where that is what is other.
-    """
-
-    parts: tuple[str, ...]
-    words: str
-    remedy: str
-    controller: Controller
-    rate: float = 0.0
-
-    @property
-    def name(self) -> str:
-        """As a fault of the loop: "measured_velocity", "measured_velocity and present_sample"."""
-        return " and ".join(self.parts)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,7 +65,7 @@ def list_other_laws(controller: Controller, period: float) -> Iterator[OtherLaw]
         controller: as it is declared.
         period: of the controller, s.
     """
-    laws: list[tuple[tuple[str, ...], str, str, Controller]] = [((), "", "", controller)]
+    laws: list[tuple[tuple[Fault, ...], str, str, Controller]] = [((), "", "", controller)]
     if isinstance(controller, Cascade | PID) and controller.integral_gain:
         other = with_present_sample(controller, period)
         words = "the integral takes in the present sample, too"
@@ -168,7 +143,7 @@ def refit(
     """
     found = descend(other, start, _SOLVED).x
     moved = problem.residual(x) - other.residual(found)
-    return Refit(law, other, found, FaultSignature(law.name, moved, raw=np.zeros(0)))
+    return Refit(law, other, found, FaultSignature(law.fault, moved, raw=np.zeros(0)))
 
 
 def _is_identified(problem: ClosedLoopProblem) -> bool:
@@ -187,7 +162,7 @@ def refit_other_laws(problem: ClosedLoopProblem, x: FloatArray, asked: Set[str])
     if _is_identified(problem):
         return
     for law in list_other_laws(problem.loop.controller, problem.experiment.law.period):
-        if not asked >= set(law.parts):
+        if not asked >= {one.name for one in law.parts}:
             continue
         other = replace(
             problem,
@@ -198,3 +173,43 @@ def refit_other_laws(problem: ClosedLoopProblem, x: FloatArray, asked: Set[str])
             yield refit(problem, x, law, other, x)
         except (JointidError, np.linalg.LinAlgError):  # a loop that is unstable under it is not that of the record
             continue
+
+
+def _describe_laws(finding: Finding, check: LoopCheck, _: bool) -> str:
+    """Return that a drive runs another law, and which ones explain as much; rates of one law in a word each.
+
+    A law that is reported as undecided, with what it would change, is not repeated here.
+    """
+    assert finding.law is not None
+    of_each: dict[str, list[OtherLaw]] = {}
+    for one in (finding.law, *(other for other in finding.alike if other != check.open_law)):
+        of_each.setdefault(one.fault.name, []).append(one)
+    told = []
+    for first, *others in of_each.values():
+        rates = ", ".join(f"{1e-3 * one.rate:.4g}" for one in others)
+        told.append((f"{first.words} (or {rates} kHz)" if rates else first.words, first.remedy))
+    (said, remedy), *more = told
+    said = f"{said}: declare {remedy}"
+    return said + "".join(f"; or {one}, which this record does not tell apart: {its}" for one, its in more)
+
+
+def _try_periods(declared: Hypothesis) -> Iterator[Hypothesis]:
+    law = declared.controller
+    if isinstance(law, DiagramController) and law.period is None:
+        faster = declared.under([replace(law, period=declared.period / times) for times in _FASTER])
+        yield replace(faster, number=lambda problem: problem.experiment.law.period)
+
+
+PRESENT_SAMPLE = Fault(
+    "present_sample",
+    "integral that takes in the present sample",
+    "an integral that takes in the present sample",
+    _describe_laws,
+)
+MEASURED_VELOCITY = Fault("measured_velocity", "velocity that is no difference of positions", describe=_describe_laws)
+PERIOD = Fault(
+    "period", "period of the controller", "the period of the controller", _describe_laws, correct=_try_periods,
+    clause="the controller runs faster than the log: declare its period, about {fine} ms",
+)  # fmt: skip
+
+FAULTS = (PRESENT_SAMPLE, MEASURED_VELOCITY, PERIOD)

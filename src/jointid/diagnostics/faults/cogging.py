@@ -13,13 +13,16 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
-from jointid.diagnostics.fault_signature import FaultSignature
-from jointid.diagnostics.mechanics_faults import COGGING, with_joint
+from jointid.common.text import number
+from jointid.diagnostics.faults.fault import Fault, FaultSignature, Hint, Measure, words
+from jointid.diagnostics.faults.findings import Finding, LoopCheck
+from jointid.diagnostics.faults.trials import with_joint
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.joints import FlexibleJoint, Joint
 from jointid.models.ripple import PositionHarmonics
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.simulated import require_success
+from jointid.uncertainty.verdict import Reason
 
 _FEWEST, _MOST, _STEP = 3.0, 150.0, 0.5  # times that it comes back over the travel
 _FINER = (-0.75, -0.5, -0.25, 0.25, 0.5, 0.75)  # steps from the best, that are simulated, too
@@ -30,33 +33,19 @@ _LIKELIEST = 6  # that are simulated
 _SMALL = 0.01  # of the torque: how large a ripple is simulated
 
 
-def find_cogging(
-    problem: ClosedLoopProblem,
-    x: FloatArray,
-    residual: FloatArray,
-    own: FloatArray,
-    whiten: Callable[[FloatArray], FloatArray],
-) -> FaultSignature | None:
-    """Return the signature of the ripple that a residual shows most, per unit of its amplitude; None where it has none.
-
-    Args:
-        problem: of a flexible joint that may have a ripple, solved.
-        x: (free,) its parameters.
-        residual: (rows,) of it.
-        own: (rows, columns) by its free parameters, and of what was corrected.
-        whiten: makes both white.
-    """
+def _search_cogging(problem: ClosedLoopProblem, x: FloatArray, hint: Hint) -> list[FaultSignature]:
+    """Return the signature of the ripple that a residual shows most, per unit of its amplitude; nothing without one."""
     run = problem.simulate(x)
     travel = float(np.ptp(run.motor_position))
-    if not may_cog(problem.joint) or not travel > 0.0:
-        return None
-    basis = np.linalg.qr(whiten(own))[0]
+    if not _may_cog(problem.joint) or not travel > 0.0:
+        return []
+    basis = np.linalg.qr(hint.whiten(hint.own))[0]
 
     def beside(columns: FloatArray) -> FloatArray:
-        white = whiten(columns)
+        white = hint.whiten(columns)
         return np.asarray(white - basis @ (basis.T @ white))
 
-    left, position = beside(residual), run.motor_position[problem.kept]
+    left, position = beside(hint.residual), run.motor_position[problem.kept]
     way = np.sign(run.motor_velocity[problem.kept])
     waves = np.arange(_FEWEST, _MOST, _STEP) / travel
     some = np.array_split(waves, waves.size // _AT_ONCE)
@@ -71,14 +60,14 @@ def find_cogging(
         gains[np.abs(waves - peaks[-1]) < _BROAD / travel] = 0.0  # the same peak
     found = [one for one in in_threads(simulate, peaks) if one is not None]
     if not found:
-        return None
+        return []
     best = 1 / (max(found, key=lambda one: one[0])[1].shape or 1.0)
     finer = best + _STEP / travel * np.array(_FINER)
     found += [one for one in in_threads(simulate, finer.tolist()) if one is not None]
-    return max(found, key=lambda one: one[0])[1]
+    return [max(found, key=lambda one: one[0])[1]]
 
 
-def may_cog(joint: Joint) -> bool:
+def _may_cog(joint: Joint) -> bool:
     """Return True of a flexible joint that may have a ripple; beside smooth laws none is looked for."""
     if not isinstance(joint, FlexibleJoint) or joint.stepped:
         return False
@@ -140,3 +129,20 @@ def _simulated(
     parts = parts / amplitude
     signature = FaultSignature(COGGING, seen @ parts, period, raw @ parts, tried)
     return float(left @ columns @ parts) * amplitude, signature
+
+
+def _describe_cogging(finding: Finding, check: LoopCheck, spread: bool) -> str:
+    s = finding.test
+    size = s.show_size(check.on_side("torque"), spread=spread)
+    period = f"{number(s.shape, 3)} {check.on_side('position')}"
+    return words("a force", size and f"of {size}", "comes back with the motor's position, every", period)
+
+
+COGGING = Fault(
+    "cogging", "force that comes back with the position", describe=_describe_cogging, search=_search_cogging,
+    applies=_may_cog, mechanical=True, one_sided=True, measure=Measure.TORQUE,
+    reason=Reason.FORCE_FOLLOWS_POSITION,
+    remedy=lambda test: f"; to identify it, declare it: [ripple] period = {number(test.shape, 3)}",
+)  # fmt: skip
+
+FAULTS = (COGGING,)

@@ -1,0 +1,315 @@
+"""Definition of a fault, its test, and the hypothesis that corrects it.
+
+A fault is tested as a small deviation by its signatures, and as a large one by hypotheses that correct it. All that is
+particular to a fault is a field of `Fault`; the tests, the search for causes and the report read these fields.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+from jointid.common.arrays import FloatArray
+from jointid.common.text import number
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.models.controllers import numbers_of, with_numbers
+from jointid.models.controllers.drive_numbers import DriveNumber
+from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
+from jointid.records.record import Record
+from jointid.records.signals.filtering import Filtering
+from jointid.simulation.closed_loop import Simulation
+from jointid.uncertainty.verdict import Reason
+
+if TYPE_CHECKING:
+    from jointid.diagnostics.faults.findings import Finding, LoopCheck
+    from jointid.diagnostics.faults.trials import Trial
+    from jointid.diagnostics.hypothesis_fits import Fit
+
+Shown: TypeAlias = Mapping[str, DriveNumber]
+"""How a drive shows the numbers of its controller, by their names in the law."""
+
+Meaning: TypeAlias = "tuple[Fault, str, float | None]"
+"""A fault that a corrected hypothesis stands for, its words, and its value."""
+
+
+MICROSECOND = 1e-6
+"""Seconds: a shorter time is not given in ms."""
+
+
+class Measure(StrEnum):
+    """Unit in which a table shows the size of a fault."""
+
+    SHARE = "%"
+    TIME = "ms"
+    TORQUE = "torque"
+    DECLARED = "% of the declared value"
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """Fault of the loop, the log, the record or the mechanics.
+
+    Attributes:
+        name: its code.
+        title: noun phrase of a table, without an article.
+        called: noun phrase of a sentence; "a" and the title if empty.
+        describe: returns the clause that states the fault, its size and, on request, its interval.
+        vary: yields the signatures of this fault, and of others that share it.
+        try_mechanics: yields the joints that have it, of a flexible joint without it.
+        search: returns its signatures, whose shape is searched for beside the other tests.
+        applies: whether a joint can have a fault that is only searched for: the best of many shapes is large by chance.
+        declared: value without the fault; None for a number of the controller, whose value is declared.
+        one_sided: whether its size can only be positive.
+        mechanical: whether it is a fault of the joint's model, not of loop or log.
+        last: whether it is named only where no other fault is collinear.
+        kin: group of faults that describe one effect; after one is found, the others are not tested.
+        measure: unit of its size in a table.
+        reason: code of the verdict.
+        table: table of the joint file that declares a law with it.
+        laws: names of these laws.
+        remedy: returns what else to declare, as the end of a sentence.
+        free: returns the problem with its parameter free, and the start.
+        value: returns the value to report, where the size is no difference of the freed parameter.
+        correct: yields hypotheses in which it is corrected.
+        clause: of a sentence that states it as a cause, with the number found: as {value}, {ms} or {fine} of a time.
+        meanings: yields the faults that a corrected hypothesis stands for, where these are several.
+        negligible: whether a value differs too little from the declaration to be a cause.
+        must_leave: share of the declared error that a cause leaves at most.
+        more_than_responses: times what free linear responses leave: a cause that leaves more is not all that is wrong.
+        doubt: what else may be wrong where this explains the record.
+        refine: returns a better fit of its hypothesis.
+        judge: returns its value and what is left, by a problem of its own; None where it is no cause. It gets the drive
+            as declared, the best fit and the least error of the others.
+    """
+
+    name: str
+    title: str
+    called: str = ""
+    describe: Callable[[Finding, LoopCheck, bool], str] | None = None
+    vary: Callable[[ClosedLoopProblem, FloatArray], Iterable[FaultSignature]] | None = None
+    try_mechanics: Callable[[FlexibleJoint, Simulation, Mapping[str, float]], Iterable[Trial]] | None = None
+    search: Callable[[ClosedLoopProblem, FloatArray, Hint], Sequence[FaultSignature]] | None = None
+    applies: Callable[[Joint], bool] | None = None
+    declared: float | None = 0.0
+    one_sided: bool = False
+    mechanical: bool = False
+    last: bool = False
+    kin: str = ""
+    measure: Measure = Measure.DECLARED
+    reason: Reason = Reason.LOOP_NOT_AS_DECLARED
+    table: Literal["", "spring", "friction"] = ""
+    laws: tuple[str, ...] = ()
+    remedy: Callable[[FaultTest], str] | None = None
+    free: Callable[[ClosedLoopProblem, FaultTest], tuple[ClosedLoopProblem, float]] | None = None
+    value: Callable[[ClosedLoopProblem, float], float] | None = None
+    correct: Callable[[Hypothesis], Iterable[Hypothesis]] | None = None
+    clause: str | Callable[[float | None, ClosedLoop, Shown], str] = ""
+    meanings: Callable[[float | None, ClosedLoop, Shown], Iterable[Meaning]] | None = None
+    negligible: Callable[[float | None, ClosedLoop, float], bool] | None = None
+    must_leave: float = 0.85
+    more_than_responses: float = 1.15
+    doubt: str = ""
+    refine: Callable[[Fit, ClosedLoop], Fit] | None = None
+    judge: Callable[[Hypothesis, Fit | None, float], tuple[float | None, float] | None] | None = None
+
+    @property
+    def phrase(self) -> str:
+        """Noun phrase of a sentence."""
+        return self.called or f"a {self.title}"
+
+    def __str__(self) -> str:
+        return self.name
+
+    def explain(self, value: float | None, loop: ClosedLoop, shown: Shown) -> Iterable[Meaning]:
+        """Return what it stands for as a cause: several faults where no record distinguishes them."""
+        if self.meanings is not None:
+            return self.meanings(value, loop, shown)
+        if callable(self.clause):
+            return ((self, self.clause(value, loop, shown), value),)
+        known = value or 0.0
+        clause = self.clause.format(value=number(value, 2), ms=milliseconds(known), fine=f"{1e3 * known:.4g}")
+        return ((self, clause, value),)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FaultSignature:
+    """Change of the torque by one fault.
+
+    Attributes:
+        fault: that makes it.
+        column: (rows,) change of the filtered torque per unit of its size: a derivative, or of a size that was tried.
+        shape: the level of a limit, a Stribeck speed, a gap or a frequency that was tried; None where the fault has
+            no shape.
+        tried: how many shapes this one was chosen from.
+        raw: (samples,) the column before the filter, where a problem has no parameter for the fault.
+    """
+
+    fault: Fault
+    column: FloatArray
+    shape: float | None = None
+    raw: FloatArray | None = None
+    tried: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class FaultTest:
+    """Test of one fault.
+
+    Attributes:
+        fault: that is tested.
+        alike: faults that no record of this loop can distinguish from it.
+        declared: value; 0 for what is not declared at all.
+        size: value less the declared one; of a limit, the observed share of what it cuts off.
+        std: standard deviation of the size, autocorrelation-robust.
+        statistic: their ratio.
+        p_value: adjusted for all tests of the record together.
+        shape: the level of a limit in the torque's unit, or a Stribeck speed.
+    """
+
+    fault: Fault
+    alike: tuple[Fault, ...]
+    declared: float
+    size: float
+    std: float
+    statistic: float
+    p_value: float
+    shape: float | None = None
+
+    @property
+    def name(self) -> str:
+        """Code of the fault."""
+        return self.fault.name
+
+    @property
+    def label(self) -> str:
+        """Codes of the fault and of those it cannot be distinguished from."""
+        return " or ".join(one.name for one in (self.fault, *self.alike))
+
+    @property
+    def title(self) -> str:
+        """Titles of the fault and of those it cannot be distinguished from."""
+        return " or ".join(one.title for one in (self.fault, *self.alike))
+
+    @property
+    def strength(self) -> float:
+        """The absolute statistic; at least 0 for a fault that can only be positive."""
+        return max(self.statistic, 0.0) if self.fault.one_sided else abs(self.statistic)
+
+    def show_size(self, unit: str, *, spread: bool, factor: float = 1.0) -> str:
+        """Return the size and, with `spread`, its interval; "" where the interval contains 0."""
+        if 2 * self.std >= abs(self.size):
+            return ""
+        size = number(abs(factor * self.size), 3 if spread else 2)
+        interval = f" +- {number(2 * factor * self.std, 2)}" if spread else ""
+        return f"{size}{interval} {unit}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hint:
+    """What the tests show before the shape of a fault is searched for.
+
+    Attributes:
+        residual: (rows,) of the problem.
+        own: (rows, columns) by its free parameters, and of what was corrected.
+        whiten: makes both white.
+        test: of the fault in the shapes that were tried; None where none was.
+        level: p-value of a fault that is found.
+    """
+
+    residual: FloatArray
+    own: FloatArray
+    whiten: Callable[[FloatArray], FloatArray]
+    test: FaultTest | None
+    level: float
+
+
+def name_number(name: str) -> str:
+    """Return a number's name in words, also a filter's: "time constant of the velocity filter"."""
+    *owner, last = name.replace("_", " ").split(".")
+    if len(owner) == 2:  # one of several, which are counted
+        return f"{last} of {owner[0].removesuffix('s')} {owner[1]}"
+    return f"{last} of the {owner[0]}" if owner else last
+
+
+def call_number(name: str) -> str:
+    """Return a number's name as a sentence calls it."""
+    return f"the {name_number(name)}"
+
+
+def milliseconds(seconds: float) -> str:
+    """Return a time in ms; one that no drive keeps is 0."""
+    return "0" if abs(seconds) < MICROSECOND else number(1e3 * seconds, 2)
+
+
+def words(*parts: str) -> str:
+    """Return the parts that are not empty, with spaces between them."""
+    return " ".join(filter(None, parts))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypothesis:
+    """One fault corrected, or none.
+
+    A number of the controller that is not known is free, and the search begins from several loops.
+
+    Attributes:
+        fault: that is corrected; None for the drive as it is declared.
+        record: corrected.
+        loops: corrected, one for each start of the number that is not known.
+        filtering: resolved for this record.
+        free: name of that number; None where there is none.
+        factor: by which the record was corrected, where that is a number.
+        number: returns the number of a problem that was put right by the choice of a loop.
+    """
+
+    fault: Fault | None
+    record: Record
+    loops: tuple[ClosedLoop, ...]
+    filtering: Filtering
+    free: str | None = None
+    factor: float | None = None
+    number: Callable[[ClosedLoopProblem], float] | None = None
+
+    @property
+    def controller(self) -> Any:
+        """The controller of the first loop."""
+        return self.loops[0].controller
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """The numbers of that controller."""
+        return numbers_of(self.controller)
+
+    @property
+    def period(self) -> float:
+        """The controller's period, s: the torque's where none is declared."""
+        assert self.record.torque is not None
+        return getattr(self.controller, "period", None) or self.record.torque.sample_time
+
+    def under(self, controllers: Sequence[Any], free: str | None = None) -> Hypothesis:
+        """Return the hypothesis with other controllers."""
+        return replace(self, loops=tuple(replace(self.loops[0], controller=one) for one in controllers), free=free)
+
+    def starting_at(self, name: str, values: Sequence[float]) -> Hypothesis:
+        """Return the hypothesis with a number of the controller free, and its starts."""
+        return self.under([with_numbers(self.controller, {name: value}) for value in values], name)
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """Cause that explains a record.
+
+    Attributes:
+        fault: the cause.
+        words: what is wrong.
+        value: what a number should be declared as, in the unit of the declaration, or of the record's factors by how
+            much it is too large; None where no number is wrong.
+        error: share of the filtered torque that is left with it corrected.
+    """
+
+    fault: Fault
+    words: str
+    value: float | None
+    error: float

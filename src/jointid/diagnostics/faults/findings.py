@@ -1,0 +1,218 @@
+"""Result of the check of a loop: the faults found, their sizes, what they change, and the sentences that state it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from jointid.common.document import Document, Documented, Listing, Table
+from jointid.common.messages import Message
+from jointid.common.text import number, signed
+from jointid.common.transmission import Side
+from jointid.diagnostics.faults.fault import Fault, FaultTest, Shown, call_number
+from jointid.models.controllers import Controller
+from jointid.models.controllers.drive_numbers import DriveNumber
+from jointid.uncertainty.verdict import Reason, Status
+
+_SMALLEST_SHIFT = 0.5  # of a deviation: a smaller change of a parameter is not listed
+_LISTED = 3  # parameters in a sentence, at most
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterShift:
+    """Change of a parameter when a fault is corrected: in its unit, and in its standard deviations."""
+
+    by: float
+    sigmas: float
+
+
+@dataclass(frozen=True, slots=True)
+class OtherLaw:
+    """A law that a drive may run instead of the declared one.
+
+    Attributes:
+        parts: what is other in it, as faults of the loop.
+        words: what the drive does then.
+        remedy: how it is declared.
+        controller: it.
+        rate: of it, Hz, where that is what is other.
+    """
+
+    parts: tuple[Fault, ...]
+    words: str
+    remedy: str
+    controller: Controller
+    rate: float = 0.0
+
+    @property
+    def fault(self) -> Fault:
+        """The law as one fault of the loop: of several parts named as all of them."""
+        if len(self.parts) == 1:
+            return self.parts[0]
+        name, title, called = (
+            " and ".join(each) for each in zip(*((p.name, p.title, p.phrase) for p in self.parts), strict=True)
+        )
+        return Fault(name, title, called, self.parts[0].describe)
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Fault that was found.
+
+    Attributes:
+        test: of the fault, those found before it corrected.
+        value: estimated, in the unit of the declaration; None where no parameter stands for the fault.
+        rivals: tests of faults that are at most 20 times less likely.
+        changes: of the joint's parameters, by name, when it is corrected.
+        law: that the drive runs instead of the declared one, where that is the fault.
+        left: share of the filtered torque that is left under that law, or where the joint has that fault.
+        alike: laws that explain as much as that one, the likeliest first.
+    """
+
+    test: FaultTest
+    value: float | None
+    rivals: tuple[FaultTest, ...]
+    changes: Mapping[str, ParameterShift]
+    law: OtherLaw | None = None
+    left: float | None = None
+    alike: tuple[OtherLaw, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class LoopCheck(Documented):
+    """Faults of loop and log that were found, and the tests of all.
+
+    Attributes:
+        findings: faults found, the likeliest first.
+        tests: of every fault as if it were the only one, the likeliest first.
+        level: largest share of records without a fault in which one is found.
+        symbols: of the joint's parameters, by name.
+        units: of the joint's parameters by name, and of "torque", "position" and "velocity".
+        side: of the transmission, on which all of these numbers are; None without one.
+        undecided: a law that the drive may run instead of the declared one, where the record excludes neither, and
+            a parameter would move out of its interval.
+        law: the controller's numbers as they are declared.
+        shown: how the drive shows those that the joint file declares, by the law's names.
+        laws: names of springs, and of frictions beyond lines, that the joint may have instead of its own.
+    """
+
+    findings: tuple[Finding, ...]
+    tests: tuple[FaultTest, ...]
+    level: float
+    symbols: Mapping[str, str]
+    units: Mapping[str, str]
+    side: Side | None = None
+    undecided: Finding | None = None
+    law: Mapping[str, float] = field(default_factory=dict)
+    shown: Shown = field(default_factory=dict)
+    laws: tuple[str, ...] = ()
+
+    @property
+    def as_declared(self) -> bool:
+        """True if no fault was found."""
+        return not self.findings
+
+    @property
+    def status(self) -> Status:
+        """Passed where loop and log are as declared; unknown where another law would matter that is not excluded."""
+        return Status.of(None if self.as_declared and self.undecided is not None else self.as_declared)
+
+    @property
+    def reasons(self) -> tuple[Message, ...]:
+        """The faults found, one message each; one that says so where there are none."""
+        undecided = () if self.undecided is None else (self._describe_undecided(self.undecided),)
+        if self.findings or undecided:
+            return (*map(self._describe, self.findings), *undecided)
+        least = min((s.p_value for s in self.tests), default=1.0)
+        names = ", ".join(s.title for s in self.tests)
+        said = f"loop and log are as declared as far as this record shows ({names}: p >= {number(least, 2)})"
+        return (Message(Reason.LOOP_AS_DECLARED, said, {"p_value": least}),)
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """The words of the reasons."""
+        return tuple(map(str, self.reasons))
+
+    def document(self, *, details: bool = False) -> Document:
+        """Return the faults found, and the table of all tests; there are no further details."""
+        del details
+        return Document("Controller and log", (Listing(self.sentences), self.table()))
+
+    def table(self, caption: str = "") -> Table:
+        """Return the table of all tests, each as if nothing else were wrong."""
+        rows = tuple(
+            (s.label, f"{s.size:+.3g}", number(2 * s.std, 2), f"{s.statistic:+.1f}", number(s.p_value, 2))
+            for s in self.tests
+        )
+        return Table(("fault", "more than declared", "2 sigma", "statistic", "p"), rows, caption)
+
+    @property
+    def open_law(self) -> OtherLaw | None:
+        """The law that is reported as undecided."""
+        return None if self.undecided is None else self.undecided.law
+
+    def on_side(self, quantity: str) -> str:
+        """Return a quantity's unit with the side of the transmission."""
+        return self.units[quantity] if self.side is None else f"{self.units[quantity]} on the {self.side} side"
+
+    def in_drive(self, fault: Fault) -> DriveNumber | None:
+        """Return how the drive shows a number, where the joint file declares it in a unit."""
+        there = self.shown.get(fault.name)
+        return there if there is not None and there.unit and there.declared else None
+
+    def call(self, *faults: Fault) -> str:
+        """Return faults as a sentence calls them, a number as its drive does."""
+        shown = ((fault, self.in_drive(fault)) for fault in faults)
+        return " or ".join(fault.phrase if there is None else call_number(there.name) for fault, there in shown)
+
+    def _describe_undecided(self, finding: Finding) -> Message:
+        """Return what another law would change that the record does not exclude."""
+        assert finding.law is not None
+        law, s = finding.law, finding.test
+        clause = f"it may be that {law.words}, which this record does not exclude"
+        share = f"{number(s.size, 2)} +- {number(2 * s.std, 2)}, where 0 is as declared and 1 is that"
+        said = f"{clause} ({share}){self._describe_changes(finding, 'it would change')}"
+        said += f"; see the drive's manual, or record a faster motion: if so, declare {law.remedy}"
+        said += "; if it has the log's period, declare that" if law.rate else ""
+        values = {"law": law.fault.name, "condition": law.words, "size": s.size, "std": s.std, "p_value": s.p_value}
+        values |= {"changes": {name: change.by for name, change in finding.changes.items()}}
+        return Message(Reason.LAW_UNDECIDED, said, values, clause)
+
+    def _describe_changes(self, finding: Finding, before: str) -> str:
+        far = sorted(finding.changes.items(), key=lambda item: -abs(item[1].sigmas))[:_LISTED]
+        moved = [
+            f"{self.symbols[name]} by {signed(change.by, 3)} {self.units[name]} ({abs(change.sigmas):.1f} sigma)"
+            for name, change in far
+            if abs(change.sigmas) >= _SMALLEST_SHIFT
+        ]
+        return f"; {before} {', '.join(moved)}" if moved else ""
+
+    def _describe(self, finding: Finding) -> Message:
+        s = finding.test
+        assert s.fault.describe is not None
+        p_value = "p < 1e-6" if s.p_value < 1e-6 else f"p = {number(s.p_value, 2)}"
+        said, clause = f"{s.fault.describe(finding, self, True)} ({p_value})", s.fault.describe(finding, self, False)
+        if s.alike:
+            alike = self.call(*s.alike)
+            also = f", or so is {alike}" if self.in_drive(s.fault) is None else f", or {alike} is off by as much"
+            said += f"{also}, which this loop cannot distinguish from {self.call(s.fault)}"
+            clause += also
+        if finding.rivals:
+            rivals = (self.call(rival.fault, *rival.alike) for rival in finding.rivals)
+            said += f"; {' or '.join(rivals)} would explain nearly as much"
+        said += self._describe_changes(finding, "correcting it changes") + self._name_laws(finding)
+        values = {"suspect": s.name, "alike": [one.name for one in s.alike], "more_than_declared": s.size}
+        values |= {"std": s.std, "p_value": s.p_value}
+        values |= {"changes": {name: change.by for name, change in finding.changes.items()}}
+        return Message(s.fault.reason, said, values, clause)
+
+    def _name_laws(self, finding: Finding) -> str:
+        """Return which law of spring or friction has what was found, as the end of a sentence; "" where none has."""
+        fault, table = finding.test.fault, finding.test.fault.table
+        if fault.remedy is not None:
+            return fault.remedy(finding.test)
+        named = (fault, *finding.test.alike, *(rival.fault for rival in finding.rivals))
+        laws = dict.fromkeys(law for one in named if one.table == table for law in one.laws if law in self.laws)
+        tried = " or ".join(f'"{law}"' for law in laws)
+        verb = "springs" if table == "spring" else table
+        return f"; to identify it, set joint.{table} = {tried}, as jointid diagnose {verb} tells" if laws else ""

@@ -1,0 +1,325 @@
+"""Numbers of the controller, and the gain and the delay of the log.
+
+A gain or a time of the controller that is off by little is tested by its exact derivative. One that is off by much is
+free in a hypothesis, and the search begins at multiples of what is declared.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from functools import cache, partial
+from typing import Any
+
+from jointid.common.text import number
+from jointid.diagnostics.faults.fault import (
+    MICROSECOND,
+    Fault,
+    FaultTest,
+    Hypothesis,
+    Measure,
+    Shown,
+    call_number,
+    milliseconds,
+    name_number,
+    words,
+)
+from jointid.diagnostics.faults.findings import Finding, LoopCheck
+from jointid.models.controllers import FirstOrder, numbers_of, with_numbers
+from jointid.models.controllers.drive_numbers import DriveNumber
+from jointid.models.joints import ClosedLoop
+
+_FACTOR = "torque, reference, ratio or a gain is wrong by a"
+_GAINS = (0.1, 0.3, 0.6, 1.6, 3.0, 10.0)  # times a declared gain
+_INTEGRALS = (1e-3, 0.01, 0.1, 10.0, 100.0, 1e3)  # times a declared integral gain: its time may be in ms, read in s
+_NEW_INTEGRALS = (1.0, 10.0, 100.0)  # 1/s, of what they act beside, where none is declared
+_LATE = (1.0, 3.0, 8.0)  # periods of a delay or a filter
+_HARDLY = 0.1  # periods: a filter or a delay that is off by less is none
+_SMALL = math.log(1.5)  # a number that is off by less is left to its test, which gives an interval
+_UNIT_SLIP = 1000.0  # s for ms
+_ROUGHLY = 2.0  # times: a gain that is found so near to a unit's factor is off by that
+
+
+# Words
+
+
+def show(there: DriveNumber, value: float, law: Mapping[str, float]) -> str:
+    """Return a number of a law as the drive shows it, with its unit."""
+    return f"{number(there.of(value, law), 3)} {there.unit}".rstrip()
+
+
+def _show_times_beside(name: str, value: float, law: Mapping[str, float], shown: Iterable[DriveNumber]) -> str:
+    """Return the times that change with a gain which they are per, where their own gains stay; else nothing."""
+    beside = (one for one in shown if one.per == name and law.get(one.number))
+    return "".join(
+        f", with {call_number(one.name)} {show(one, law[one.number], {**law, name: value})}" for one in beside
+    )
+
+
+def describe_number(finding: Finding, check: LoopCheck, spread: bool) -> str:
+    """Return by how much a number differs from its declaration."""
+    s = finding.test
+    there = check.in_drive(s.fault)
+    if there is None:
+        return _describe_difference(check.call(s.fault), s, spread=spread)
+    differs = describe_in_drive(there, s, check.law, spread=spread)
+    return differs + _show_times_beside(s.name, s.declared + s.size, check.law, check.shown.values())
+
+
+def _describe_difference(name: str, s: FaultTest, *, spread: bool) -> str:
+    """Return by how much a number differs from what is declared, in percent of that, or that it cannot be this number.
+
+    A sensitivity is no guide to a change as large as the number itself; and nothing is smaller by more than all of it.
+    """
+    scale = abs(s.declared)
+    share, deviation = s.size / scale, 2 * s.std / scale
+    if (no_size := _describe_no_size(name, share, deviation, share > 0)) is not None:
+        return no_size
+    if share > 1:
+        times = f"{number(1 + share, 2)} times"
+        return f"{_FACTOR} factor ({name} alone would be about {times} as large)"
+    if share - deviation <= -1:
+        return f"{name} is at least {number(100 * (abs(share) - deviation), 2)} % smaller than declared"
+    percent = number(100 * abs(share), 2) + (f" +- {number(100 * deviation, 2)}" if spread else "")
+    return f"{name} is {percent} % {'larger' if share > 0 else 'smaller'} than declared"
+
+
+def describe_in_drive(there: DriveNumber, s: FaultTest, law: Mapping[str, float], *, spread: bool) -> str:
+    """Return a number and its declared value, both as the drive shows them: a time for a gain, for example.
+
+    Args:
+        there: how the drive shows it.
+        s: the test of the number.
+        law: the numbers as they are declared.
+        spread: whether to give the interval, the longer half of it.
+    """
+    name, value = call_number(there.name), s.declared + s.size
+    share, deviation = s.size / abs(s.declared), 2 * s.std / abs(s.declared)
+    if (no_size := _describe_no_size(name, share, deviation, (share > 0) is not there.inverse)) is not None:
+        return no_size
+    declared = f"declared {there.of(s.declared, law):.6g} {there.unit}"
+    if share > 1:
+        return f"{_FACTOR} factor ({name} alone would be about {show(there, value, law)}, {declared})"
+    if share - deviation <= -1:
+        bound = "least" if there.inverse else "most"
+        return f"{name} is at {bound} {show(there, value + 2 * s.std, law)}, {declared}"
+    told = there.of(value, law)
+    far = max(abs(there.of(value + by, law) - told) for by in (-2 * s.std, 2 * s.std))
+    interval = f" +- {number(far, 2)}" if spread else ""
+    digits = max(3, 1 + math.ceil(-math.log10(abs(share))))  # so many that the two are not the same
+    return f"{name} is {number(told, digits)}{interval} {there.unit}, {declared}"
+
+
+def _describe_no_size(name: str, share: float, deviation: float, more: bool) -> str | None:
+    """Return the clause where a size would be absurd, or is not known; else None."""
+    if share <= -1:
+        return f"{_FACTOR} large factor ({name} alone would have to change its sign)"
+    if share <= 1 and deviation >= abs(share):
+        return f"{name} is {'larger' if more else 'smaller'} than declared, by how much this record does not tell"
+    return None
+
+
+def _describe_delay(what: str, than: str, finding: Finding, _: LoopCheck, spread: bool) -> str:
+    """Return by how much the torque is later or earlier."""
+    s = finding.test
+    unit, factor = ("ms", 1e3) if abs(s.size) >= MICROSECOND else ("us", 1e6)
+    size = s.show_size(unit, spread=spread, factor=factor)
+    clause = words(what, size, "later" if s.size > 0 else "earlier", f"than {than}")
+    if s.fault is DELAY and s.size < 0 and s.declared <= 0.0:  # no torque comes before its command
+        clause += ", as where the controller runs faster than the log: declare its period"
+    return clause
+
+
+# Gains
+
+
+def _try_gain(name: str, declared: Hypothesis) -> Iterator[Hypothesis]:
+    if value := declared.numbers.get(name):
+        yield declared.starting_at(name, [factor * value for factor in _GAINS])
+
+
+def _try_integral(declared: Hypothesis) -> Iterator[Hypothesis]:
+    numbers = declared.numbers
+    if numbers.get("integral_gain"):
+        yield declared.starting_at("integral_gain", [factor * numbers["integral_gain"] for factor in _INTEGRALS])
+        yield declared.under([replace(declared.controller, integral_gain=0.0)])
+    elif "integral_gain" in numbers:
+        unit = 1.0 if "velocity_gain" in numbers else numbers["position_gain"]
+        yield declared.starting_at("integral_gain", [one * unit for one in _NEW_INTEGRALS])
+
+
+def _say_gain(name: str, value: float | None, loop: ClosedLoop, shown: Shown) -> str:
+    """Return that a gain is another one than declared, as the drive shows both, and the unit that may be mistaken."""
+    there, law = shown.get(name) or DriveNumber(name, name, "", 1.0), numbers_of(loop.controller)
+    if value is None:
+        return f"the declared {name_number(there.name)} is not there"
+    clause, declared = f"{call_number(there.name)} is about {show(there, value, law)}", law.get(name) or 0.0
+    if not declared:
+        return f"{clause}, and is not declared"
+    clause += f", not {show(there, declared, law)}" + _show_times_beside(name, value, law, shown.values())
+    factor = value / declared
+    if name != "integral_gain" or abs(math.log(max(factor, 1 / factor) / _UNIT_SLIP)) >= math.log(_ROUGHLY):
+        return clause
+    less = (factor > 1) is there.inverse  # a time is so much shorter as its gain is larger
+    meant, read = ("ms", "s") if factor > 1 else ("s", "ms")
+    whose = "its unit" if there.inverse else "the unit of the integral time"
+    return f"{clause}: about 1000 times {'less' if less else 'more'}; {whose} may be {meant}, not {read}"
+
+
+def is_small_factor(value: float | None, *_: object) -> bool:
+    """Return True if a factor is so near to 1 that it is no cause."""
+    return value is not None and value > 0 and abs(math.log(value)) < _SMALL
+
+
+def _is_small_gain(name: str, value: float | None, loop: ClosedLoop, _: float) -> bool:
+    declared = numbers_of(loop.controller).get(name, 0.0)
+    return value is not None and declared > 0 and is_small_factor(value / declared)
+
+
+def _gain(name: str, correct: Any = None) -> Fault:
+    """Return the fault of a gain that is tested and is free in a hypothesis."""
+    return Fault(
+        name, name_number(name), call_number(name), describe_number, declared=None,
+        correct=correct or partial(_try_gain, name), clause=partial(_say_gain, name),
+        negligible=partial(_is_small_gain, name),
+    )  # fmt: skip
+
+
+def _swap_gains(declared: Hypothesis) -> Iterator[Hypothesis]:
+    numbers, other = declared.numbers, _other_gain(declared.numbers)
+    if numbers.get("position_gain") and numbers.get(other):
+        gains = {"position_gain": numbers[other], other: numbers["position_gain"]}
+        yield declared.under([with_numbers(declared.controller, gains)])
+
+
+def _other_gain(numbers: Mapping[str, float]) -> str:
+    return "velocity_gain" if "velocity_gain" in numbers else "derivative_gain"
+
+
+SWAPPED_GAINS = Fault(
+    "swapped_gains", "swapped gains", correct=_swap_gains,
+    clause=lambda _, loop, __: f"position gain and {name_number(_other_gain(numbers_of(loop.controller)))} are swapped",
+)  # fmt: skip
+
+
+# Filters and delays
+
+
+def _is_short(name: str, value: float | None, loop: ClosedLoop, period: float) -> bool:
+    """Whether a time differs from the declared one by a small part of a period."""
+    return value is not None and abs(value - numbers_of(loop.controller).get(name, 0.0)) < _HARDLY * period
+
+
+def _filters(declared: Hypothesis) -> list[FirstOrder]:
+    return [FirstOrder(late * declared.period) for late in _LATE]
+
+
+def _try_velocity_filter(declared: Hypothesis) -> Iterator[Hypothesis]:
+    law = declared.controller
+    if hasattr(law, "velocity_filter"):
+        others = [replace(law, velocity_filter=one) for one in _filters(declared)]
+        yield declared.under(others, "velocity_filter.time_constant")
+        yield declared.under([replace(law, velocity_filter=(1.0,))])
+
+
+def _say_velocity_filter(value: float | None, loop: ClosedLoop, shown: Shown) -> str:
+    if value is None:
+        return "the declared velocity filter is not there"
+    there = shown.get("velocity_filter.time_constant")
+    as_cutoff = there is not None and there.inverse and value >= MICROSECOND
+    size = show(there, value, numbers_of(loop.controller)) if there and as_cutoff else f"{milliseconds(value)} ms"
+    return f"the velocity filter is another one, such as one of first order with {size}"
+
+
+def _is_small_velocity_filter(value: float | None, loop: ClosedLoop, period: float) -> bool:
+    declared = getattr(loop.controller, "velocity_filter", (1.0,))
+    if isinstance(declared, tuple) and declared != (1.0,):
+        return False  # a first order in the place of taps is no small change
+    return _is_short("velocity_filter.time_constant", value, loop, period)
+
+
+VELOCITY_FILTER = Fault(
+    "velocity_filter", "velocity filter", "the velocity filter", correct=_try_velocity_filter,
+    clause=_say_velocity_filter, negligible=_is_small_velocity_filter,
+)  # fmt: skip
+
+
+def _try_torque_filter(declared: Hypothesis) -> Iterator[Hypothesis]:
+    law = declared.controller
+    if hasattr(law, "torque_filters"):
+        more = [replace(law, torque_filters=(one, *law.torque_filters)) for one in _filters(declared)]
+        yield declared.under(more, "torque_filters.0.time_constant")
+
+
+TORQUE_FILTER = Fault(
+    "torque_filter", "torque filter", correct=_try_torque_filter,
+    clause="there is one more torque filter, such as one of first order with {ms} ms",
+    negligible=partial(_is_short, ""),  # one more than those that are declared
+)  # fmt: skip
+
+
+def _try_feedforward(declared: Hypothesis) -> Iterator[Hypothesis]:
+    law, numbers = declared.controller, declared.numbers
+    if "velocity_feedforward" in numbers:
+        ahead = 0.0 if numbers["velocity_feedforward"] else 1.0
+        yield declared.under([replace(law, velocity_feedforward=ahead)])
+    elif hasattr(law, "reference_velocity"):
+        read = "difference" if law.reference_velocity == "none" else "none"
+        yield declared.under([replace(law, reference_velocity=read)])
+
+
+def _say_feedforward(_: float | None, loop: ClosedLoop, __: Shown) -> str:
+    law = loop.controller
+    if hasattr(law, "velocity_feedforward"):
+        return f"the velocity feed-forward is {'not there' if law.velocity_feedforward else 'not declared'}"
+    reads = "reads" if getattr(law, "reference_velocity", "none") == "none" else "does not read"
+    return f"the law {reads} the reference's velocity"
+
+
+VELOCITY_FEEDFORWARD = Fault(
+    "velocity_feedforward", "velocity feedforward", "the velocity feedforward", describe_number, declared=None,
+    correct=_try_feedforward, clause=_say_feedforward,
+)  # fmt: skip
+
+
+def _try_delay(name: str, declared: Hypothesis) -> Iterator[Hypothesis]:
+    if name in declared.numbers:
+        yield declared.starting_at(name, [declared.numbers[name] + late * declared.period for late in _LATE])
+
+
+def _say_delay(value: float | None, loop: ClosedLoop, _: Shown) -> str:
+    declared = numbers_of(loop.controller).get("delay", 0.0)
+    return f"the delay is about {milliseconds(value or 0.0)} ms, not {milliseconds(declared)} ms"
+
+
+DELAY = Fault(
+    "delay", "delay of the torque", "the delay", partial(_describe_delay, "the torque reacts", "declared"),
+    declared=None, measure=Measure.TIME, correct=partial(_try_delay, "delay"), clause=_say_delay,
+    negligible=partial(_is_short, "delay"),
+)  # fmt: skip
+REFERENCE_DELAY = Fault(
+    "reference_delay", "reference delay", "the reference delay", describe_number, declared=None, measure=Measure.TIME,
+    correct=partial(_try_delay, "reference_delay"), clause="the law sees the reference about {ms} ms late",
+    negligible=partial(_is_short, "reference_delay"),
+)  # fmt: skip
+LOG_DELAY = Fault(
+    "log_delay", "delay of the log", "the log delay",
+    partial(_describe_delay, "the logged torque is", "its time stamps say"), declared=None, measure=Measure.TIME,
+)  # fmt: skip
+LOG_GAIN = Fault("log_gain", "size of the logged torque", "the logged torque", describe_number, declared=None)
+GAIN = Fault("gain", "gain of the controller's output", "the gain", describe_number, declared=None, last=True)
+
+FAULTS = (
+    _gain("position_gain"), _gain("derivative_gain"), SWAPPED_GAINS, _gain("integral_gain", _try_integral),
+    VELOCITY_FILTER, TORQUE_FILTER, VELOCITY_FEEDFORWARD, DELAY, REFERENCE_DELAY, GAIN, LOG_GAIN, LOG_DELAY,
+)  # fmt: skip
+_BY_NAME = {one.name: one for one in FAULTS}
+
+
+@cache
+def number_fault(name: str) -> Fault:
+    """Return the fault of a number of the controller or the log that is not as declared."""
+    if name in _BY_NAME:
+        return _BY_NAME[name]
+    return Fault(name, name_number(name), call_number(name), describe_number, declared=None)

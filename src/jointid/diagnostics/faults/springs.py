@@ -1,0 +1,113 @@
+"""Faults of the spring: not linear, with a backlash, and a load that is not rigid behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.text import number
+from jointid.diagnostics.faults.fault import Fault, FaultSignature, Hint, Measure, words
+from jointid.diagnostics.faults.findings import Finding, LoopCheck
+from jointid.diagnostics.faults.trials import Trial, list_trials, search
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.models.joints import FlexibleJoint, springs_beside
+from jointid.models.springs import Backlash, CubicSpring, ElasticLoad, ThreePieceSpring
+from jointid.simulation.closed_loop import Simulation, in_threads
+from jointid.uncertainty.verdict import Reason
+
+_SHARE, _MODES = 0.25, (1.4, 1.8, 2.3, 3.0, 4.0)  # of the load that swings, at times the first mode
+_LEAST = 0.05  # of the load: a smaller part rings at any frequency that the noise has, and moves no other parameter
+_WORTH_A_SEARCH = 1.5  # deviations of a load that swings as tried
+
+
+def _largest_windup(joint: FlexibleJoint, run: Simulation, values: Mapping[str, float]) -> float:
+    """Return the largest wind-up of a linear spring; 0 where no other law can be tried."""
+    assert run.load_position is not None
+    windup = float(np.max(np.abs(run.motor_position - run.load_position)))
+    possible = joint.spring.linear and values["stiffness"] > 0.0 and values["load_inertia"] > 0.0
+    return windup if possible else 0.0
+
+
+def _try_cubic(joint: FlexibleJoint, run: Simulation, values: Mapping[str, float]) -> Iterator[Trial]:
+    """Yield springs that are stiffer at the largest wind-up than near none, smoothly or in pieces."""
+    windup = _largest_windup(joint, run, values)
+    for law in springs_beside(joint):
+        if windup and isinstance(law, CubicSpring | ThreePieceSpring):
+            for start in law.starts(values, windup):
+                torque = law.torque({**values, **start}, np.array([windup]), np.zeros(1))
+                more = float(torque[0]) / (start["stiffness"] * windup) - 1.0
+                yield Trial(CUBIC_SPRING, replace(joint, spring=law), start, more, more)
+
+
+def _describe_cubic(finding: Finding, _: LoopCheck, spread: bool) -> str:
+    s = finding.test  # "or more", as one step towards a large size is short
+    size = s.show_size("%", spread=spread, factor=100.0)
+    sense = "stiffer" if s.size > 0 else "softer"
+    return words("the spring is not linear:", size and f"{size} or more", sense, "at the largest torque than near none")
+
+
+CUBIC_SPRING = Fault(
+    "cubic_spring", "spring that is not linear", describe=_describe_cubic, try_mechanics=_try_cubic, mechanical=True,
+    kin="spring law", measure=Measure.SHARE, reason=Reason.SPRING_NOT_LINEAR, table="spring",
+    laws=(ThreePieceSpring.name, CubicSpring.name),
+)  # fmt: skip
+
+
+def _try_backlash(joint: FlexibleJoint, run: Simulation, values: Mapping[str, float]) -> Iterator[Trial]:
+    """Yield springs that push only behind a gap; the size says how many gaps of a width that is tried."""
+    windup = _largest_windup(joint, run, values)
+    for law in springs_beside(joint):
+        if windup and isinstance(law, Backlash):
+            for start in law.starts(values, windup):
+                yield Trial(BACKLASH, replace(joint, spring=law), start, 1.0, 0.5 * start["gap"])
+
+
+BACKLASH = Fault(
+    "backlash", "backlash", try_mechanics=_try_backlash, mechanical=True, one_sided=True,
+    describe=lambda finding, check, _: "the transmission has a backlash of some "
+    f"{number(2 * finding.test.size * (finding.test.shape or 0.0), 2)} {check.on_side('position')} or more",
+    kin="spring law", reason=Reason.SPRING_NOT_LINEAR, table="spring", laws=(Backlash.name,),
+)  # fmt: skip
+
+
+def _try_second_mode(joint: FlexibleJoint, run: Simulation, values: Mapping[str, float]) -> Iterator[Trial]:
+    """Yield joints of which a share of the load swings on a spring of its own, at a few times the first mode."""
+    for law in springs_beside(joint):
+        if _largest_windup(joint, run, values) and isinstance(law, ElasticLoad):
+            first = joint.frequencies(values)["free_free"]
+            for times in _MODES:
+                start = law.start(values, _SHARE, times)
+                yield Trial(SECOND_MODE, replace(joint, spring=law), start, _SHARE, times * first)
+
+
+def _search_second_mode(problem: ClosedLoopProblem, x: FloatArray, hint: Hint) -> list[FaultSignature]:
+    """Return the signatures of a load that swings, where searches for it end at one.
+
+    The modes that are tried are few, and what swings moves all the rest: from three of them a search of some steps
+    finds what a small part of it shows.
+    """
+    test = hint.test
+    if test is None or test.p_value <= hint.level or test.strength < _WORTH_A_SEARCH:
+        return []
+    joint, found = problem.joint, []
+    assert isinstance(joint, FlexibleJoint)
+    trials = list_trials(problem, x, SECOND_MODE)[::2]
+    for end in in_threads(lambda trial: search(problem, x, trial), trials):
+        if end is not None and (share := end.values["swinging_share"]) > _LEAST:
+            raw, mode = end.change / share, joint.frequencies(end.values)["second_free_free"]
+            found.append(FaultSignature(SECOND_MODE, problem.filtered(raw), mode, raw))
+    return found
+
+
+SECOND_MODE = Fault(
+    "second_mode", "load that swings in itself", try_mechanics=_try_second_mode,
+    describe=lambda finding, *_: "a part of the load swings on a spring of its own, somewhere about "
+    f"{number(finding.test.shape, 2)} Hz",
+    search=_search_second_mode, mechanical=True, one_sided=True, measure=Measure.SHARE,
+    reason=Reason.LOAD_NOT_RIGID, table="spring", laws=(ElasticLoad.name,),
+)  # fmt: skip
+
+FAULTS = (CUBIC_SPRING, BACKLASH, SECOND_MODE)

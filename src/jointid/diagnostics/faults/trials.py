@@ -1,0 +1,132 @@
+"""Trials of faults of a flexible joint's mechanics.
+
+The signature of such a fault is the change of the torque where the joint has it, as large as a search for it begins
+with, per unit of its size. A fault that large moves the motion by more than its first order, and is partly made up for
+by the joint's parameters: a joint of one mode, as stiff as both springs of one that has two, leaves of the second mode
+what no derivative at it shows. So each is simulated as it is, beside the same joint without it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import JointidError
+from jointid.common.messages import silent
+from jointid.diagnostics.faults.fault import Fault, FaultSignature
+from jointid.estimation.descent import History, least_squares
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.models.friction import SymmetricFriction
+from jointid.models.joints import FlexibleJoint
+from jointid.simulation.closed_loop import in_threads
+from jointid.simulation.simulated import require_success
+
+_WILD = 10.0  # times the torque: a loop that is unstable with a fault so large is not that of the record
+_ROUGHLY, _FEW = 1e-4, 20  # tolerance and evaluations of a search that only has to show whether there is something
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """A fault of some size: the joint that has it, and its values where they are others than without it.
+
+    `shape` tells a trial from the others of that fault. No law of friction beyond lines has numbers of its own for each
+    direction: beside such lines a fault of it is tried with the means of both, which are `without` it.
+    """
+
+    fault: Fault
+    joint: FlexibleJoint
+    values: Mapping[str, float]
+    size: float
+    shape: float | None = None
+    without: Mapping[str, float] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FaultFit:
+    """A joint with a fault, identified.
+
+    Attributes:
+        values: of its parameters, by name.
+        change: (samples,) of the torque, by the fault and by what the other parameters become with it.
+        left: norm of the residual.
+    """
+
+    values: Mapping[str, float]
+    change: FloatArray
+    left: float
+
+
+def vary_mechanics(problem: ClosedLoopProblem, x: FloatArray, faults: Iterable[Fault]) -> Iterator[FaultSignature]:
+    """Yield the signatures of faults of a flexible joint's mechanics; none of a rigid one."""
+    joint = problem.joint
+    if not isinstance(joint, FlexibleJoint):
+        return
+    run, values = problem.simulate(x), problem.values(x)
+    wild = _WILD * float(np.max(np.abs(run.torque)))
+
+    lines = with_joint(problem, replace(joint, friction=SymmetricFriction()))
+
+    def simulate(trial: Trial) -> FloatArray | None:
+        other = with_joint(problem, trial.joint)
+        try:
+            faulty = require_success(other.simulate(other.vector({**values, **trial.values})))
+            plain = run if trial.without is None else lines.simulate(lines.vector({**values, **trial.without}))
+        except JointidError:  # a loop that is unstable with it is not that of the record
+            return None
+        raw = faulty.torque - require_success(plain).torque
+        return raw / trial.size if np.all(np.abs(raw) < wild) else None
+
+    trials = [trial for fault in faults for trial in list_trials(problem, x, fault)]
+    for trial, raw in zip(trials, in_threads(simulate, trials), strict=True):
+        if raw is not None:
+            yield FaultSignature(trial.fault, problem.filtered(raw), trial.shape, raw)
+
+
+def solve_with_fault(problem: ClosedLoopProblem, x: FloatArray, fault: Fault) -> FaultFit | None:
+    """Return the joint with a fault, identified from all that was tried of it; None where no search for it ends better.
+
+    Args:
+        problem: of the joint without it, solved.
+        x: (free,) its parameters.
+        fault: of the mechanics.
+    """
+    trials = [one for one in list_trials(problem, x, fault) if one.without is None]
+    ends = [end for end in in_threads(lambda trial: search(problem, x, trial), trials) if end is not None]
+    best = min(ends, key=lambda end: end.left, default=None)
+    return best if best is not None and best.left < float(np.linalg.norm(problem.residual(x))) else None
+
+
+def search(problem: ClosedLoopProblem, x: FloatArray, trial: Trial) -> FaultFit | None:
+    """Return where a search of some steps from a trial ends; None where it fails."""
+    other = with_joint(problem, trial.joint)
+    rough = replace(least_squares(other, _ROUGHLY), evaluations=_FEW)
+    try:
+        end = History(silent).solve(other, rough, other.vector({**problem.values(x), **trial.values})).solution
+        run = require_success(other.simulate(end.x))
+        return FaultFit(other.values(end.x), run.torque - problem.torque(x), float(np.linalg.norm(end.residual)))
+    except (JointidError, np.linalg.LinAlgError):
+        return None
+
+
+def with_joint(problem: ClosedLoopProblem, joint: FlexibleJoint) -> ClosedLoopProblem:
+    """Return the problem of a joint with another law: what both have is as it was, what it adds is free."""
+    given = {p.name: p for p in problem.parameters}
+    own = tuple(given.get(p.name, p) for p in joint.parameters)
+    beside = problem.parameters[len(problem.joint.parameters) :]
+    return replace(problem, loop=replace(problem.loop, joint=joint), parameters=(*own, *beside))
+
+
+def list_trials(problem: ClosedLoopProblem, x: FloatArray, fault: Fault) -> list[Trial]:
+    """Return the trials of a fault that change no parameter which the user holds."""
+    joint, run, values = problem.joint, problem.simulate(x), problem.values(x)
+    if not isinstance(joint, FlexibleJoint) or fault.try_mechanics is None:
+        return []
+    held = {p.name for p in problem.parameters if not p.free}
+    return [
+        one
+        for one in fault.try_mechanics(joint, run, values)
+        if not held & {name for name, value in one.values.items() if value != values.get(name)}
+    ]
