@@ -10,8 +10,8 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.controller_id.learn import SAME, learn_loop
-from jointid.controller_id.learned_loop import LearnedLoop
+from jointid.controller_id.learn import SAME, learn_controller
+from jointid.controller_id.learned_controller import LearnedController
 from jointid.controller_id.structure_moves import canonical
 from jointid.controller_id.structures import ACCELERATION, INTEGRAL, Structure, controller
 from jointid.models.joints import ClosedLoop, RigidJoint
@@ -68,7 +68,7 @@ def judge(seed: int) -> LearnedRun:
     """Learn the controller of one twin."""
     made = loop_twin(seed)
     begin = time.perf_counter()
-    learned = learn_loop(made.record)
+    learned = learn_controller(made.record)
     seconds = time.perf_counter() - begin
     true = canonical(made.structure)
     same = str(learned.structure) == str(true)
@@ -78,7 +78,7 @@ def judge(seed: int) -> LearnedRun:
     return LearnedRun(seed, str(true), str(learned.structure), right, named, len(learned.alike), deviations, seconds)
 
 
-def _deviations(made: LoopTwin, true: Structure, learned: LearnedLoop) -> tuple[float, ...]:
+def _deviations(made: LoopTwin, true: Structure, learned: LearnedController) -> tuple[float, ...]:
     """Return the numbers' deviations; those of a law that was drawn under another name are brought to that one."""
     value = {one.name: one.value for one in learned.numbers}
     std = {one.name: one.std for one in learned.numbers}

@@ -24,7 +24,7 @@ from scipy.signal import lfilter
 import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
-from jointid.diagnostics.compare_laws import compare_laws
+from jointid.diagnostics.compare import compare
 from jointid.diagnostics.intervals import rebuild_problem
 from jointid.diagnostics.law_comparison import LawComparison
 from jointid.diagnostics.unmodelled_motion import predict_residual
@@ -334,7 +334,7 @@ def choose(seed: int, fault: str, longest: float = 12.0, kind: str = "spring") -
         return None
     try:
         compared: LawComparison
-        compared = compare_laws(made.record, made.axis.loop, "springs" if kind == "spring" else "frictions")
+        compared = compare(made.record, made.axis.loop, "springs" if kind == "spring" else "frictions")
     except JointidError as error:
         return Chosen(seed, fault, made.size, f"{type(error).__name__}: {error}", "", None, {})
     shown = compared.shown

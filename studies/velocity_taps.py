@@ -18,8 +18,8 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
-from jointid.controller_id.learn import learn_loop
-from jointid.controller_id.learned_loop import LearnedLoop
+from jointid.controller_id.learn import learn_controller
+from jointid.controller_id.learned_controller import LearnedController
 from jointid.controller_id.loop_record import prepare_loop_record
 from jointid.controller_id.structures import INTEGRAL
 from jointid.diagnostics.identify import identify
@@ -102,7 +102,7 @@ def judge(seed: int) -> TapsRun:
     twin = taps_twin(seed)
     began = time.perf_counter()
     try:
-        learned = learn_loop(twin.record)
+        learned = learn_controller(twin.record)
     except JointidError as refused:
         return TapsRun(seed, str(refused)[:90], math.inf, False, {}, {}, time.perf_counter() - began)
     seconds = time.perf_counter() - began
@@ -112,7 +112,7 @@ def judge(seed: int) -> TapsRun:
     return TapsRun(seed, str(learned.structure), _torque_apart(twin, learned), fed, beside, off, seconds)
 
 
-def _torque_apart(twin: TapsTwin, learned: LearnedLoop) -> float:
+def _torque_apart(twin: TapsTwin, learned: LearnedController) -> float:
     """Return by how much the learned law's torque differs on what the true law read."""
     seen = Channel(twin.seen, "m", _PERIOD, Timing.SAMPLED, "twin")
     log = prepare_loop_record(replace(twin.record, motor_position=seen))
@@ -122,7 +122,7 @@ def _torque_apart(twin: TapsTwin, learned: LearnedLoop) -> float:
     return float(np.sqrt(np.mean((found - true) ** 2) / np.mean(true**2)))
 
 
-def _compare_joints(twin: TapsTwin, learned: LearnedLoop) -> tuple[dict[str, float], dict[str, float]]:
+def _compare_joints(twin: TapsTwin, learned: LearnedController) -> tuple[dict[str, float], dict[str, float]]:
     """Return the joint's estimate under the learned law less that under the true law, and less the truth."""
 
     def under(controller: Controller) -> dict[str, tuple[float, float]]:

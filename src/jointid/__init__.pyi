@@ -5,11 +5,11 @@ from .common.transmission import Transmission
 from .config import JointFile, load
 from .config.robot_file import RobotFile, load_robot_file
 from .config.robot_model import load_robot
-from .controller_id.learn import learn_loop
+from .controller_id.learn import learn_controller
 from .diagnostics.check_loop import check_loop
 from .diagnostics.compare import compare
 from .diagnostics.examine_record import examine
-from .diagnostics.experiment_design import advise, design_stiffness_test
+from .diagnostics.experiment_design import advise
 from .diagnostics.identify import identify
 from .diagnostics.intervals import intervals
 from .diagnostics.robots.diagnose import RobotDiagnosis, diagnose_robot
@@ -23,14 +23,12 @@ from .estimation.problems.several_records import SeveralRecords
 from .estimation.result.estimate import Estimate
 from .estimation.robots.consistent import consistent_robot
 from .estimation.robots.drive_gains import identify_drive_gains
-from .estimation.robots.idim import RobotEstimate, RobotIDIM, identify_robot
+from .estimation.robots.idim import RobotEstimate, RobotIDIM
 from .estimation.robots.payload import identify_payload
 from .estimation.robots.torque_estimate import (
     RobotDIDIM,
     RobotDriveSideFit,
     RobotTorqueEstimate,
-    identify_robot_drive_side,
-    identify_robot_from_torques,
     validate_robot_torques,
 )
 from .estimation.robots.validation import RobotValidation, validate_robot
@@ -134,7 +132,6 @@ __all__ = [
     "consistent_robot",
     "convert",
     "design_robot_test",
-    "design_stiffness_test",
     "design_test",
     "diagnose_robot",
     "examine",
@@ -145,12 +142,9 @@ __all__ = [
     "identify",
     "identify_drive_gains",
     "identify_payload",
-    "identify_robot",
-    "identify_robot_drive_side",
-    "identify_robot_from_torques",
     "inspect",
     "intervals",
-    "learn_loop",
+    "learn_controller",
     "load",
     "load_robot",
     "load_robot_file",

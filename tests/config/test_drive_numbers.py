@@ -10,7 +10,7 @@ import pytest
 
 from jointid.config import learned_text, load_to_learn, loads
 from jointid.controller_id.intervals import LearnedNumber
-from jointid.controller_id.learned_loop import LearnedLoop, numbers_in_drive
+from jointid.controller_id.learned_controller import LearnedController, numbers_in_drive
 from jointid.controller_id.limitations import LimitationCode
 from jointid.controller_id.structures import Structure
 from jointid.models.controllers import PD, PID, Cascade, Controller, FirstOrder
@@ -36,13 +36,13 @@ integral_time = "6 ms"
 """
 
 
-def shown(text: str, made: Controller, folder: Path, **values: float) -> LearnedLoop:
+def shown(text: str, made: Controller, folder: Path, **values: float) -> LearnedController:
     """What was learned of a joint file's drive: that law, with those of its numbers known to 1 %."""
     path = folder / "joint.toml"
     path.write_text(text, encoding="utf-8")
     file = load_to_learn(path)
     numbers = tuple(LearnedNumber(n, v, 0.005 * v, "", 0.99 * v, 1.01 * v) for n, v in values.items())
-    learned = LearnedLoop(
+    learned = LearnedController(
         made, Structure(), numbers, np.eye(len(numbers)), (), (), (), 1.0, 0.01, 1.0, 1.0, 100.0, np.zeros(1), "N m",
         "rad", "run 1", file.joint.transmission,
     )  # fmt: skip

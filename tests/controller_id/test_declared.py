@@ -20,7 +20,7 @@ MOTOR = Cascade(position_gain=1.0, velocity_gain=1.0, gain=0.5, ratio=10.0, limi
 def test_a_unit_of_the_drive_is_the_same_on_the_load(
     declared: Controller | None, gain: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(learn, "learn_loop", lambda _, **given: given["gain"])
+    monkeypatch.setattr(learn, "learn_controller", lambda _, **given: given["gain"])
     file: Any = SimpleNamespace(controller=declared, joint=SimpleNamespace(transmission=None))
     record: Any = None
     assert JointFile.learn_controller(file, record) == gain

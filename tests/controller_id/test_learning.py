@@ -16,8 +16,8 @@ from jointid.common.errors import MethodError, RecordError
 from jointid.config import controller_text, load, save_with_controller
 from jointid.controller_id import search
 from jointid.controller_id.fitting import FittedLaw, Task, covariance, fit, order_rates
-from jointid.controller_id.learn import learn_loop
-from jointid.controller_id.learned_loop import LearnedLoop
+from jointid.controller_id.learn import learn_controller
+from jointid.controller_id.learned_controller import LearnedController
 from jointid.controller_id.limitations import LimitationCode
 from jointid.controller_id.loop_record import prepare_loop_record
 from jointid.controller_id.noise import position_error
@@ -48,14 +48,14 @@ def made(controller: Controller, step: float = 1e-7, *, short: bool = False) -> 
 
 
 @pytest.fixture(scope="module")
-def emps(emps_path: Path) -> tuple[Record, LearnedLoop]:
+def emps(emps_path: Path) -> tuple[Record, LearnedController]:
     record = EMPS.record(emps_path)
     assert EMPS.controller is not None
-    return record, learn_loop(record, gain=35.15065188)
+    return record, learn_controller(record, gain=35.15065188)
 
 
 @pytest.mark.slow
-def test_the_public_record_gives_its_law(emps: tuple[Record, LearnedLoop]) -> None:
+def test_the_public_record_gives_its_law(emps: tuple[Record, LearnedController]) -> None:
     _, learned = emps
     assert str(learned.structure) == "P-P, velocity filter mean of 2 samples"
     assert learned["position_gain"].value == pytest.approx(160.18, rel=5e-3)
@@ -68,7 +68,7 @@ def test_the_public_record_gives_its_law(emps: tuple[Record, LearnedLoop]) -> No
 
 
 @pytest.mark.slow
-def test_the_learned_law_identifies_what_the_given_one_does(emps: tuple[Record, LearnedLoop]) -> None:
+def test_the_learned_law_identifies_what_the_given_one_does(emps: tuple[Record, LearnedController]) -> None:
     record, learned = emps
     assert EMPS.loop is not None
     torque = record.without("motor_position")
@@ -80,7 +80,7 @@ def test_the_learned_law_identifies_what_the_given_one_does(emps: tuple[Record, 
 
 
 @pytest.mark.slow
-def test_the_learned_table_is_a_joint_file_s(emps: tuple[Record, LearnedLoop], tmp_path: Path) -> None:
+def test_the_learned_table_is_a_joint_file_s(emps: tuple[Record, LearnedController], tmp_path: Path) -> None:
     _, learned = emps
     save_with_controller(EMPS, learned.controller, tmp_path / "joint.toml")
     assert load(tmp_path / "joint.toml").controller == learned.controller
@@ -112,7 +112,7 @@ def test_the_learned_table_is_a_joint_file_s(emps: tuple[Record, LearnedLoop], t
     ids=["P-P at its limit", "P-PI", "feed-forward and filter"],
 )
 def test_a_law_is_found_with_its_numbers(controller: Cascade, words: str) -> None:
-    learned = learn_loop(made(controller, short=True))
+    learned = learn_controller(made(controller, short=True))
     assert str(learned.structure).partition(", limit")[0] == words
     for name in ("position_gain", "velocity_gain"):
         one = learned[name]
@@ -128,7 +128,7 @@ def test_a_slower_position_loop_counts_from_the_first_sample_of_the_file() -> No
     record = made(
         Cascade(position_gain=60.0, velocity_gain=500.0, position_period=4 * T, position_offset=T), short=True
     )
-    learned = learn_loop(replace(record, begin=2 * T))
+    learned = learn_controller(replace(record, begin=2 * T))
     assert isinstance(learned.controller, Cascade)
     assert learned.controller.position_period == pytest.approx(4 * T)
     assert learned.controller.position_offset == pytest.approx(3 * T)
@@ -136,7 +136,7 @@ def test_a_slower_position_loop_counts_from_the_first_sample_of_the_file() -> No
 
 @pytest.mark.slow
 def test_a_coarse_position_does_not_bend_the_gains() -> None:
-    learned = learn_loop(made(Cascade(position_gain=60.0, velocity_gain=500.0), step=2e-6, short=True))
+    learned = learn_controller(made(Cascade(position_gain=60.0, velocity_gain=500.0), step=2e-6, short=True))
     assert 0.0 < learned.position_noise < 2e-6
     assert all(
         abs(learned[n].value - v) <= 3 * learned[n].std for n, v in (("position_gain", 60.0), ("velocity_gain", 500.0))
@@ -153,7 +153,7 @@ def test_what_is_told_of_a_law_that_a_search_found(number: int, monkeypatch: pyt
         return law or FittedLaw(twin.structure, twin.numbers, 0.0, task.noise(twin.structure, twin.numbers)), (), True
 
     monkeypatch.setattr("jointid.controller_id.learn.search", found)
-    learned = learn_loop(twin.record)
+    learned = learn_controller(twin.record)
     assert str(learned.structure) == str(twin.structure)
     for name in ("position_gain", "velocity_gain"):
         if name in twin.numbers:
@@ -162,7 +162,7 @@ def test_what_is_told_of_a_law_that_a_search_found(number: int, monkeypatch: pyt
     assert twin.record.torque is not None
     turned = replace(twin.record, torque=replace(twin.record.torque, values=-twin.record.torque.values))
     with pytest.raises(MethodError, match="Check units, signs and sides"):
-        learn_loop(turned)
+        learn_controller(turned)
 
 
 def begun(task: Task, structure: Structure, numbers: dict[str, float]) -> FittedLaw:
@@ -183,10 +183,10 @@ def test_an_interval_spans_the_laws_that_the_record_does_not_distinguish(monkeyp
     filtered = begun(task, Structure(velocity_filter="first order"), {**GAINS, "velocity_filter.time_constant": 2e-4})
     pd = begun(task, Structure("PD", "difference", "mean 2"), {"position_gain": 3e4, "derivative_gain": 500.0})
 
-    def found(*worse: float) -> LearnedLoop:
+    def found(*worse: float) -> LearnedController:
         rivals = tuple(Rival(one, by, 0.01) for one, by in zip((apart, filtered, pd), worse, strict=True))
         monkeypatch.setattr("jointid.controller_id.learn.search", lambda *_: (best, rivals, True))
-        return learn_loop(record)
+        return learn_controller(record)
 
     alone = found(50.0, 50.0, 1.0)["velocity_gain"]  # a PD's gains are others
     assert (alone.lower, alone.upper) == pytest.approx((alone.value - 2 * alone.std, alone.value + 2 * alone.std))
@@ -224,7 +224,7 @@ def test_an_interrupt_keeps_the_best_law_so_far(monkeypatch: pytest.MonkeyPatch)
 
     monkeypatch.setattr(search, "_start_search", start)
     monkeypatch.setattr(search, "_fit_nearby", interrupted)
-    learned = learn_loop(record, progress=said.append)
+    learned = learn_controller(record, progress=said.append)
     assert learned.interrupted and "interrupted" in str(learned)
     assert learned["velocity_gain"].value == pytest.approx(500.0, rel=2e-3)
     assert re.match(r"learning the controller from \d+ samples; this takes some \d+ (s|min)", said[0])
@@ -245,7 +245,7 @@ def test_an_interrupt_of_the_first_fits_keeps_their_best(monkeypatch: pytest.Mon
         return trim(*given)
 
     monkeypatch.setattr(search, "_trim", interrupted)
-    learned = learn_loop(record, progress=said.append)
+    learned = learn_controller(record, progress=said.append)
     assert learned.interrupted and fits == 3
     assert learned["velocity_gain"].value == pytest.approx(500.0, rel=0.02)
 
@@ -258,7 +258,7 @@ def test_an_interrupt_before_any_fit_says_that_there_is_no_law_yet(monkeypatch: 
 
     monkeypatch.setattr(search, "rank_candidates", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        learn_loop(record, progress=said.append)
+        learn_controller(record, progress=said.append)
     assert said[-1] == "interrupted before any law was fitted: there is none to keep yet"
 
 
@@ -289,7 +289,7 @@ def test_a_torque_with_the_wrong_sign_is_refused() -> None:
     assert record.torque is not None
     turned = replace(record, torque=replace(record.torque, values=-record.torque.values))
     with pytest.raises(MethodError, match="Check units, signs and sides"):
-        learn_loop(turned)
+        learn_controller(turned)
 
 
 def test_a_torque_that_is_all_injected_shows_no_law() -> None:
@@ -297,7 +297,7 @@ def test_a_torque_that_is_all_injected_shows_no_law() -> None:
     assert record.torque is not None
     injected = Injection(replace(record.torque, timing=Timing.HELD), InjectionPoint.AFTER_LIMIT)
     with pytest.raises(RecordError, match="less what was injected, is constant"):
-        learn_loop(replace(record, injected=injected))
+        learn_controller(replace(record, injected=injected))
 
 
 def test_a_position_noisier_than_its_log_s_digits_has_no_rounding() -> None:
@@ -311,18 +311,18 @@ def test_a_position_noisier_than_its_log_s_digits_has_no_rounding() -> None:
 def test_a_record_that_cannot_tell_says_so() -> None:
     record = made(Cascade(position_gain=60.0, velocity_gain=500.0))
     with pytest.raises(RecordError) as lacking:
-        learn_loop(record.without("motor_position"))
+        learn_controller(record.without("motor_position"))
     assert str(lacking.value) == (
         f"A controller is learned from torque, reference and the measured motor position; {record.name} is read with "
         "torque and reference, without motor_position: name the column of motor_position below [record.channels], or "
         "declare the law."
     )
     with pytest.raises(MethodError, match="positive number; received 0"):
-        learn_loop(record, gain=0.0)
+        learn_controller(record, gain=0.0)
     assert record.reference is not None
     still = replace(record, reference=replace(record.reference, values=np.zeros(len(record.reference))))
     with pytest.raises(RecordError, match="reference does not move"):
-        learn_loop(still)
+        learn_controller(still)
 
 
 def given(twin: LoopTwin) -> FloatArray:
@@ -423,18 +423,18 @@ def test_a_law_that_leaves_what_no_noise_leaves_is_refused(monkeypatch: pytest.M
     pulses = np.repeat(rng.choice([-1.0, 0.0, 1.0], size // 20 + 1), 20)[:size]
     pulsed = replace(torque, values=torque.values + 0.5 * float(np.std(torque.values)) * pulses)
     with pytest.raises(MethodError, match=r"leaves 3\d\.?\d* % of it, 3\d.* averaged over 10 samples") as raised:
-        learn_loop(replace(twin.record, torque=pulsed))
+        learn_controller(replace(twin.record, torque=pulsed))
     assert "channel injected" in str(raised.value)
     _found_at_once(monkeypatch, twin, ended=False)  # of an interrupted search the best so far is told
     pulsed = replace(torque, values=torque.values + 0.1 * float(np.std(torque.values)) * pulses)
-    assert learn_loop(replace(twin.record, torque=pulsed)).interrupted
+    assert learn_controller(replace(twin.record, torque=pulsed)).interrupted
 
 
 def test_a_law_under_much_noise_is_not_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """An encoder's steps and noise leave 12 % of the torque of a law that is right, and 1 % of it averaged."""
     twin = loop_twin(12)
     _found_at_once(monkeypatch, twin)
-    assert learn_loop(twin.record).share > 0.1
+    assert learn_controller(twin.record).share > 0.1
 
 
 @pytest.mark.slow
@@ -442,7 +442,7 @@ def test_no_law_is_made_up_where_the_record_shows_none(data_dir: Path) -> None:
     """An axis of the KR300: a robot's controller looks at all of them, and at its model."""
     file = load(Path(__file__).resolve().parents[2] / "examples" / "kr300" / "axis3.toml")
     with pytest.raises(MethodError, match="No law that is searched for gives"):
-        learn_loop(file.record(data_dir / "kr300" / "rec_A.mat"))
+        learn_controller(file.record(data_dir / "kr300" / "rec_A.mat"))
 
 
 def test_what_the_record_does_not_show_is_kept_as_declared(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -451,7 +451,7 @@ def test_what_the_record_does_not_show_is_kept_as_declared(monkeypatch: pytest.M
         "jointid.controller_id.learn.search", lambda task, _: (begun(task, Structure(), GAINS), (), True)
     )
     declared = Cascade(position_gain=1.0, velocity_gain=1.0, limit=900.0, delay=5e-4)
-    learned = learn_loop(record, declared=declared)
+    learned = learn_controller(record, declared=declared)
     assert isinstance(learned.controller, Cascade)
     assert (learned.controller.limit, learned.controller.delay) == (900.0, 5e-4)
     assert "As declared, and not from this record: limit = 900 and delay = 0.0005." in map(str, learned.limitations)

@@ -11,8 +11,8 @@ import pytest
 from jointid import to_dict
 from jointid.config import load, save_with_controller
 from jointid.controller_id.fitting import FittedLaw, Task, fit
-from jointid.controller_id.learn import learn_loop
-from jointid.controller_id.learned_loop import LearnedLoop
+from jointid.controller_id.learn import learn_controller
+from jointid.controller_id.learned_controller import LearnedController
 from jointid.controller_id.limitations import LimitationCode
 from jointid.controller_id.loop_record import prepare_loop_record
 from jointid.controller_id.noise import Noise
@@ -183,7 +183,7 @@ def test_no_true_law_leaves_much_more_than_a_plain_regression(seed: int) -> None
     assert not compare_with_regression(task.log, task.residual(twin.structure, twin.numbers)).another
 
 
-def learned_as(twin: TapsTwin, kind: str, monkeypatch: pytest.MonkeyPatch) -> LearnedLoop:
+def learned_as(twin: TapsTwin, kind: str, monkeypatch: pytest.MonkeyPatch) -> LearnedController:
     """What is told of a law that a search found."""
 
     def found(task: Task, *_: object) -> tuple[FittedLaw, tuple[()], bool]:
@@ -194,7 +194,7 @@ def learned_as(twin: TapsTwin, kind: str, monkeypatch: pytest.MonkeyPatch) -> Le
         return law, (), True
 
     monkeypatch.setattr("jointid.controller_id.learn.search", found)
-    return learn_loop(twin.record)
+    return learn_controller(twin.record)
 
 
 def test_what_a_wrong_law_leaves_is_not_called_noise(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -230,7 +230,7 @@ def test_a_servo_s_weighted_difference_is_learned_without_a_feed_forward() -> No
 @pytest.mark.slow
 def test_the_search_for_taps_finds_no_taps_where_there_are_none() -> None:
     record: Record = cut(taps_twin(3).record, 2.5)  # a plain difference
-    learned = learn_loop(record)
+    learned = learn_controller(record)
     assert learned.structure.velocity_filter == "none" and "feed-forward" not in str(learned.structure).replace(
         "full velocity feed-forward", ""
     )

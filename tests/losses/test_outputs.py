@@ -20,7 +20,7 @@ from jointid.apps.cli.streams import finish_outputs, prepare_outputs
 from jointid.common.document import Document
 from jointid.config import JointFile, loads
 from jointid.controller_id.intervals import LearnedNumber
-from jointid.controller_id.learned_loop import LearnedLoop
+from jointid.controller_id.learned_controller import LearnedController
 from jointid.controller_id.structures import Structure
 from jointid.records.formats import Table, write_table
 from jointid.simulation.excitation import trapezoids
@@ -92,10 +92,10 @@ COMMANDS = {
     "compare estimate.json estimate.json": "ZZ",
     "diagnose methods joint.toml": "DIDIM",
     "diagnose loop joint.toml": "Controller and log",
-    "diagnose sensors joint.toml": "encoder",
+    "advise joint.toml": "encoder",
     "diagnose intervals joint.toml --of inertia": "ZZ",
     "tune joint.toml": "position_gain",
-    "controller joint.toml": "cascade",
+    "learn-controller joint.toml": "cascade",
     "reproduce": "from torque alone",
 }
 """Commands whose answers say more than a table of a file, and a word of each."""
@@ -154,7 +154,7 @@ def call(command: str) -> None:
     assert end.value.code == 0
 
 
-def learned_in_no_time(file: JointFile) -> LearnedLoop:
+def learned_in_no_time(file: JointFile) -> LearnedController:
     """As if the controller of a joint file had been learned: to 1 %."""
     assert file.controller is not None
     law: Any = file.controller
@@ -162,7 +162,7 @@ def learned_in_no_time(file: JointFile) -> LearnedLoop:
         LearnedNumber(name, value, 0.005 * value, "1/s", 0.99 * value, 1.01 * value)
         for name, value in (("position_gain", law.position_gain), ("velocity_gain", law.velocity_gain))
     )
-    return LearnedLoop(
+    return LearnedController(
         law, Structure(), numbers, np.eye(2), (), (), (), 1.0, 0.01, 1.0, 1e-6, 100.0, np.zeros(1), "N", "m",
         "Größe-中", None,
     )  # fmt: skip

@@ -36,14 +36,14 @@ COMMANDS = {
     "tune": ("tune joint.toml -q", "--json", "o.json", "--figure", "o.png"),
     "diagnose methods": ("diagnose methods joint.toml -q", "--json", "o.json"),
     "diagnose loop": ("diagnose loop joint.toml -q", "--json", "o.json"),
-    "diagnose sensors": ("diagnose sensors joint.toml -q", "--json", "o.json"),
+    "advise": ("advise joint.toml -q", "--json", "o.json"),
     "report": ("report joint.toml -q --no-profiles", "--html", "o.html", "--markdown", "pages", "--json", "o.json"),
     "demo": ("demo again -q",),
-    "controller": ("controller joint.toml -q", "--write", "o.toml", "--json", "o.json"),
+    "learn-controller": ("learn-controller joint.toml -q", "--write", "o.toml", "--json", "o.json"),
     "reproduce": ("reproduce -q", "--out", "pages"),
 }
 LONGEST = 6.0  # seconds in which a command is attacked; a search of minutes is not waited for
-SLOW = ("report", "demo", "controller", "reproduce")  # three moments, where few are asked for
+SLOW = ("report", "demo", "learn-controller", "reproduce")  # three moments, where few are asked for
 ENDS = {".json": b"}\n", ".png": b"IEND\xaeB`\x82", ".svg": b"</svg>\n", ".pdf": b"%%EOF\n", ".html": b"</html>",
         ".toml": b"\n", ".csv": b"\n", ".md": b"\n"}  # fmt: skip
 

@@ -14,7 +14,7 @@ import pytest
 import jointid as ji
 from jointid.common.document import Document, Heading, Listing, Table, notebook_html
 from jointid.controller_id.fitting import FittedLaw, Task, fit
-from jointid.controller_id.learned_loop import LearnedLoop
+from jointid.controller_id.learned_controller import LearnedController
 from jointid.controller_id.structures import Structure
 from jointid.output.json import read_report
 from tests.output.report import reports
@@ -31,7 +31,7 @@ def results() -> dict[str, Any]:
 
 
 @cache
-def learned() -> LearnedLoop:
+def learned() -> LearnedController:
     """As if the search, which takes long, had found the law of the record."""
     record, _ = reports.rigid_record(name=reports.EVIL)
     numbers = {"position_gain": 40.0, "velocity_gain": 2.0}
@@ -41,7 +41,7 @@ def learned() -> LearnedLoop:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("jointid.controller_id.learn.search", found)
-        return ji.learn_loop(record)
+        return ji.learn_controller(record)
 
 
 @cache

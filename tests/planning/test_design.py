@@ -108,7 +108,7 @@ def test_it_is_told_in_words_numbers_and_files(designed: Design, tmp_path: Path)
     table = ji.read(tmp_path / "next" / "test.csv", {"reference": ji.Column("reference", "m")}, time="t")
     assert table.reference is not None
     assert table.reference.values == pytest.approx(designed.proposed.reference, abs=1e-12)
-    assert "jointid doctor" in (tmp_path / "next" / "how-to-run.md").read_text()
+    assert "jointid examine" in (tmp_path / "next" / "how-to-run.md").read_text()
     assert len(designed.chart().panels) == 3
 
 

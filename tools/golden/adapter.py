@@ -354,7 +354,7 @@ def validate(folder: Path, joint: Path, record: Path, identified: Path) -> Json:
 
 def advise(folder: Path, joint: Path, record: Path) -> Json:
     """Ask which sensors and motions would tell more."""
-    answer = _asked(folder, "diagnose", "sensors", joint, "--record", record, "--quiet")
+    answer = _asked(folder, "advise", joint, "--record", record, "--quiet")
     return {
         "noise": code(answer["noise"]),
         "std": {_name(name): number(p["std"]) for name, p in answer["parameters"].items()},
@@ -384,7 +384,7 @@ def tune(folder: Path, joint: Path, record: Path, **options: object) -> Json:
 def learn(folder: Path, joint: Path, record: Path) -> Json:
     """Learn the controller; the law that is written is read back."""
     written = folder / "learned.toml"
-    answer = _asked(folder, "controller", joint, "--record", record, "--write", written, "--quiet")
+    answer = _asked(folder, "learn-controller", joint, "--record", record, "--write", written, "--quiet")
     return {
         "law": {"kind": code(answer["law"]["name"]), "numbers": _named(answer["law"]["numbers"])},
         "numbers": [_only_numbers(one) for one in answer["numbers"]],
@@ -1275,7 +1275,7 @@ def fit_long(record: Any, driven: Any, **given: Any) -> Json:
 
 def learned(record: Any, **given: Any) -> Json:
     """Learn the law of a record."""
-    found = ji.learn_loop(record, **_keywords(given))
+    found = ji.learn_controller(record, **_keywords(given))
     answer = ji.to_dict(found)
     return {
         "law": {"kind": code(answer["law"]["name"]), "numbers": _named(answer["law"]["numbers"])},
@@ -1398,7 +1398,7 @@ def predicted(driven: Any, values: Mapping[str, float], reference: Any, **noise:
 
 def revealing(found: Any, record: Any) -> Json:
     """Return which test would show a refused stiffness."""
-    return _revealing(ji.to_dict(ji.design_stiffness_test(found, record)))
+    return _revealing(ji.to_dict(ji.advise(found, record)))
 
 
 # Files

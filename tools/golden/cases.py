@@ -1335,9 +1335,9 @@ def answers_emps(at: Workspace) -> Any:
     return {
         "identify": ask.answer(folder, "identify", *given),
         "idim": ask.answer(folder, "identify", *given, "--method", "idim"),
-        "doctor": ask.answer(folder, "doctor", *given),
+        "examine": ask.answer(folder, "examine", *given),
         "loop": ask.answer(folder, "diagnose", "loop", *given),
-        "sensors": ask.answer(folder, "diagnose", "sensors", *given),
+        "sensors": ask.answer(folder, "advise", *given),
         "simulate": ask.answer(folder, "simulate", *given, *of),
         "validate": ask.answer(folder, "validate", joint, "--record", at.emps_pulses, "--quiet", *of),
     }
@@ -1359,7 +1359,7 @@ def answers_twin(at: Workspace) -> Any:
     return {
         "identify": ask.answer(folder, "identify", *given),
         "idim": ask.answer(folder, "identify", joint, *given[1:]),
-        "doctor": ask.answer(folder, "doctor", *given),
+        "examine": ask.answer(folder, "examine", *given),
         "kr300": ask.answer(folder, "identify", ask.EXAMPLES["kr300"], "--record", at.kr300, "--quiet"),
         "drive_side": ask.answer(folder, "identify", ask.EXAMPLES["motorbench"], "--record", at.motorbench, "--quiet"),
     }

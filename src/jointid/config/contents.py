@@ -28,7 +28,6 @@ from jointid.config.drive_numbers import drive_numbers
 from jointid.config.quantities import Stated, stated_in
 from jointid.config.schema import FileTable, with_gains_meant
 from jointid.config.schema_record import Run, Source, Together
-from jointid.diagnostics.identify import identify
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Controller, with_numbers
@@ -45,7 +44,7 @@ from jointid.records.signals.filtering import Filtering
 from jointid.records.writing import columns_to_write, write_columns
 
 if TYPE_CHECKING:
-    from jointid.controller_id.learned_loop import LearnedLoop
+    from jointid.controller_id.learned_controller import LearnedController
 
 _MOST = 1000  # keys of a table, records of a file
 
@@ -275,13 +274,16 @@ class JointFile:
         Raises:
             JointidError: see `jointid.identify`.
         """
+        # It loads the compiled kernels, which a check of the file does not need.
+        from jointid.diagnostics.identify import identify
+
         return identify(
             record, self.loop or self.joint, self.method, filtering=self.filtering, parameters=self.parameters,
             checks=checks, shown=self.declared_numbers, torque_constant=self.scale, unchecked=unchecked,
             progress=progress,
         )  # fmt: skip
 
-    def learn_controller(self, record: Record, progress: Progress = silent) -> LearnedLoop:
+    def learn_controller(self, record: Record, progress: Progress = silent) -> LearnedController:
         """Learn the controller, in its own units, which the torque constant or the gain of [controller] says.
 
         Args:
@@ -289,14 +291,14 @@ class JointFile:
             progress: is told each step.
 
         Raises:
-            JointidError: see `jointid.learn_loop`.
+            JointidError: see `jointid.learn_controller`.
         """
-        from jointid.controller_id.learn import learn_loop
+        from jointid.controller_id.learn import learn_controller
 
         gain: float = getattr(self.controller, "gain", 1.0)
         if gain != 1.0:  # of the motor's torque; the record's is the joint's
             gain *= abs(getattr(self.controller, "ratio", 1.0))
-        return learn_loop(
+        return learn_controller(
             record, gain=gain, transmission=self.joint.transmission, declared=self.controller, progress=progress
         )
 

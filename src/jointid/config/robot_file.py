@@ -31,19 +31,19 @@ from jointid.config.robot_model import in_order, load_robot
 from jointid.config.schema import CONSTANT, ControllerTable, FilteringTable, TransmissionTable
 from jointid.config.schema_record import ChannelsTable, DriveTable, RecordTable
 from jointid.config.table import Number, Positive, Table, Text, faults_of, keys_from, with_unit
-from jointid.estimation.robots.idim import RobotEstimate, RobotIDIM, identify_robot
+from jointid.estimation.robots.identify import fit_robot
+from jointid.estimation.robots.idim import RobotEstimate, RobotIDIM
 from jointid.estimation.robots.torque_estimate import (
     RobotDIDIM,
     RobotDriveSideFit,
     RobotTorqueEstimate,
-    identify_robot_drive_side,
-    identify_robot_from_torques,
 )
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
 from jointid.planning.robots.motions import JointLimits
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.records.writing import write_columns
+from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robots import RobotLoop, add_feed_forward
 
 _UPRIGHT = 1e-3  # rad, that a base is off the upright and yet upright
@@ -320,16 +320,12 @@ class RobotFile:
             progress: is told how a search goes.
 
         Raises:
-            RecordError, MethodError: see `identify_robot`, `identify_robot_from_torques`, `identify_robot_drive_side`.
+            RecordError, MethodError: see `jointid.identify`.
         """
+        closing: Robot | RobotLoop | RobotDriveSide = self.loop if self._simulates else self.robot
         if isinstance(self.method, RobotDriveSideFit):
-            return identify_robot_drive_side(
-                self.robot, records, self.method, filtering=self.filtering, progress=progress
-            )
-        if isinstance(self.method, RobotIDIM):
-            loop = self.loop if self._simulates else None
-            return identify_robot(self.robot, records, self.method, filtering=self.filtering, loop=loop)
-        return identify_robot_from_torques(self.loop, records, self.method, filtering=self.filtering, progress=progress)
+            closing = RobotDriveSide(self.robot)
+        return fit_robot(records, closing, self.method, filtering=self.filtering, progress=progress)
 
     @property
     def _simulates(self) -> bool:

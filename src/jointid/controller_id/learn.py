@@ -11,7 +11,7 @@ from jointid.common.messages import Progress, silent
 from jointid.common.transmission import Transmission
 from jointid.controller_id.fitting import FittedLaw, Task, covariance, order_rates
 from jointid.controller_id.intervals import numbers_with_intervals
-from jointid.controller_id.learned_loop import Alternative, LearnedLoop
+from jointid.controller_id.learned_controller import Alternative, LearnedController
 from jointid.controller_id.limitations import INTERRUPTED, fill_from_declaration, list_equivalents, list_limitations
 from jointid.controller_id.loop_record import prepare_loop_record
 from jointid.controller_id.ranking import ALIKE, Rival
@@ -28,14 +28,14 @@ _EXPLAINED = 0.5  # of the torque: what leaves more is no law of this record
 _LEFT, _LASTING = 0.05, 10  # of the torque, averaged over so many samples: noise leaves less, a wrong law more
 
 
-def learn_loop(
+def learn_controller(
     record: Record,
     *,
     gain: float = 1.0,
     transmission: Transmission | None = None,
     declared: Controller | None = None,
     progress: Progress = silent,
-) -> LearnedLoop:
+) -> LearnedController:
     """Learn the controller from a record that has its reference, the motor position and the torque.
 
     The law is applied to the logged reference and position, and its torque compared with the logged one: no joint is
@@ -56,7 +56,7 @@ def learn_loop(
 
     Limits of validity: a position loop slower than the log by 2, 4 or 8, or a whole loop faster by 2 to 16; a delay of
     the log of whole samples. An integral, a feed-forward or a delay that carries less than 0.1 % of the torque is taken
-    for none. What the record leaves open is in `LearnedLoop.limitations`.
+    for none. What the record leaves open is in `LearnedController.limitations`.
 
     Example:
         >>> import jointid as ji, numpy as np
@@ -67,7 +67,7 @@ def learn_loop(
         >>> record = ji.simulated_record(
         ...     loop, reference, values, sample_time=1e-3, torque_noise=noise, encoder_step=1e-7
         ... )
-        >>> print(ji.learn_loop(record).structure)
+        >>> print(ji.learn_controller(record).structure)
         P-P
     """
     if not (math.isfinite(gain) and gain > 0):
@@ -138,7 +138,7 @@ def _build_result(
     ended: bool,
     transmission: Transmission | None,
     declared: Controller | None,
-) -> LearnedLoop:
+) -> LearnedController:
     record, period = task.log.record, task.log.period
     assert record.torque is not None and record.motor_position is not None
     known = covariance(task, best)
@@ -156,7 +156,7 @@ def _build_result(
     alike = tuple(o.structure for o in others if o.alike and o.apart >= SAME)
     like_it = (rival.fitted for rival, other in zip(rivals, others, strict=True) if other.alike)
     informative, beside = np.flatnonzero(best.noise.informative), compare_with_regression(task.log, residual)
-    return LearnedLoop(
+    return LearnedController(
         controller=made,
         structure=best.structure,
         numbers=numbers_with_intervals(task, best, known, like_it),

@@ -20,7 +20,7 @@ from jointid.common.messages import Message, Progress, silent
 from jointid.common.parameters import Parameter
 from jointid.common.text import counted, number
 from jointid.common.transmission import Transmission
-from jointid.diagnostics.experiment_design import advise, design_stiffness_test
+from jointid.diagnostics.experiment_design import advise
 from jointid.diagnostics.faults.motion import find_plain_cause, find_standstill
 from jointid.diagnostics.find_causes import find_causes
 from jointid.diagnostics.identify import identify
@@ -319,7 +319,7 @@ def _look_at_law(law: LawOnPosition, record: Record) -> Looked:
     if law.left > max(_LAW_LEAVES, _MORE_THAN_NOISE * law.noise):
         said = (
             f"the declared law and the motor's position leave {left} of the torque: its gains, the torque's unit, or a "
-            "channel's sign or clock are not as declared; jointid controller learns the law from this record"
+            "channel's sign or clock are not as declared; jointid learn-controller learns the law from this record"
         )
         return Looked(Question.LAW, False, (said,), Fault.LAW_DIFFERS)
     if abs(law.gain - 1) > max(_LAW_GAIN, law.left):
@@ -387,8 +387,6 @@ def _determine(estimate: Estimate) -> Iterator[Determined]:
 def _advise(estimate: Estimate, record: Record, progress: Progress) -> tuple[str, ...]:
     """Return what another sensor or another motion would change; nothing where that cannot be predicted."""
     try:
-        if estimate.checks.bounds:
-            return tuple(str(design_stiffness_test(estimate, record, progress=progress)).splitlines())
         return advise(estimate, record, progress=progress).sentences
     except JointidError:
         return ()

@@ -154,11 +154,14 @@ def advise(
     noise: Noise | None = None,
     pulse: tuple[float, float] | None = None,
     progress: Progress = silent,
-) -> Advice:
-    """Predict the intervals of an estimate with encoders, with pulses and with a faster motion (see the module).
+) -> Advice | StiffnessTestDesign:
+    """Predict what encoders, pulses or a faster motion would add to an estimate.
+
+    Its intervals with each of them (see the module); where the record does not identify the stiffness, the modes that
+    pulses or a load encoder would identify.
 
     Args:
-        estimate: by DIDIM, all parameters identifiable.
+        estimate: by DIDIM.
         record: that it was identified from.
         encoder_step: of encoders on motor and load, m or rad, on the joint's side of a transmission; None: as fine as
             those of the record, or a millionth of the commanded travel where it has none.
@@ -168,15 +171,24 @@ def advise(
         progress: called with each step.
 
     Raises:
-        MethodError: the estimate is not one of a simulated loop as it was declared, has a parameter that is not
-            identifiable, or is of another record.
+        MethodError: the estimate is not one of a simulated loop as it was declared, is of another record, or does not
+            identify a parameter other than the stiffness.
     """
+    predict = design_stiffness_test if estimate.checks.bounds else predict_intervals
+    return predict(estimate, record, encoder_step=encoder_step, noise=noise, pulse=pulse, progress=progress)
+
+
+def predict_intervals(
+    estimate: Estimate,
+    record: Record,
+    *,
+    encoder_step: float | None,
+    noise: Noise | None,
+    pulse: tuple[float, float] | None,
+    progress: Progress,
+) -> Advice:
+    """Predict the intervals of an estimate with encoders, with pulses and with a faster motion; see `advise`."""
     problem, x = rebuild_declared_problem(estimate, record)
-    if estimate.checks.bounds:
-        raise MethodError(
-            "The stiffness is not identifiable from this record, so no intervals can be predicted; "
-            "design_stiffness_test predicts which test would identify it."
-        )
     if len(estimate.params.correlation) < x.size:
         raise MethodError(
             f"A prediction begins at the correlations of all {x.size} free parameters, and this estimate has those of "
@@ -293,6 +305,11 @@ class StiffnessTestDesign:
     position_unit: str
     transmission: Transmission | None = None
 
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """Its lines."""
+        return tuple(str(self).splitlines())
+
     def __str__(self) -> str:
         """Return a line for each test, and one on the modes that the record itself excludes."""
         known = " and ".join(f"{one.softest:.0f} Hz at a load share of {one.share:g}" for one in self.pulses)
@@ -320,29 +337,12 @@ def design_stiffness_test(
     estimate: Estimate,
     record: Record,
     *,
-    pulse: tuple[float, float] | None = None,
     encoder_step: float | None = None,
     noise: Noise | None = None,
+    pulse: tuple[float, float] | None = None,
     progress: Progress = silent,
 ) -> StiffnessTestDesign:
-    """Predict the modes that pulses or a load encoder would identify where a record does not (see the module).
-
-    Args:
-        estimate: by DIDIM of a flexible joint, its stiffness not identifiable.
-        record: that it was identified from.
-        pulse: height (N or N m) and width (s); None: five times the Coulomb friction, and 1.2 over the cut-off.
-        encoder_step: of the load encoder, m or rad; None: that of the record's encoder, or a millionth of the travel.
-        noise: where the torque's residual comes from; see `advise`.
-        progress: called with the load shares.
-
-    Raises:
-        MethodError: the stiffness is identifiable, or the estimate is not of this record.
-    """
-    if not estimate.checks.bounds:
-        raise MethodError(
-            "This estimate identifies its stiffness, so no test for it is needed; advise predicts what narrows its "
-            "interval."
-        )
+    """Predict the modes that pulses or a load encoder would identify where a record does not; see `advise`."""
     problem, _ = rebuild_declared_problem(estimate, record)
     parted = ("motor_", "load_", "stiffness", "damping")  # free, even those that were kept fixed
     problem = problem.changed({p.name: replace(p, free=True) for p in problem.parameters if p.name.startswith(parted)})

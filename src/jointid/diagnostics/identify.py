@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import overload
 
+from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, silent
 from jointid.common.parameters import Parameter
 from jointid.diagnostics.run_checks import run_checks
@@ -13,15 +15,22 @@ from jointid.estimation.problems.log_windows import Windowing
 from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.assemble import CheckResults, assemble
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.robots.identify import RobotMethod, fit_robot
+from jointid.estimation.robots.idim import RobotEstimate, RobotIDIM
+from jointid.estimation.robots.torque_estimate import RobotDIDIM, RobotDriveSideFit, RobotTorqueEstimate
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import ClosedLoop, Joint
+from jointid.models.robots.robot import Robot
 from jointid.records.chunks import LongRecord
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.prescribed import DriveSide, OpenLoop
+from jointid.simulation.robot_drive_side import RobotDriveSide
+from jointid.simulation.robots import RobotLoop
 from jointid.uncertainty.verdict import Subject, skip_test
 
 
+@overload
 def identify(
     record: Record | Sequence[Record] | LongRecord,
     model: ClosedLoop | DriveSide | OpenLoop | Joint | Sequence[ClosedLoop],
@@ -36,18 +45,49 @@ def identify(
     torque_constant: str = "",
     unchecked: Callable[[Estimate], None] | None = None,
     progress: Progress = silent,
-) -> Estimate:
-    """Identify a joint from what its drive logged.
+) -> Estimate: ...
+
+
+@overload
+def identify(
+    record: Sequence[Record],
+    model: Robot | RobotLoop | RobotDriveSide,
+    method: RobotMethod | None = None,
+    *,
+    filtering: Filtering | None = None,
+    progress: Progress = silent,
+) -> RobotEstimate | RobotTorqueEstimate: ...
+
+
+def identify(
+    record: Record | Sequence[Record] | LongRecord,
+    model: ClosedLoop | DriveSide | OpenLoop | Joint | Sequence[ClosedLoop] | Robot | RobotLoop | RobotDriveSide,
+    method: Method | RobotMethod | None = None,
+    *,
+    filtering: Filtering | None = None,
+    parameters: Mapping[str, Parameter] | None = None,
+    several: SeveralRecords | None = None,
+    windows: Windowing | None = None,
+    checks: bool = True,
+    shown: Sequence[DriveNumber] = (),
+    torque_constant: str = "",
+    unchecked: Callable[[Estimate], None] | None = None,
+    progress: Progress = silent,
+) -> Estimate | RobotEstimate | RobotTorqueEstimate:
+    """Identify a joint, or a robot, from what its drives logged.
 
     Args:
         record: a record; or several of one joint, each with the torque and what its controller reads, in one fit; or a
-            `Log` that is read in chunks, identified in windows in bounded memory.
+            `Log` that is read in chunks, identified in windows in bounded memory. Of a robot the records of its joints,
+            on one clock.
         model: the loop (joint and controller), or the joint alone when the controller is not known; `DriveSide` to
             prescribe the motor's motion and simulate the load; `OpenLoop` to prescribe the torque. For several records
-            a loop, or one for each record: of one joint under different gains.
+            a loop, or one for each record: of one joint under different gains. A `Robot` alone, a `RobotLoop` with its
+            controllers, or a `RobotDriveSide` along the motors' motion.
         method: `DIDIM` (rigid), `FlexibleDIDIM`, `IDIM`, `DriveSideFit` or `OpenLoopFit` with its settings; by default
             DIDIM when the controller is known, even where the record has a motor position, which is then not read; that
-            of a `DriveSide` or an `OpenLoop`; otherwise IDIM. Several records and a log are identified by DIDIM.
+            of a `DriveSide` or an `OpenLoop`; otherwise IDIM. Several records and a log are identified by DIDIM. Of a
+            robot `RobotIDIM`, `RobotDIDIM` or `RobotDriveSideFit`; by default what the model asks for.
         filtering: see `Filtering`; its defaults follow the sample time.
         parameters: changes to the joint's parameters by name: fixed values, starts, bounds; for several records, of the
             joint without anything added.
@@ -55,7 +95,7 @@ def identify(
         windows: of a log; see `Windowing`. With it a record in memory is identified in windows, too.
         checks: whether to check controller and log, what else may cause a misfit, and what the model lacks: of one
             record, by a DIDIM that ends at the least squares. The checks take about as long as the identification.
-            Without them, the verdict on the loop says so.
+            Without them, the verdict on the loop says so. Those of a robot are made by `diagnose_robot`.
         shown: how the drive shows the numbers of its controller, see `check_loop`.
         torque_constant: with its unit, where all values are proportional to it, see `Estimate.data`.
         unchecked: is called with the estimate before its checks.
@@ -97,6 +137,15 @@ def identify(
         >>> round(estimate.params["inertia"].value, 3), estimate.data.windows.count
         (30.0, 10)
     """
+    if isinstance(model, Robot | RobotLoop | RobotDriveSide):
+        if not isinstance(record, Sequence) or parameters or several or windows:
+            raise MethodError(
+                "A robot is identified from the records of its joints, without parameters, SeveralRecords or windows; "
+                "give the records alone."
+            )
+        return fit_robot(record, model, method, filtering=filtering, progress=progress)
+    if isinstance(method, RobotIDIM | RobotDIDIM | RobotDriveSideFit):
+        raise MethodError(f"{type(method).__name__} is for a robot; give a Robot, a RobotLoop or a RobotDriveSide.")
     fit = fit_records(
         record, model, method, filtering=filtering, parameters=parameters, several=several, windows=windows,
         progress=progress,

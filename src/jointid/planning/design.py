@@ -256,7 +256,7 @@ class Design(Charted, Documented):
                 f'"injected", unit = "{u}", at = "{injected.at}", in_torque = {inside}{sided} }}`.'
             )
         steps.append(
-            "Then `jointid doctor joint.toml --record RECORD`, and `jointid identify joint.toml --record RECORD`."
+            "Then `jointid examine joint.toml --record RECORD`, and `jointid identify joint.toml --record RECORD`."
         )
         numbered = "\n".join(f"{i}. {step}" for i, step in enumerate(steps, 1))
         return f"# A test of this joint\n\n{self.description}.\n\n{numbered}\n\n{self.document().markdown()}\n"

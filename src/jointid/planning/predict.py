@@ -86,7 +86,7 @@ class Noise:
         if any(p.value is None or p.stderr is None for p in estimate.params.rows if p.free):
             raise MethodError(
                 "The noise of a first record is taken from an estimate that gives every parameter, and this record "
-                "does not identify all: jointid diagnose sensors says which test would; design_test takes rough values."
+                "does not identify all: jointid advise says which test would; design_test takes rough values."
             )
         error, slopes = problem.linearise(x)
         alone = stationary(-slopes, -slopes, error).std

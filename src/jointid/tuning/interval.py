@@ -125,7 +125,7 @@ def _springs(estimate: Estimate, confidence: float, last: float) -> Interval:
         raise MethodError(
             f"The stiffness is refused and {estimate.data.record} does not bound it at any load share, "
             "so no margin can be "
-            "stated; a record with pulses would, see jointid diagnose sensors."
+            "stated; a record with pulses would, see jointid advise."
         )
     sums = {one.combination.quantity: one for one in estimate.checks.known.physical}
     inertia = sums.get("inertia")

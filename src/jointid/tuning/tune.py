@@ -108,7 +108,7 @@ def tune(
         raise MethodError(
             f"Margins are of a loop, and the controller of {estimate.data.record} is not known; identify with "
             "one, or learn "
-            "it with jointid controller."
+            "it with jointid learn-controller."
         )
     controller = estimate.settings.loop.controller
     if not isinstance(controller, ServoController):
@@ -180,7 +180,7 @@ def _propose(
         work.add()
         points = np.concatenate([points, at])
     said = "no gains of this structure were found that keep the asked margins for all joints of the interval"
-    return None, None, [f"{said}; ask for less, or narrow the interval (jointid diagnose sensors says how)"]
+    return None, None, [f"{said}; ask for less, or narrow the interval (jointid advise says how)"]
 
 
 def _gains(estimate: Estimate, before: Any, layout: Layout, shown: Mapping[str, DriveNumber]) -> tuple[Gain, ...]:

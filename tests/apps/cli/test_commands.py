@@ -20,7 +20,7 @@ from jointid.apps.cli import main
 from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.common.messages import Message
 from jointid.config import load
-from jointid.controller_id.learned_loop import LearnedLoop
+from jointid.controller_id.learned_controller import LearnedController
 from jointid.controller_id.limitations import LimitationCode
 from jointid.models.controllers import PID, Cascade, FirstOrder
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
@@ -78,7 +78,7 @@ def test_advise_says_what_a_load_encoder_would_do(
     out = tmp_path / "advice.json"
     (tmp_path / "joint.toml").write_text(JOINT_FILE, encoding="utf-8")
     words = ("--record", demo / "record.csv", "--encoder-step", "1e-6", "--json", out, "-q")
-    assert run("diagnose", "sensors", tmp_path / "joint.toml", *words) == 0
+    assert run("advise", tmp_path / "joint.toml", *words) == 0
     assert "load encoder: steps of 1e-06 m; narrows" in capsys.readouterr().out
     answer = json.loads(out.read_text(encoding="utf-8"))
     assert answer["schema"] == "jointid.advice/1"
@@ -133,7 +133,7 @@ def test_a_refused_stiffness_ends_with_what_would_show_it(tmp_path: Path, capsys
         "which its record did not tell, so it predicts no torque; identify the joint as rigid"
         in capsys.readouterr().err
     )
-    assert run("diagnose", "sensors", tmp_path / "joint.toml", "-q", "--json", tmp_path / "out.json") == 0
+    assert run("advise", tmp_path / "joint.toml", "-q", "--json", tmp_path / "out.json") == 0
     assert json.loads((tmp_path / "out.json").read_text(encoding="utf-8"))["sentence"] in capsys.readouterr().out
 
 
@@ -382,8 +382,8 @@ def learned(monkeypatch: pytest.MonkeyPatch) -> Cascade:
     )
     nothing = np.zeros(0)
 
-    def learn_loop(record: Record, **_: object) -> LearnedLoop:
-        return LearnedLoop(
+    def learn_controller(record: Record, **_: object) -> LearnedController:
+        return LearnedController(
             controller,
             "P-P",
             (),
@@ -403,7 +403,7 @@ def learned(monkeypatch: pytest.MonkeyPatch) -> Cascade:
             None,
         )
 
-    monkeypatch.setattr("jointid.controller_id.learn.learn_loop", learn_loop)
+    monkeypatch.setattr("jointid.controller_id.learn.learn_controller", learn_controller)
     return controller
 
 
@@ -433,7 +433,7 @@ name = "idim"
     folder = home / place
     folder.mkdir(parents=True, exist_ok=True)
     monkeypatch.chdir(home)
-    assert run("controller", "joint.toml", "--record", "run 1.csv", "--write", f"{place}/out.toml", "-q") == 0
+    assert run("learn-controller", "joint.toml", "--record", "run 1.csv", "--write", f"{place}/out.toml", "-q") == 0
     made = load(folder / "out.toml")
     assert made.source.file is not None
     assert not Path(made.source.file).is_absolute()
@@ -454,7 +454,7 @@ def test_a_learned_joint_file_names_the_record_that_was_given(
         encoding="utf-8",
     )
     monkeypatch.chdir(tmp_path)
-    assert run("controller", "joint.toml", "--record", "logs/today.csv", "--write", "axes/out.toml", "-q") == 0
+    assert run("learn-controller", "joint.toml", "--record", "logs/today.csv", "--write", "axes/out.toml", "-q") == 0
     made = load(tmp_path / "axes" / "out.toml")
     assert made.source.file == "../logs/today.csv"
     monkeypatch.chdir("/")
@@ -486,7 +486,7 @@ def test_from_an_unknown_controller_to_an_answer(tmp_path: Path, capsys: pytest.
     load(tmp_path / "joint.toml").write(log, tmp_path / "log.csv")
     written = tmp_path / "made" / "learned.toml"
     written.parent.mkdir()
-    assert run("controller", tmp_path / "joint.toml", "--record", tmp_path / "log.csv", "--write", written) == 0
+    assert run("learn-controller", tmp_path / "joint.toml", "--record", tmp_path / "log.csv", "--write", written) == 0
     said = capsys.readouterr()
     assert "this takes some" in said.err and "PID" in said.out
     made = load(written)
@@ -505,19 +505,19 @@ def test_an_interrupted_search_is_written_and_said(
 ) -> None:
     from jointid.controller_id import learn
 
-    whole = learn.learn_loop
+    whole = learn.learn_controller
 
-    def cut_short(record: Record, **given: object) -> LearnedLoop:
+    def cut_short(record: Record, **given: object) -> LearnedController:
         message = Message(LimitationCode.INTERRUPTED, "The search was interrupted.")
         return dataclasses.replace(whole(record, **given), limitations=(message,))  # type: ignore[arg-type]
 
-    monkeypatch.setattr("jointid.controller_id.learn.learn_loop", cut_short)
+    monkeypatch.setattr("jointid.controller_id.learn.learn_controller", cut_short)
     time = np.arange(400) * 1e-3
     log = Table({"t": time, "torque": np.cos(time), "position": np.sin(time), "reference": np.sin(time)})
     write_table(tmp_path / "log.csv", log)
     (tmp_path / "joint.toml").write_text("[joint]\nkind = 'revolute'\n[drive]\nprofile = 'generic'\n", encoding="utf-8")
-    made = tmp_path / "out.toml"
-    assert run("controller", tmp_path / "joint.toml", "--record", tmp_path / "log.csv", "--write", made, "-q") == 130
+    made, log = tmp_path / "out.toml", tmp_path / "log.csv"
+    assert run("learn-controller", tmp_path / "joint.toml", "--record", log, "--write", made, "-q") == 130
     assert load(made).controller == learned
     assert "interrupted" in capsys.readouterr().out
 

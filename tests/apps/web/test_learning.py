@@ -1,4 +1,4 @@
-"""A controller that the page learns: the one that `jointid controller` learns from the same files."""
+"""A controller that the page learns: the one that `jointid learn-controller` learns from the same files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from jointid.apps.web.form import make_order
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.config import load
-from jointid.controller_id.learned_loop import LearnedLoop
+from jointid.controller_id.learned_controller import LearnedController
 from jointid.models.controllers import Cascade
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Record
@@ -68,7 +68,7 @@ def folder(request: pytest.FixtureRequest, axis: FloatArray, tmp_path: Path) -> 
 def learned_by_both(folder: Path) -> tuple[Any, Any]:
     """Return the controllers that the page and the command put into the joint file."""
     with pytest.raises(SystemExit) as end:
-        main(["controller", str(folder / "joint.toml"), "--write", str(folder / "command.toml"), "-q"])
+        main(["learn-controller", str(folder / "joint.toml"), "--write", str(folder / "command.toml"), "-q"])
     assert end.value.code == 0
     worker.learn(folder, {"file": "log.csv"})
     return load(folder / "joint.toml").controller, load(folder / "command.toml").controller
@@ -77,13 +77,13 @@ def learned_by_both(folder: Path) -> tuple[Any, Any]:
 def test_the_learner_is_told_the_same_gain_by_both(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[float] = []
 
-    def give_up(record: Record, *, gain: float, **_: object) -> LearnedLoop:
+    def give_up(record: Record, *, gain: float, **_: object) -> LearnedController:
         told.append(gain)
         raise MethodError("No law.")
 
-    monkeypatch.setattr("jointid.controller_id.learn.learn_loop", give_up)
+    monkeypatch.setattr("jointid.controller_id.learn.learn_controller", give_up)
     with pytest.raises(SystemExit):
-        main(["controller", str(folder / "joint.toml"), "-q"])
+        main(["learn-controller", str(folder / "joint.toml"), "-q"])
     with pytest.raises(MethodError):
         worker.learn(folder, {"file": "log.csv"})
     assert told == [10 * CONSTANT] * 2

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
+import jointid as ji
 from jointid.common.errors import MethodError, RecordError
 from jointid.estimation.robots.consistent import consistent_robot
 from jointid.estimation.robots.idim import RobotIDIM, identify_robot
@@ -222,6 +223,19 @@ def test_the_printed_estimate() -> None:
     assert max(map(len, text.splitlines())) <= 100
     assert "Izz1 is Izz1 + " in estimate.summary(details=True).replace("\n", " ")
     assert 30 < len(estimate.told) < len(estimate.names)
+
+
+def test_a_robot_is_identified_by_the_verb_of_a_joint() -> None:
+    records = records_of(ARM, 1)
+    found, direct = ji.identify(records, ARM, RobotIDIM("ols")), identify_robot(ARM, records, RobotIDIM("ols"))
+    assert isinstance(found, ji.RobotEstimate)
+    assert np.array_equal(found.values, direct.values)
+    with pytest.raises(MethodError, match="RobotDIDIM is not for a Robot; use RobotIDIM"):
+        ji.identify(records, ARM, ji.RobotDIDIM())
+    with pytest.raises(MethodError, match="without parameters, SeveralRecords or windows"):
+        ji.identify(records[0], ARM)  # type: ignore[call-overload]
+    with pytest.raises(MethodError, match="RobotIDIM is for a robot"):
+        ji.identify(records[0], ji.RigidJoint(), RobotIDIM())  # type: ignore[call-overload]
 
 
 def test_what_is_refused() -> None:

@@ -1,7 +1,7 @@
 """The program: its commands, and how errors leave it.
 
 Exit code 0 when it worked, 2 for a mistake of the user's (one sentence each) or a result that cannot be written, 1 for
-a failure of ours, 3 where `doctor` finds something wrong with a record, 130 when interrupted, 143 when ended by
+a failure of ours, 3 where `examine` finds something wrong with a record, 130 when interrupted, 143 when ended by
 SIGTERM; `--debug` shows the traceback and the warnings of libraries too, and changes no exit code.
 """
 
@@ -25,8 +25,8 @@ from jointid.apps.cli import SIGNALLED, endings, streams
 from jointid.apps.cli import campaign as campaigns
 from jointid.apps.cli.console import clear_bars, tell
 from jointid.apps.cli.data import convert, inspect
-from jointid.apps.cli.diagnose import friction, intervals, loop, methods, robot, sensors, springs
-from jointid.apps.cli.identify import controller, doctor, identify, tune
+from jointid.apps.cli.diagnose import advise, friction, intervals, loop, methods, robot, springs
+from jointid.apps.cli.identify import examine, identify, learn_controller, tune
 from jointid.apps.cli.plan import design
 from jointid.apps.cli.results import compare, export, report, validate
 from jointid.apps.cli.robots import payload
@@ -41,7 +41,7 @@ app = App(
     name="jointid",
     help="Identify a servo-driven joint from motor torque and the commanded reference alone.",
     help_epilogue="Exit code: 0 it worked, 2 a mistake in the command, the joint file or the record (one sentence "
-    "each) or a result that cannot be written, 1 a fault of jointid's, 3 doctor finds something wrong with a record, "
+    "each) or a result that cannot be written, 1 a fault of jointid's, 3 examine finds something wrong with a record, "
     "130 interrupted, 143 ended by SIGTERM. --debug, with any command, also prints the traceback and the libraries' "
     "warnings; the exit code stays.",
     version=__version__,
@@ -52,9 +52,9 @@ data = App(name="data", help="Look into files of records, and convert them.", he
 diagnose = App(name="diagnose", help_format="plaintext")
 campaign = App(name="campaign", help="Many joints and many runs, here or on a cluster.", help_format="plaintext")
 for parent, commands in (
-    (app, (demo, doctor, identify, validate, report, compare)),
-    (diagnose, (methods, springs, friction, intervals, loop, sensors)),
-    (app, (diagnose, controller, tune, design, simulate, export, payload, data, campaign, serve, reproduce)),
+    (app, (demo, examine, identify, validate, report, compare, advise)),
+    (diagnose, (methods, springs, friction, intervals, loop)),
+    (app, (diagnose, learn_controller, tune, design, simulate, export, payload, data, campaign, serve, reproduce)),
     (data, (inspect, convert)),
     (campaign, (campaigns.run, campaigns.work, campaigns.status, campaigns.report, campaigns.export)),
 ):

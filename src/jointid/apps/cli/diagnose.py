@@ -133,7 +133,7 @@ def loop(joint: Path, /, *, options: Options = DEFAULTS) -> None:
     deliver(check_loop(estimate, record, shown=file.declared_numbers), options.json)
 
 
-def sensors(
+def advise(
     joint: Path,
     /,
     *,
@@ -151,8 +151,7 @@ def sensors(
         noise: where the torque's residual comes from, a force in the loop or the log itself; without it as the tap of
             the torque says.
     """
-    from jointid import advise, design_stiffness_test
+    from jointid import advise
 
     record, estimate = options.identify_by_didim(joint, options.outputs)
-    ask = design_stiffness_test if estimate.checks.bounds else advise
-    deliver(ask(estimate, record, encoder_step=encoder_step, noise=noise, progress=options.progress), options.json)
+    deliver(advise(estimate, record, encoder_step=encoder_step, noise=noise, progress=options.progress), options.json)

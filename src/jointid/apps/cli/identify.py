@@ -33,10 +33,10 @@ if TYPE_CHECKING:
 
 
 FAULTY = 3
-"""Exit code of `doctor` where something is wrong with the record."""
+"""Exit code of `examine` where something is wrong with the record."""
 
 
-def doctor(joint: Path, /, *, options: Options = DEFAULTS) -> int:
+def examine(joint: Path, /, *, options: Options = DEFAULTS) -> int:
     """Look a record over before its numbers are used: what is wrong with it, what it can tell, what to change.
 
     The clock, the torque and its limit, the motion, the controller (where the motor's position was logged), then what
@@ -131,9 +131,9 @@ def identify(
         logged, estimate = options.identify(file)
     deliver(estimate, json, (figure, figures.torque), details=details)
     if logged is not None and estimate.checks.bounds:
-        from jointid import design_stiffness_test
+        from jointid import advise
 
-        show("\n" + wrapped(str(design_stiffness_test(estimate, logged)), WIDTH, below=2))
+        show("\n" + wrapped(str(advise(estimate, logged)), WIDTH, below=2))
     if estimate.fit.interrupted:
         raise KeyboardInterrupt
 
@@ -179,7 +179,7 @@ def _from_log(file: JointFile, records: list[Path], windows: Windowing, listener
     )  # fmt: skip
 
 
-def controller(joint: Path, /, *, options: Options = DEFAULTS, write: Path | None = None) -> None:
+def learn_controller(joint: Path, /, *, options: Options = DEFAULTS, write: Path | None = None) -> None:
     """Learn the controller from a record that has reference, motor position and torque.
 
     How long it takes is said before it begins. Ctrl-C ends the search with the best law so far, which is printed and

@@ -155,7 +155,7 @@ SHAPES: Mapping[str, Shape] = {
     ),
     "ReportedEstimate": keys("file=label record torque_sha256=fingerprint"),
     # Controller and tuning
-    "LearnedLoop": document(
+    "LearnedController": document(
         "jointid.learned_loop/1",
         "record resampled numbers correlation in_drive equivalent=equivalent_laws alternatives "
         "regression_percent=100*regression_share",
@@ -264,8 +264,8 @@ def to_dict(result: object) -> Json:
     """Return a result as a dict of numbers, words, lists and dicts, with its `schema`: what `--json` writes.
 
     Args:
-        result: of `identify`, `validate`, `compare`, `check_loop`, `advise`, `design_stiffness_test`, `tune`,
-            `learn_loop`, `inspect`.
+        result: of `identify`, `validate`, `compare`, `check_loop`, `advise`, `tune`,
+            `learn_controller`, `inspect`.
 
     Raises:
         MethodError: it is no such result.

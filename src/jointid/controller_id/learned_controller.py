@@ -52,7 +52,7 @@ class Alternative:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LearnedLoop(Documented):
+class LearnedController(Documented):
     """A controller, learned from a record.
 
     Attributes:
@@ -96,7 +96,7 @@ class LearnedLoop(Documented):
     in_drive: tuple[NumberInDrive, ...] = ()
     regression_share: float = math.nan
 
-    def beside(self, shown: Iterable[DriveNumber]) -> LearnedLoop:
+    def beside(self, shown: Iterable[DriveNumber]) -> LearnedController:
         """Add the numbers as the drive shows them.
 
         Args:
