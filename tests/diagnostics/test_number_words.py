@@ -91,7 +91,7 @@ def test_a_loop_that_is_not_as_declared_is_told_in_the_file_s_own_quantities(
     file = loads(text)
     assert file.loop is not None
     record = logged(file, text, changed)
-    estimate = ji.identify(record, file.loop)
+    estimate = ji.identify(record, file.loop, shown=file.declared_numbers)
     verdict, [(name, by)] = estimate.checks.verdicts[-1], changed.items()
     there = next(one for one in file.declared_numbers if one.number == name)
     assert there.declared is not None

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from jointid.common.arrays import FloatArray
+from jointid.models.friction import low_speed_share
 from jointid.models.robots.dynamics import inverse_dynamics, mass_matrix
 from jointid.models.robots.robot import Tree
 from jointid.simulation.robot_numbers import RobotNumbers
@@ -66,7 +67,7 @@ def simulate_pd(
         for i, r in enumerate(numbers.rotors):
             force[r] += torque[i]
             if r != i:
-                spring = numbers.springs[i] @ [q[r] - q[i], v[r] - v[i]]
+                spring = numbers.springs[i, :2] @ [q[r] - q[i], v[r] - v[i]]
                 force[i] += spring
                 force[r] -= spring
         return M, force
@@ -75,7 +76,7 @@ def simulate_pd(
         M: FloatArray, force: FloatArray, modes: FloatArray, v: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         free = modes != 0
-        a, grip = np.zeros(size), coulomb - rise * (1.0 - np.exp(-((v / below) ** 2)))
+        a, grip = np.zeros(size), coulomb - rise * (1.0 - low_speed_share(v / below))
         a[free] = np.linalg.solve(M[np.ix_(free, free)], (force - modes * grip)[free])
         return a, force - M @ a - modes * grip  # of the second only what rests is read
 

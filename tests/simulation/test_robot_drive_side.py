@@ -145,7 +145,7 @@ def test_what_cannot_be_simulated_is_said() -> None:
         (replace(numbers, springs=-numbers.springs), RobotOutcome.INVALID),
         (replace(numbers, springs=1e8 * numbers.springs), RobotOutcome.TOO_STIFF),
         (replace(numbers, inertials=-numbers.inertials), RobotOutcome.NOT_POSITIVE),
-        (replace(numbers, masses=numbers.masses + np.eye(8)[6]), RobotOutcome.INVALID),
+        (replace(numbers, masses=numbers.masses + np.eye(12)[6]), RobotOutcome.INVALID),
     ):
         found = run_drive_side(motion, other)
         assert found.outcome is outcome

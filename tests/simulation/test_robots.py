@@ -254,14 +254,24 @@ def test_masses_that_stand_still_are_decided_together() -> None:
     for _ in range(200):
         root = rng.normal(size=(n, n))
         M, force, coulomb = root @ root.T + 0.05 * np.eye(n), 3 * rng.normal(size=n), rng.uniform(0.2, 3.0, n)
-        masses = np.zeros((n, 8))
-        modes, a, held = rng.choice([-1.0, 0.0, 1.0], n), np.empty(n), np.empty(n)
-        bodies = robot_loop.Bodies(np.zeros((n, 10)), np.arange(n), masses, np.zeros((n, 2)))
+        modes, a = rng.choice([-1.0, 0.0, 1.0], n), np.empty(n)
+        bands = np.zeros((n, 1, 4))
+        bands[:, 0, robot_loop.COULOMB] = coulomb
+        bodies = robot_loop.Bodies(
+            np.zeros((n, 10)),
+            np.arange(n),
+            np.zeros((n, 6)),
+            bands,
+            np.zeros((n, 1, 4)),
+            np.zeros((n, 3)),
+            np.ones(n, dtype=np.bool_),
+        )
         room = robot_loop.Room(
-            np.zeros(n), np.empty((n, ROOM)), M, np.empty((n, n)), np.empty(n), force, coulomb, np.empty(n, np.int64),
+            np.zeros(n), np.empty((n, ROOM)), M, np.empty((n, n)), np.empty(n), force, np.empty(n, np.int64),
             np.empty((2, n)),
         )  # fmt: skip
-        assert robot_loop.settle(bodies, room, np.zeros(n), np.zeros(n), modes, a, held)
+        at = robot_loop.State(np.zeros(n), np.zeros(n), a, np.empty(n), coulomb, np.zeros(n), np.zeros(n), np.zeros(n))
+        assert robot_loop.settle(bodies, room, np.zeros(n), modes, at)
         assert a == pytest.approx(brute_force(M, force, coulomb), abs=1e-9)
         rested, slid = rested + int(np.sum(modes == 0)), slid + int(np.sum(modes != 0))
     assert rested > 100

@@ -201,8 +201,8 @@ def list_monitored(names: Sequence[str]) -> tuple[str, ...]:
     """Quantities monitored for drift: stiffness, and sums of frictions of both sides.
 
     Example:
-        >>> from jointid.campaigns.drift import watched
-        >>> watched(["inertia", "stiffness", "motor_coulomb", "load_coulomb", "total_coulomb", "viscous"])
+        >>> from jointid.campaigns.drift import list_monitored
+        >>> list_monitored(["inertia", "stiffness", "motor_coulomb", "load_coulomb", "total_coulomb", "viscous"])
         ('stiffness', 'total_coulomb', 'viscous')
     """
     summed = {name.removeprefix("total_") for name in names if name.startswith("total_")}

@@ -52,6 +52,12 @@ _LOSS = 0.03  # of the torque through the spring: where a search for a friction 
 _WARMED = 0.2  # of the friction, lost at the end: where a search for a change with time begins
 
 
+def low_speed_share(ratio: FloatArray) -> FloatArray:
+    """Return ``exp(-x^2)`` by its straight lines, at speeds over that of Stribeck's law, of any shape."""
+    at, share = np.array(_KNOTS).T
+    return np.asarray(np.interp(np.abs(ratio), at, share))
+
+
 @dataclass(frozen=True, slots=True)
 class Coefficient:
     """One parameter of a friction law, and where it acts.

@@ -331,15 +331,19 @@ def _pose(
 
 def _place(problem: ClosedLoopProblem, values: Mapping[str, float]) -> FloatArray:
     """Free parameters of a joint that starts at rest."""
-    begins = float(problem.experiment.inputs[0, REFERENCE])
-    gravity, ripple, offset = problem.loop.joint.gravity, problem.loop.joint.ripple, values.get("offset", 0.0)
-    here, forces = np.array([begins]), list[tuple[FloatArray, tuple[Parameter, ...]]]()
-    forces += [] if gravity is None else [(gravity.columns(here)[0], gravity.parameters)]
-    forces += [] if ripple is None else [(ripple.columns_at(here)[0], ripple.parameters)]
-    held = offset + sum(float(columns @ [values[p.name] for p in own]) for columns, own in forces)
+    held = _holding_torque(problem.loop, values, float(problem.experiment.inputs[0, REFERENCE]))
     position = beginning_position(replace(problem, measured=np.full_like(problem.measured, held)))
     around = {"initial_position": position, "initial_velocity": 0.0, "initial_torque": held}
     return problem.vector({**values, **around})
+
+
+def _holding_torque(loop: ClosedLoop, values: Mapping[str, float], position: float) -> float:
+    """Torque that holds a joint at rest at a position."""
+    gravity, ripple, offset = loop.joint.gravity, loop.joint.ripple, values.get("offset", 0.0)
+    here, forces = np.array([position]), list[tuple[FloatArray, tuple[Parameter, ...]]]()
+    forces += [] if gravity is None else [(gravity.columns(here)[0], gravity.parameters)]
+    forces += [] if ripple is None else [(ripple.columns_at(here)[0], ripple.parameters)]
+    return offset + sum(float(columns @ [values[p.name] for p in own]) for columns, own in forces)
 
 
 def _require_identifiable(problem: ClosedLoopProblem, J: FloatArray) -> None:

@@ -27,7 +27,7 @@ from jointid.simulation.kernels.robot_loop import Clock, Controllers, Driven, Ro
 from jointid.simulation.prescribed import spline_of
 from jointid.simulation.robot_columns import columns_of
 from jointid.simulation.robot_numbers import Bools, NumberOf, NumberPlace, RobotNumbers
-from jointid.simulation.robot_sensitivities import slopes_at_start
+from jointid.simulation.robot_sensitivities import seeds_of, slopes_at_start
 from jointid.simulation.robot_start import places_at_start, speeds_at_start
 from jointid.simulation.robots import MassMotion, RobotOutcome, choose_steps, outcome_of
 
@@ -147,7 +147,7 @@ def run_drive_side(prescribed: MotorMotion, numbers: RobotNumbers, steps: int | 
     n, masses, parts = numbers.rotors.size, len(numbers.masses), len(prescribed.held)
     moved = _moved(numbers)
     start, speeds = np.zeros(masses), np.zeros(masses)
-    outcome, tape = RobotOutcome.INVALID, RobotTape.empty(0, 0, masses)
+    outcome, tape = RobotOutcome.INVALID, RobotTape.empty(0, 0, moved.bodies)
     if numbers.possible:
         links = prescribed.position[:: max(len(prescribed.position) // 5, 1)]
         taken = steps or choose_steps(prescribed.tree, links, prescribed.step, _moved(numbers, _HELD))
@@ -158,7 +158,7 @@ def run_drive_side(prescribed: MotorMotion, numbers: RobotNumbers, steps: int | 
         if numbers.beside.size:
             places[:n] += numbers.beside[:, 0]
             speeds[:n] += numbers.beside[:, 1]
-        tape = RobotTape.empty(parts + 1, _MORE * (parts + 1) * taken + 1000, masses)
+        tape = RobotTape.empty(parts + 1, _MORE * (parts + 1) * taken + 1000, moved.bodies)
         # One more part follows the last one, so that its end is on the tape, too.
         asked = _HEAVY * np.vstack([prescribed.held, prescribed.held[-1:]]).T[:, np.newaxis]
         command, counts = np.zeros((n, parts + 1)), np.zeros(3, dtype=np.int64)
@@ -205,7 +205,7 @@ def differentiate_drive_side(run: RobotDriveSideRun, places: Sequence[NumberPlac
     at_start = kernels.Moved(dq, dv, np.zeros((n, 0, count)), np.zeros((n, count)))
     kernels.differentiate_run(
         prescribed.tree, numbers.bodies, _timing(n, prescribed.step), _passing(n), np.zeros((n, 0, 0), dtype=np.bool_),
-        tape, rows, at_start, np.zeros((n, parts + 1, 0)), np.zeros((n, 0, 0)), found,
+        tape, rows, seeds_of(numbers, places), at_start, np.zeros((n, parts + 1, 0)), np.zeros((n, 0, 0)), found,
     )  # fmt: skip
     return found[:, :parts].transpose(1, 0, 2)
 

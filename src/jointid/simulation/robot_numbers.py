@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
+from jointid.models.friction import Friction, low_speed_share
 from jointid.models.robots.robot import JointSpring, Robot
+from jointid.models.springs import LinearSpring, Spring
 from jointid.simulation.kernels.drive import IntArray
 from jointid.simulation.kernels.robot_loop import Bodies
 
 Bools: TypeAlias = NDArray[np.bool_]
+AnyArray: TypeAlias = NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,11 +28,9 @@ class RobotNumbers:
 
     Attributes:
         inertials: (n, 10) of the links. rotors: (n,) the mass that each motor drives.
-        masses: (masses, 8) of the links, then of the rotors of flexible joints: inertia of the rotor (0 for the link of
-            a flexible joint), viscous, Coulomb and constant friction, what viscous friction has more forwards, and
-            backwards, what Coulomb friction rises by towards standstill, and the speed below which it does (0 of one
-            that does not).
-        springs: (n, 2) stiffness and damping; 0 for rigid joints.
+        masses: (masses, MassNumbers) of the links, then of the rotors of flexible joints.
+        springs: (n, SPRING_NUMBERS); 0 for rigid joints.
+        laws: (n,) of each joint the friction of both sides, and the spring of one that has it.
         beside: (n, 2) position and velocity of each flexible joint's link at the first sample, beside where steady
             motion has it; or (0, 2). log: (1, 1) s, by which the log shows torques late; or (0, 1). Both are read where
             the record prescribes the motors' motion (`robot_drive_side`), and nowhere else.
@@ -37,6 +40,7 @@ class RobotNumbers:
     rotors: IntArray
     masses: FloatArray
     springs: FloatArray
+    laws: tuple[tuple[Friction, Spring | None], ...]
     beside: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     log: FloatArray = field(default_factory=lambda: np.zeros((0, 1)))
 
@@ -45,22 +49,35 @@ class RobotNumbers:
         """Return those of a robot."""
         joints, n = robot.joints, len(robot.links)
         flexible = [i for i, joint in enumerate(joints) if joint.spring is not None]
-        rotors, springs = np.arange(n), np.zeros((n, 2))
+        rotors, springs = np.arange(n), np.zeros((n, len(SPRING_NUMBERS)))
         rotors[flexible] = n + np.arange(len(flexible))
-        masses = np.zeros((n + len(flexible), 8))
+        masses = np.zeros((n + len(flexible), len(MassNumbers)))
         for i, joint in enumerate(joints):
-            viscous = (0.0, joint.viscous, joint.viscous_back) if joint.asymmetric else (joint.viscous, 0.0, 0.0)
-            rise = joint.stribeck_force, joint.stribeck_speed or 0.0
-            masses[rotors[i]] = joint.rotor_inertia, viscous[0], *joint.coulomb_both, *viscous[1:], *rise
-            if joint.spring is not None:
-                springs[i] = joint.spring.stiffness, joint.spring.damping
-                masses[i, 1:3] = joint.spring.viscous, joint.spring.coulomb
-        return cls(robot.inertials, rotors, masses, springs)
+            values, law = joint.values, joint.law
+            if joint.spring is None:
+                masses[i] = _mass_row(law, values, "", joint.rotor_inertia)
+                continue
+            masses[rotors[i]] = _mass_row(law, values, "motor_", joint.rotor_inertia)
+            masses[i] = _mass_row(law, values | {"offset": 0.0}, "load_", 0.0)
+            springs[i] = [values.get(name, 0.0) for name in SPRING_NUMBERS]
+        laws = tuple((joint.law, None if joint.spring is None else joint.spring.law) for joint in joints)
+        return cls(robot.inertials, rotors, masses, springs, laws)
+
+    @property
+    def frictions(self) -> tuple[Friction, ...]:
+        """The law of every mass: of the links, then of the rotors behind springs."""
+        return tuple(law for law, _ in self.laws) + tuple(law for law, spring in self.laws if spring is not None)
 
     @property
     def bodies(self) -> Bodies:
-        """What the kernels read."""
-        return Bodies(self.inertials, self.rotors, self.masses, self.springs)
+        """What the kernels read: laws as lines in bands and pieces, and what they have beside."""
+        masses = [lower_mass(row, law) for row, law in zip(self.masses, self.frictions, strict=True)]
+        springs = [lower_spring(row, law) for row, (_, law) in zip(self.springs, self.laws, strict=True)]
+        own, bands = np.array([one for one, _ in masses]), _filled([lines for _, lines in masses])
+        presliding, _, faded, per_torque = own[:, 2:].T
+        rests = (np.any(bands[:, :, 3] > 0.0, axis=1) | (faded > 0.0) | (per_torque > 0.0)) & (presliding == 0.0)
+        pieces, bends = _filled([lines for lines, _ in springs]), np.array([one for _, one in springs])
+        return Bodies(self.inertials, self.rotors, own, bands, pieces, bends, rests)
 
     @property
     def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -82,9 +99,92 @@ class RobotNumbers:
         """True if rotors have an inertia, rising friction has a speed, none is negative, and all are numbers."""
         finite = all(bool(np.all(np.isfinite(values))) for values in self.arrays)
         turning, held = self.masses[self.rotors.size :, 0], self.springs[self.flexible, 0]
-        least = min(float(np.min(self.masses[:, [1, 2, 4, 5, 6, 7]])), float(np.min(self.springs)))
+        signed = [MassNumbers.OFFSET, MassNumbers.VISCOUS_DRIFT, MassNumbers.COULOMB_DRIFT]
+        positive = np.delete(self.springs, SPRING_NUMBERS.index("cubic_stiffness"), axis=1)
+        least = min(float(np.min(np.delete(self.masses, signed, axis=1))), float(np.min(positive)))
         risen = self.masses[:, 7][self.masses[:, 6] > 0.0]
         return finite and least >= 0.0 and bool(np.all(turning > 0.0) and np.all(held > 0.0) and np.all(risen > 0.0))
+
+
+class MassNumbers(IntEnum):
+    """The numbers of a mass: of its rotor and of its friction, whatever its law."""
+
+    INERTIA = 0
+    VISCOUS = 1
+    COULOMB = 2
+    OFFSET = 3
+    FORWARDS = 4
+    """What viscous friction has more forwards."""
+    BACKWARDS = 5
+    RISE = 6
+    """What Coulomb friction rises by towards standstill."""
+    SPEED = 7
+    PRESLIDING = 8
+    VISCOUS_DRIFT = 9
+    COULOMB_DRIFT = 10
+    PER_TORQUE = 11
+
+
+_BESIDE_LINES = {
+    "stribeck_force": MassNumbers.RISE,
+    "stribeck_speed": MassNumbers.SPEED,
+    "presliding_distance": MassNumbers.PRESLIDING,
+    "viscous_drift": MassNumbers.VISCOUS_DRIFT,
+    "coulomb_drift": MassNumbers.COULOMB_DRIFT,
+    "friction_per_torque": MassNumbers.PER_TORQUE,
+}
+SPRING_NUMBERS = (
+    "stiffness", "damping", "gap", "stiffness_2", "stiffness_3", "torque_1", "torque_2", "cubic_stiffness",
+    "hysteresis_stiffness", "hysteresis_torque",
+)  # fmt: skip
+"""The numbers of a spring, whatever its law, by the names of a joint's parameters."""
+
+
+def _mass_row(law: Friction, values: Mapping[str, float], prefix: str, inertia: float) -> FloatArray:
+    """Return the numbers of a mass: a Coulomb friction of two sizes is one of their mean and a constant friction."""
+    row = np.zeros(len(MassNumbers))
+    forwards, backwards, coulomb, coulomb_back = law.directions(values, prefix)
+    one = not law.depends_on_direction("viscous")
+    row[: MassNumbers.RISE] = (
+        inertia, forwards if one else 0.0, 0.5 * (coulomb + coulomb_back),
+        values["offset"] + 0.5 * (coulomb - coulomb_back), 0.0 if one else forwards, 0.0 if one else backwards,
+    )  # fmt: skip
+    for p in law.parameters(prefix):
+        name = p.name.removeprefix(prefix)
+        if name in _BESIDE_LINES:
+            row[_BESIDE_LINES[name]] = values[p.name]
+    return row
+
+
+def friction_values(row: AnyArray) -> dict[str, Any]:
+    """Return the numbers of a mass by the names of any law of friction; the offset stands apart."""
+    viscous, coulomb = row[MassNumbers.VISCOUS], row[MassNumbers.COULOMB]
+    found = {name: row[column] for name, column in _BESIDE_LINES.items()} | {"viscous": viscous, "coulomb": coulomb}
+    found |= {"viscous_forwards": viscous + row[MassNumbers.FORWARDS], "coulomb_forwards": coulomb}
+    return found | {"viscous_backwards": viscous + row[MassNumbers.BACKWARDS], "coulomb_backwards": coulomb}
+
+
+def lower_mass(row: AnyArray, law: Friction) -> tuple[AnyArray, AnyArray]:
+    """Return a mass as the kernels read it: its own numbers, (6,), and the bands of its friction, (bands, 4)."""
+    values = friction_values(row)
+    rises = law.linear or law.stepped or row[MassNumbers.SPEED] != 0.0
+    bands = [(band.high, *band.directions[:3]) for band in (law if rises else law.lines).bands(values)]
+    own = row[MassNumbers.INERTIA], row[MassNumbers.OFFSET], *law.smooth(values)
+    return np.array(own), np.array(bands)
+
+
+def lower_spring(row: AnyArray, law: Spring | None) -> tuple[AnyArray, AnyArray]:
+    """Return a spring as the kernels read it: its pieces, (pieces, 4), and what it has beside, (3,)."""
+    if law is None:
+        return np.zeros((1, 4)), np.zeros(3)
+    values = dict(zip(SPRING_NUMBERS, row, strict=True))
+    return np.array(law.pieces(values)), np.array(law.smooth(values)[:3])
+
+
+def _filled(each: Sequence[FloatArray]) -> FloatArray:
+    """Return bands or pieces of all, filled up with ones that nothing comes to."""
+    longest = max(map(len, each))
+    return np.array([np.vstack([one, np.tile([math.inf, 0.0, 0.0, 0.0], (longest - len(one), 1))]) for one in each])
 
 
 class NumberOf(IntEnum):
@@ -132,10 +232,10 @@ class NumberPlace:
 def stribeck_share(masses: FloatArray, speeds: FloatArray) -> FloatArray:
     """Return the share of its rise that a friction has at a speed, as masses and speeds broadcast.
 
-    ``exp(-(v / vS)^2)``, as of one joint (`models.friction.StribeckFriction`).
+    As of one joint, by straight lines (`models.friction.StribeckFriction`).
     """
-    below = masses[..., 7]
-    return np.where(below > 0.0, np.exp(-((speeds / np.where(below > 0.0, below, 1.0)) ** 2)), 0.0)
+    below = masses[..., MassNumbers.SPEED]
+    return np.where(below > 0.0, low_speed_share(speeds / np.where(below > 0.0, below, 1.0)), 0.0)
 
 
 def robot_with(robot: Robot, numbers: RobotNumbers) -> Robot:
@@ -149,10 +249,17 @@ def robot_with(robot: Robot, numbers: RobotNumbers) -> Robot:
     joints = []
     for i, joint in enumerate(robot.joints):
         own, link = numbers.masses[numbers.rotors[i]], numbers.masses[i]
-        spring = None
+        spring, motor = None, "motor_" if numbers.flexible[i] else ""
+        found = {f"{motor}{name}": value for name, value in friction_values(own).items()}
         if numbers.flexible[i]:
-            spring = JointSpring(*map(float, (*numbers.springs[i], link[1], link[2])))
-        inertia, viscous, coulomb, offset, forwards, backwards, rise, below = map(float, own)
+            stiffness, damping = map(float, numbers.springs[i, :2])
+            viscous, coulomb = (float(link[column]) for column in (MassNumbers.VISCOUS, MassNumbers.COULOMB))
+            spring = JointSpring(stiffness, damping, viscous, coulomb, numbers.laws[i][1] or LinearSpring())
+            found |= {f"load_{name}": value for name, value in friction_values(link).items()}
+            found["load_coulomb_forwards"] += link[MassNumbers.OFFSET]
+            found["load_coulomb_backwards"] -= link[MassNumbers.OFFSET]
+            found |= dict(zip(SPRING_NUMBERS, numbers.springs[i], strict=True))
+        inertia, viscous, coulomb, offset, forwards, backwards, rise, below = map(float, own[: MassNumbers.PRESLIDING])
         joints.append(
             replace(
                 joint,
@@ -165,6 +272,7 @@ def robot_with(robot: Robot, numbers: RobotNumbers) -> Robot:
                 stribeck_force=rise,
                 stribeck_speed=below or None,
                 spring=spring,
+                numbers={name: float(found[name]) for name in joint.numbers},
             )
         )
     return replace(robot.with_inertials(numbers.inertials), joints=tuple(joints))
@@ -187,8 +295,16 @@ def all_places(numbers: RobotNumbers) -> tuple[NumberPlace, ...]:
         for column in (*((0, 2, 3, 4, 5) if np.any(numbers.masses[row, 4:6]) else range(4)), 6)
         if (row in numbers.rotors or column in (1, 2)) and (column != 6 or numbers.masses[row, 7] > 0.0)
     ]
+    masses += [
+        NumberPlace(NumberOf.MASS, row, _BESIDE_LINES[p.name])
+        for row, law in enumerate(numbers.frictions)
+        for p in law.parameters()
+        if _BESIDE_LINES.get(p.name, 0) >= MassNumbers.PRESLIDING
+    ]
     springs = [
-        NumberPlace(NumberOf.SPRING, int(i), column) for i in np.flatnonzero(numbers.flexible) for column in (0, 1)
+        NumberPlace(NumberOf.SPRING, i, SPRING_NUMBERS.index(p.name))
+        for i, (_, law) in enumerate(numbers.laws)
+        for p in (() if law is None else law.parameters)
     ]
     links = [NumberPlace(NumberOf.LINK, row, column) for row in range(n) for column in range(10)]
     return (*masses, *springs, *links)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,11 +12,32 @@ from jointid.common.arrays import FloatArray
 from jointid.records.record import Tap
 from jointid.simulation.closed_loop import first_state
 from jointid.simulation.loop_input import to_log
-from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, stribeck_share
-from jointid.simulation.robot_start import FirstSample, controllers_at, weigh
+from jointid.simulation.robot_numbers import (
+    MassNumbers,
+    NumberOf,
+    NumberPlace,
+    RobotNumbers,
+    lower_mass,
+    lower_spring,
+    with_values,
+)
+from jointid.simulation.robot_start import (
+    FirstSample,
+    controllers_at,
+    deflections,
+    friction_at,
+    speeds_at_start,
+    spring_torques,
+    weigh,
+)
 from jointid.simulation.robots import RobotRun
 
+if TYPE_CHECKING:
+    from jointid.simulation.kernels.robot_sensitivities import Seeds
+
+_RELATIVE = 1e-6  # of a number, or of 1 where that is more: differences of laws
 _SMALL = 1e-7  # rad: differences of the load
+_IMAGINARY = 1e-30  # a complex step: its square is nothing beside any value
 _NUDGE = 1e-3  # rad: differences of a controller's state, which is linear
 
 
@@ -45,7 +68,8 @@ def differentiate_torques(run: RobotRun, places: tuple[NumberPlace, ...]) -> lis
     tapped = np.zeros(command.shape if through else (n, 0, 0))
     moved = kernels.Moved(dq, np.zeros_like(dq), dz, before)
     kernels.differentiate_run(
-        experiment.tree, numbers.bodies, clock.timing, laws, run.cuts, tape, rows, moved, command, tapped,
+        experiment.tree, numbers.bodies, clock.timing, laws, run.cuts, tape, rows, seeds_of(numbers, places), moved,
+        command, tapped,
         np.zeros((n, 0, 0)),
     )  # fmt: skip
     found = []
@@ -53,6 +77,27 @@ def differentiate_torques(run: RobotRun, places: tuple[NumberPlace, ...]) -> lis
         seen = tapped[j] if through and each.tap is Tap.COMMAND else command[j]
         found.append(to_log(each, clock.own(j, seen, each.periods))[: clock.samples])
     return found
+
+
+def seeds_of(numbers: RobotNumbers, places: Sequence[NumberPlace]) -> Seeds:
+    """Return how the numbers that the kernels read depend on parameters, by a complex step: rational functions."""
+    from jointid.simulation.kernels.robot_sensitivities import Seeds
+
+    bodies, count = numbers.bodies, len(places)
+    mass, bends = np.zeros((count, bodies.masses.shape[1])), np.zeros((count, bodies.bends.shape[1]))
+    bands, pieces = np.zeros((count, *bodies.bands.shape[1:])), np.zeros((count, *bodies.pieces.shape[1:]))
+    for c, place in enumerate(places):
+        if place.of not in (NumberOf.MASS, NumberOf.SPRING):
+            continue
+        row = numbers.arrays[place.of][place.row].astype(np.complex128)
+        row[place.column] += 1j * _IMAGINARY
+        if place.of is NumberOf.MASS:
+            own, lines = lower_mass(row, numbers.frictions[place.row])
+            mass[c], bands[c, : len(lines), 1:] = np.imag(own) / _IMAGINARY, np.imag(lines[:, 1:]) / _IMAGINARY
+        else:
+            lines, own = lower_spring(row, numbers.laws[place.row][1])
+            bends[c], pieces[c, : len(lines)] = np.imag(own) / _IMAGINARY, np.imag(lines) / _IMAGINARY
+    return Seeds(mass, bands, pieces, bends)
 
 
 def _at_start(run: RobotRun, places: tuple[NumberPlace, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -97,7 +142,12 @@ def slopes_at_start(
     """
     n, rotors, count = numbers.rotors.size, numbers.rotors, len(places)
     motors, links, speeds = start[rotors], start[:n], first.speeds
+    carried = spring_torques(first, numbers, weigh(first, numbers, links))
     compliance = np.where(numbers.flexible, 1.0 / np.where(numbers.flexible, numbers.springs[:, 0], 1.0), 0.0)
+    lines = np.array([law is None or law.linear for _, law in numbers.laws])
+    if not np.all(lines):
+        compliance = np.where(lines, compliance, _slope(lambda torque: deflections(numbers, torque), carried))
+    gain = 1.0 / (1.0 - _loss(first, numbers) * np.sign(carried))
     here = weigh(first, numbers, links)
     shifted = [weigh(first, numbers, links + _SMALL * unit) for unit in np.eye(n)]
     turning = np.column_stack([(there - here) / _SMALL for there in shifted])
@@ -110,12 +160,21 @@ def slopes_at_start(
         elif place.of is NumberOf.MASS:
             joint = int(np.flatnonzero(rotors == place.row)[0]) if place.row in rotors else place.row
             v = float(speeds[joint])
-            one_way = v * (v < 0.0 if place.column == 5 else v >= 0.0)
-            rise = float(stribeck_share(numbers.masses[place.row], np.array(v))) * np.sign(v)
-            effects = first.accelerations[joint], v, np.sign(v), 1.0, one_way, one_way, rise
-            (own if place.row == rotors[joint] else direct)[joint, c] = effects[place.column]
-        elif place.column == 0:
-            stretched[place.row, c] = (motors - links)[place.row]
+            one_way = v * (v < 0.0 if place.column == MassNumbers.BACKWARDS else v >= 0.0)
+            constant = float(v != 0.0 or place.row == rotors[joint])
+            effects = [first.accelerations[joint], v, np.sign(v), constant, one_way, one_way]
+            if place.column == MassNumbers.PER_TORQUE:
+                effect = float(np.abs(carried[joint]) * np.sign(v))
+            elif place.column >= MassNumbers.RISE:
+                effect = _by_friction(numbers, place, speeds_at_start(first, numbers))
+            else:
+                effect = float(effects[place.column])
+            (own if place.row == rotors[joint] else direct)[joint, c] = effect
+        elif lines[place.row]:
+            stretched[place.row, c] = (motors - links)[place.row] if place.column == 0 else 0.0
+        elif compliance[place.row] > 0.0:
+            stretched[place.row, c] = -_by_number(numbers, place, carried) / compliance[place.row]
+    direct, turning = gain[:, np.newaxis] * direct, gain[:, np.newaxis] * turning
     moved = turning @ (soft[:, np.newaxis] * own + compliance[:, np.newaxis] * stretched) + direct
     load = np.linalg.solve(np.eye(n) - turning * (soft - compliance), moved)
     dq = np.zeros((start.size, count))
@@ -123,3 +182,32 @@ def slopes_at_start(
     dq[:n] = of_motor - compliance[:, np.newaxis] * (load - stretched)
     dq[rotors] = of_motor
     return dq, load + own
+
+
+def _loss(first: FirstSample, numbers: RobotNumbers) -> FloatArray:
+    """Return the share of each spring's torque that its link's friction takes as it moves, signed, (n,)."""
+    return numbers.masses[: numbers.rotors.size, MassNumbers.PER_TORQUE] * np.sign(first.speeds)
+
+
+def _slope(function: Callable[[FloatArray], FloatArray], at: FloatArray) -> FloatArray:
+    """Return the derivative of a function that acts number by number."""
+    step = _RELATIVE * np.maximum(np.abs(at), 1.0)
+    return np.asarray((function(at + step) - function(at - step)) / (2.0 * step))
+
+
+def _by_number(numbers: RobotNumbers, place: NumberPlace, torque: FloatArray) -> float:
+    """Return the derivative of a spring's deflection under a torque by one of its numbers."""
+
+    def moved(value: FloatArray) -> FloatArray:
+        return deflections(with_values(numbers, (place,), value), torque)[[place.row]]
+
+    return float(_slope(moved, np.array([place.read(numbers)]))[0])
+
+
+def _by_friction(numbers: RobotNumbers, place: NumberPlace, speeds: FloatArray) -> float:
+    """Return the derivative of a mass's friction at its speed by one of its numbers."""
+
+    def moved(value: FloatArray) -> FloatArray:
+        return friction_at(with_values(numbers, (place,), value), speeds)[[place.row]]
+
+    return float(_slope(moved, np.array([place.read(numbers)]))[0])

@@ -17,7 +17,7 @@ from jointid.models.controllers import REFERENCE
 from jointid.models.robots.robot import Tree
 from jointid.simulation.closed_loop import first_state
 from jointid.simulation.loop_input import LoopInput
-from jointid.simulation.robot_numbers import stribeck_share
+from jointid.simulation.robot_numbers import SPRING_NUMBERS, MassNumbers, stribeck_share
 
 if TYPE_CHECKING:
     from jointid.simulation.robot_numbers import RobotNumbers
@@ -125,20 +125,43 @@ def places_at_start(
         beside: (n,) torque of each motor beside the load.
     """
     n, rotors = numbers.rotors.size, numbers.rotors
-    friction = friction_at(numbers, speeds_at_start(first, numbers))
-    of_links = np.where(numbers.flexible, friction[:n], 0.0)
-    stiffness = np.where(numbers.flexible, numbers.springs[:, 0], np.inf)
     free, load = motors, np.zeros(n)
     for _ in range(_SETTLING):
-        load = weigh(first, numbers, motors - load / stiffness) + of_links
+        load = spring_torques(first, numbers, weigh(first, numbers, motors - deflections(numbers, load)))
         after = free + (load + beside) / soft
         moved = float(np.max(np.abs(after - motors)))
         motors = after
         if moved <= _AT_REST * (1.0 + float(np.max(np.abs(motors)))):
             break
     places = np.zeros(len(numbers.masses))
-    places[:n], places[rotors] = motors - load / stiffness, motors
+    places[:n], places[rotors] = motors - deflections(numbers, load), motors
     return places, load
+
+
+def spring_torques(first: FirstSample, numbers: RobotNumbers, links: FloatArray) -> FloatArray:
+    """Return what the springs of flexible joints carry in steady motion, of rigid ones the links', (n,).
+
+    Args:
+        first: how the robot moves.
+        numbers: of the robot.
+        links: (n,) the torques that the links take. Friction may grow with what is carried.
+    """
+    n = numbers.rotors.size
+    friction = friction_at(numbers, speeds_at_start(first, numbers))[:n]
+    # At rest friction may carry any part of the load; it is taken to carry nothing.
+    carried = links + np.where(numbers.flexible & (first.speeds != 0.0), friction, 0.0)
+    lost = numbers.masses[:n, MassNumbers.PER_TORQUE] * np.sign(first.speeds)
+    return np.asarray(carried / (1.0 - lost * np.sign(carried)))
+
+
+def deflections(numbers: RobotNumbers, torques: FloatArray) -> FloatArray:
+    """Return how far torques deflect the springs, (n,); 0 of rigid joints."""
+    stiffness = np.where(numbers.flexible, numbers.springs[:, 0], np.inf)
+    found = np.asarray(torques / stiffness)
+    for i, (_, law) in enumerate(numbers.laws):
+        if law is not None and not law.linear:
+            found[i] = law.deflection(dict(zip(SPRING_NUMBERS, numbers.springs[i], strict=True)), float(torques[i]))
+    return found
 
 
 def weigh(experiment: FirstSample, numbers: RobotNumbers, places: FloatArray) -> FloatArray:

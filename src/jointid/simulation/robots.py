@@ -29,7 +29,7 @@ from jointid.simulation.kernels.robot_loop import Controllers, Driven, RobotTape
 from jointid.simulation.loop_input import LoopInput, prepare, seen_torque, to_log
 from jointid.simulation.robot_clock import RobotClock, common_clock
 from jointid.simulation.robot_laws import pack_laws
-from jointid.simulation.robot_numbers import Bools, RobotNumbers
+from jointid.simulation.robot_numbers import Bools, MassNumbers, RobotNumbers
 from jointid.simulation.robot_start import begin, reference_motion
 from jointid.simulation.simulated import FINISHED
 
@@ -275,7 +275,8 @@ def run_robot(
         outcome = RobotOutcome.FINISHED if taken <= _STEPS else RobotOutcome.TOO_STIFF
         taken = taken if steps else math.ceil(taken * FINE / stride)
     rows = (_MORE * clock.steps * parts * min(taken, _STEPS) + 1000) if keep and outcome is RobotOutcome.FINISHED else 0
-    tape = RobotTape.empty(clock.steps * parts, rows, masses)
+    bodies = numbers.bodies
+    tape = RobotTape.empty(clock.steps * parts, rows, bodies)
     if outcome is RobotOutcome.FINISHED:
         began = begin(experiment, numbers)
         start, state, before = began.places, np.zeros((n, states)), np.empty(n)
@@ -286,7 +287,7 @@ def run_robot(
         far = np.array([each.far for each in experiment.experiments]) + np.abs(start[numbers.rotors])
         driven = Driven(experiment.feedforward, experiment.after_limit, before, far)
         status = robot_loop.run(
-            experiment.tree, numbers.bodies, clock.timing, taken, laws, driven, state, start.copy(), began.speeds,
+            experiment.tree, bodies, clock.timing, taken, laws, driven, state, start.copy(), began.speeds,
             Seen(command, tapped, cuts), tape, counts,
         )  # fmt: skip
         outcome = outcome_of(status)
@@ -341,15 +342,20 @@ def choose_steps(tree: Tree, references: FloatArray, length: float, numbers: Rob
     n, rotors = numbers.rotors.size, numbers.rotors
     still, room = np.zeros(n), np.empty((n, ROOM))
     size, fastest = len(numbers.masses), 0.0
-    rise, below = numbers.masses[:, 6:].T
+    rise, below, over = numbers.masses[:, MassNumbers.RISE : MassNumbers.PRESLIDING + 1].T
     steep = np.where(below > 0.0, rise / np.where(below > 0.0, below, 1.0), 0.0)  # some share less than the steepest
-    springs = np.zeros((size, size))
+    # What winds up is a spring, twice as stiff behind a reversal as where it is not wound up.
+    winding = np.where(over > 0.0, 2.0 * numbers.masses[:, MassNumbers.COULOMB] / np.where(over > 0.0, over, 1.0), 0.0)
+    springs = np.diag(winding)
     dampers = np.diag(numbers.masses[:, 1] + np.max(numbers.masses[:, 4:6], axis=1) + steep)
+    bodies = numbers.bodies
     for i in np.flatnonzero(numbers.flexible):
         both = np.zeros(size)
         both[i], both[rotors[i]] = 1.0, -1.0
-        springs += numbers.springs[i, 0] * np.outer(both, both)
-        dampers += numbers.springs[i, 1] * np.outer(both, both)
+        # A cubic spring is four times as stiff where the cube carries as much as the line.
+        stiffness = float(np.max(bodies.pieces[i, :, 2])) * (4.0 if bodies.bends[i, 0] > 0.0 else 1.0)
+        springs += (stiffness + 2.0 * bodies.bends[i, 1]) * np.outer(both, both)
+        dampers += float(np.max(bodies.pieces[i, :, 3])) * np.outer(both, both)
     for pose in references[:: max(len(references) // _POSES, 1)]:
         M = np.zeros((size, size))
         links = np.empty((n, n))

@@ -120,8 +120,8 @@ def test_what_is_filled_in_is_what_is_written() -> None:
         ({"controller.position_gain": "fast"}, "controller.position_gain", 'is "fast"; expected a number'),
         ({"controller.position_gain": "-1,5e-3"}, "controller.position_gain", "is -0.0015"),
         ({"controller.position_gain": "1.234,5"}, "controller.position_gain", "expected a number in plain digits"),
-        ({"controller.position_gain": "5 rad"}, "controller.position_gain", "expected a number in plain digits"),
-        ({"controller.delay": "5 rad"}, "controller.delay", "expected a number in plain digits"),
+        ({"controller.position_gain": "5 rad"}, "controller.position_gain", 'is "5 rad"; expected a number in 1/s'),
+        ({"controller.delay": "5 rad"}, "controller.delay", 'is "5 rad"; expected a number in s'),
         ({"controller.integral_time": "0"}, "controller.integral_time", "Integral time Tn is"),
         ({"controller.position_gain": "1,234,567"}, "controller.position_gain", "expected a number in plain digits"),
         (
@@ -305,7 +305,7 @@ def test_filters_times_and_units_are_entered_as_drives_show_them() -> None:
     assert (again[f"{lag}.kind"], again[f"{mean}.kind"], again["controller.integral_time"]) == (
         "first_order",
         "moving_average",
-        "0.008",
+        "8 ms",
     )
     assert "filter" not in again["extra"]
 

@@ -140,7 +140,7 @@ def test_a_check_that_spares_a_doubted_value_does_not_say_that_it_may_be_used() 
 
 def test_the_section_on_the_loop_says_the_same_as_its_check() -> None:
     """Where a cause stands in the verdict, the tests of small deviations do not name another one beside it."""
-    given = reports.rigid().dossier
+    given = reports.rigid().data
     assert given.loop is not None
     first = replace(given.loop.tests[0], p_value=1e-9)
     blamed = replace(given.loop, findings=(Finding(first, None, (), {}),), tests=(first, *given.loop.tests[1:]))
@@ -163,9 +163,9 @@ def test_the_appendix_names_suspects_in_words() -> None:
 def test_a_profile_that_would_say_what_the_table_says_is_left_out() -> None:
     record, loop = reports.rigid_record()
     told = ji.Report.of(ji.identify(record, loop), record)
-    left = told.dossier.parabolic
+    left = told.data.parabolic
     assert "offset" in left
-    assert set(left).isdisjoint(one.name for one in told.dossier.profiles)
+    assert set(left).isdisjoint(one.name for one in told.data.profiles)
     assert "the criterion is a parabola as far as 2\u202fσ" in told.markdown()
     every = ji.intervals(told.estimate, record, [*left, "inertia"])
     assert every.parabolic == ()
@@ -202,8 +202,8 @@ def test_convergence_says_of_a_jump_what_is_true() -> None:
     down = [replace(line, residual_norm=10.0 - i) for i, line in enumerate(trace)]
     up = [*down[:-1], replace(down[-1], residual_norm=20.0)]
     for lines, jumps in ((down, False), (up, True)):
-        dossier = replace(told.dossier, estimate=amended(told.estimate, fit={"trace": tuple(lines)}))
-        caption = replace(told, dossier=dossier).charts["convergence"].caption
+        data = replace(told.data, estimate=amended(told.estimate, fit={"trace": tuple(lines)}))
+        caption = replace(told, data=data).charts["convergence"].caption
         assert ("Where it jumps up" in caption) is jumps
         assert "another start begins" not in caption
 
@@ -267,8 +267,8 @@ def test_what_a_method_does_not_have_is_said() -> None:
 def test_the_three_frequencies_are_marked() -> None:
     told = reports.flexible()
     expected = ji.FlexibleJoint.frequencies(told.estimate.values)
-    assert told.dossier.response is not None
-    assert told.dossier.response.modes == expected
+    assert told.data.response is not None
+    assert told.data.response.modes == expected
     marks = [item.label for item in told.charts["spectra"].panels[0].items if type(item).__name__ == "Mark"]
     assert [f"{name} {hertz:.1f} Hz" for name, hertz in (
         ("load locked", expected["load_locked"]), ("motor locked", expected["motor_locked"]),
@@ -434,7 +434,7 @@ def test_a_long_record_says_what_is_left_out() -> None:
             "predicted": np.resize(told.estimate.fit.predicted, many),
         },
     )
-    longer = Report(replace(told.dossier, estimate=estimate, motion=None))
+    longer = Report(replace(told.data, estimate=estimate, motion=None))
     assert f"of {many} samples are drawn" in longer.charts["torque"].caption
     assert "residual" not in longer.charts
 

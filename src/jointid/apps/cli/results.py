@@ -112,7 +112,7 @@ def report(
             found = plan_from_estimate(estimate, record, goal=plan, limits=file.limits, progress=options.progress)
             told = replace(told, design=found)
         except (JointidError, LinAlgError) as error:
-            told.dossier.absent["design"] = str(error)
+            told.data.absent["design"] = str(error)
             show(f"Without a next test: {error}")
     written = [] if page is None else [told.save(page)]
     written += [] if markdown is None else [told.save_markdown(markdown)[0]]

@@ -138,7 +138,7 @@ def report_robot_file(
     source = Path(file.joints[0].record_path(options.record))
     found = None if held_out is None else _held_out(file, estimate, held_out)
     html = "report.html" if page is None else page.name
-    again = repetition(path, source, {"held_out": held_out and held_out.name}, options.changes, html)
+    again = repetition(path, source, {"held_out": held_out and held_out.name}, options.changes, html, "robot")
     told = RobotReport.of(
         estimate, records, [one.controller for one in file.joints], found, feed_forward=file.feed_forward,
         repetition=again,

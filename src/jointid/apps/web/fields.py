@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import Any, Literal, TypeAlias
 
-from jointid.common.units import UnitError, spelled, unit, units_of
+from jointid.common.units import units_of
 from jointid.config import json_schema
 from jointid.models.friction import FRICTIONS
 from jointid.models.springs import SPRINGS
@@ -34,8 +34,9 @@ LEARN, WITHOUT, EXTRA_LAW = "learn", "none", "extra"
 
 _DIGITS = r"[+-]?([0-9]+[.,]?[0-9]*|[.,][0-9]+)([eE][+-]?[0-9]+)?"
 _NUMBER = re.compile(_DIGITS)
-_WITH_UNIT = re.compile(rf"({_DIGITS})\s*([^\s0-9.,;][^;]*)")
+_WITH_UNIT = re.compile(rf"({_DIGITS})\s*([^\s0-9.,;_][^;]*)")
 _UNIT = re.compile(r"\[([^\[\]]*)\]$")  # at the end of a description
+_VALUES: dict[str, dict[str, Any]] = {"sign": {"1": 1, "-1": -1}, "flag": {"true": True, "false": False}}
 _BETWEEN = re.compile(r"\s*;\s*|\s*,\s+|\s+")  # numbers of a list, each of which may have a decimal comma
 
 
@@ -73,7 +74,7 @@ class Field:
         return f"{self.key}@{self.variant}" if self.variant else self.key
 
     def applies(self, draft: Draft) -> bool:
-        """Whether it counts, beside what stands in the other fields."""
+        """Return whether the field applies, given the other fields."""
         return all(draft.get(name, usual(name)) in values for name, values in self.when.items())
 
     def read(self, draft: Draft) -> Any:
@@ -82,36 +83,29 @@ class Field:
         A text that is none of its values is left as it is, for the schema to refuse.
         """
         text = draft.get(self.name, self.usual).strip()
+        words = _VALUES.get(self.form, {})
         try:
-            match self.form:
-                case _ if not text:
-                    return None
-                case "number":
-                    return self._number(text)
-                case "numbers":
-                    return _decimals(text)
-                case "sign":
-                    return {"1": 1, "-1": -1}.get(text, text)
-                case "flag":
-                    return {"true": True, "false": False}.get(text, text)
+            if text and self.form in ("number", "numbers"):
+                return self._number(text) if self.form == "number" else _decimals(text)
         except ValueError:
             pass
-        return text
+        return words.get(text, text or None)
 
-    def _number(self, text: str) -> float:
-        """Return a number as the joint file has it: in the field's unit, or with another one of its kind behind it.
+    def _number(self, text: str) -> float | str:
+        """Return a number, or a number and its unit as the joint file takes it.
 
         Raises:
-            ValueError: it is none.
+            ValueError: it is neither.
         """
-        found = None if _NUMBER.fullmatch(text) else _WITH_UNIT.fullmatch(text)
-        value = _decimal(text) if found is None else _decimal(found[1]) * _factor(found[4], self.unit[0])
+        if not _NUMBER.fullmatch(text) and (found := _WITH_UNIT.fullmatch(text)):
+            return f"{found[1].replace(',', '.')} {found[4]}"
+        value = _decimal(text)
         return int(value) if self.whole and value.is_integer() else value
 
     def number_fault(self, draft: Draft) -> str | None:
-        """Return what is said of a text where numbers belong, None where there is nothing to say."""
+        """Return the fault of a text in a field of numbers; None without a fault."""
         text = self.read(draft)
-        if self.form not in ("number", "numbers") or not isinstance(text, str):
+        if self.form not in ("number", "numbers") or not isinstance(text, str) or _WITH_UNIT.fullmatch(text):
             return None
         if self.form == "numbers" and re.fullmatch(r"[0-9]+,[0-9]+", text):
             point, two = text.replace(",", "."), text.replace(",", "; ")
@@ -164,21 +158,6 @@ def _decimals(text: str) -> list[float]:
     if re.fullmatch(r"[0-9]+,[0-9]+", text):
         raise ValueError
     return [_decimal(part) for part in _BETWEEN.split(text)]
-
-
-def _factor(name: str, own: str) -> float:
-    """Return what takes a number in the named unit to the field's own.
-
-    Raises:
-        ValueError: one of them is not in the table, or they measure different things.
-    """
-    try:
-        given, wanted = unit(spelled(name)), unit(own)
-    except UnitError:
-        raise ValueError from None
-    if given.dimension != wanted.dimension:
-        raise ValueError
-    return given.factor / wanted.factor
 
 
 def _find_property(key: str, table: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -277,7 +256,7 @@ _USUAL = {one.name: one.usual for one in FIELDS if one.usual}
 
 
 def usual(name: str) -> str:
-    """Return what a new form has in a field."""
+    """Return the initial text of a field."""
     return _USUAL.get(name, "")
 
 

@@ -39,7 +39,7 @@ FULL = "The disk on which this page keeps its files is full; free space there, a
 
 
 def refusal_of(error: JointidError | OSError) -> JointidError:
-    """Return what the page says of an error.
+    """Return the sentence of the page on an error.
 
     Raises:
         OSError: it is not for the person to mend.
@@ -104,12 +104,12 @@ class Run:
 
     @property
     def active(self) -> bool:
-        """Whether it, or what is planned after it, has not ended."""
+        """Whether it is running or a test is being planned."""
         return self.status["state"] in ("running", "planning")
 
     @property
     def keeps_names(self) -> bool:
-        """Whether its record has a name that is ours, as one of an earlier version may have."""
+        """Whether its record has a reserved name, as in earlier versions."""
         return (read_json(self.folder / "work.json") or {}).get("file", "") in _OF_A_RUN
 
     def end_planning(self, sentence: str = "") -> None:
@@ -123,14 +123,14 @@ class Run:
 
     @property
     def stamps(self) -> dict[str, str]:
-        """What tells each version of answer and report from those before; empty for one that is not there yet."""
+        """Stamps of the versions of answer and report; empty if missing."""
         return {
             name: _stamp(self.folder / file) for name, file in (("answer", "answer.json"), ("report", "report.html"))
         }
 
     @property
     def plan_stamp(self) -> str:
-        """What tells each plan of the next test from those before."""
+        """Stamp of the version of the plan."""
         return _stamp(self.folder / "plan.json")
 
     @property
@@ -159,7 +159,7 @@ class Run:
         return text.split("\n")[:-1]
 
     def has(self, name: str) -> bool:
-        """Whether its folder holds a file of that name."""
+        """Return whether its folder has a file."""
         return (self.folder / name).is_file()
 
 
@@ -196,7 +196,7 @@ class Folder:
         self.discard(old)
 
     def discard(self, file: str) -> None:
-        """Remove a file that was to be the record, and what belongs to it, unless it is the record."""
+        """Remove a rejected upload and its companions; keep the current record."""
         if file != self._file:
             for of_it in (DRAFT, PREVIEW, CHECKED, *([""] if file else [])):
                 (self.path / f"{file}{of_it}").unlink(missing_ok=True)
@@ -208,7 +208,7 @@ class Folder:
 
     @property
     def checked(self) -> dict[str, Any] | None:
-        """What the record holds as it was read when its channels were checked; None if they were not."""
+        """Summary of the record from the check of its channels; None if unchecked."""
         return self._read(CHECKED)
 
     def drop_preview(self) -> None:
@@ -230,7 +230,7 @@ class Folder:
         return sorted(found, key=lambda run: -run.number)
 
     def run(self, number: int) -> Run | None:
-        """Return one identification, None if there is none of that number."""
+        """Return an identification by its number; None if unknown."""
         run = Run(self.path / "runs" / str(number))
         return run if run.folder.is_dir() else None
 
@@ -259,7 +259,7 @@ class Folder:
         return self.path / f"{_UPLOAD}{secrets.token_hex(6)}{suffix}"
 
     def close_interrupted(self) -> None:
-        """Mark the run during which an earlier page was killed as ended, and remove what was on its way in."""
+        """Mark an interrupted run as ended, and remove partial uploads."""
         kept = self._file
         for path in self.path.glob(f"{_UPLOAD}*"):
             if not (kept and path.name.startswith(kept)):

@@ -9,7 +9,7 @@ from typing import Any
 
 import tomli_w
 
-from jointid.apps.web.fields import EXTRA, EXTRA_LAW, FIELDS, LAWS, LEARN, NAMES, WITHOUT, Draft, Field, usual
+from jointid.apps.web.fields import EXTRA, EXTRA_LAW, FIELDS, LAW, LAWS, LEARN, NAMES, WITHOUT, Draft, Field, usual
 from jointid.apps.web.guesses import find_unit
 from jointid.common.errors import Fault, JointFileError
 from jointid.common.messages import dot_path
@@ -28,7 +28,7 @@ _SEVERAL = {"records": "[[records]]", "together": "[together]"}
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """What is wrong with a form.
+    """The faults of a form.
 
     Attributes:
         beside: sentences by the name of their field.
@@ -43,7 +43,7 @@ class Faults:
 
 
 def clean_entries(sent: Iterable[tuple[str, str]]) -> dict[str, str]:
-    """Return what a browser sent as a draft: known names, texts of bounded length without control characters."""
+    """Return the entries of a form as a draft: known names and bounded, printable texts."""
     draft = {}
     for name, value in sent:
         if name in NAMES:
@@ -61,9 +61,9 @@ def make_tables(draft: Draft, file: str) -> dict[str, Any]:
     made: dict[str, Any] = {"record": {"file": file}}
     for one in FIELDS:
         value = one.read(draft)
-        if value is not None and one.applies(draft) and _named(one, draft):
+        if value is not None and one.applies(draft) and _has_column(one, draft):
             _put(made, one.key.split("."), value)
-    _as_written(made)
+    _lay_out_filters(made)
     if draft.get(_LAW) == LEARN:
         made["controller"] = {**made["controller"], **_STAND_IN}
     elif draft.get(_LAW) not in LAWS:
@@ -99,7 +99,7 @@ def _open_units(draft: Draft) -> list[Field]:
     extra = _parse(draft.get(EXTRA, ""), EXTRA)
     if _at(extra, ["drive", "profile"]) is not None or _at(extra, ["transmission", "load"]) is not None:
         return []
-    asked = [one for one in FIELDS if one.form == "unit" and one.applies(draft) and _named(one, draft)]
+    asked = [one for one in FIELDS if one.form == "unit" and one.applies(draft) and _has_column(one, draft)]
     return [
         one
         for one in asked
@@ -120,7 +120,7 @@ def with_units(draft: Draft) -> dict[str, str]:
 
 
 def make_reading_tables(draft: Draft, file: str) -> dict[str, Any]:
-    """Return tables that say only how the record is read, of a rigid joint whose controller is a stand-in.
+    """Return the tables for reading the record, with a rigid joint and a placeholder controller.
 
     Raises:
         JointFileError: see `make_tables`.
@@ -135,7 +135,7 @@ def make_reading_tables(draft: Draft, file: str) -> dict[str, Any]:
 
 
 def make_order(draft: Draft, file: str) -> tuple[str, bool]:
-    """Return the joint file that a form describes, checked completely, and whether its controller is to be learned.
+    """Return the checked joint file of a form, and whether to learn its controller.
 
     One that is to be learned has gains of 1 in it, and the gain of the drive's chain where that is given.
 
@@ -191,10 +191,10 @@ def read_joint_file(text: str) -> dict[str, str]:
     rest = _parse(text, "The joint file")
     draft: dict[str, str] = {}
     law = _at(rest, ["controller", "law"])
-    _as_fields(rest)
+    _lay_out_fields(rest)
     deciding = {name: _at(rest, name.split(".")) for name in ("joint.kind", "joint.model", *_FILTER_KINDS)}
     known = {name: str(value or usual(name)) for name, value in deciding.items()} | {_LAW: str(law or WITHOUT)}
-    if not isinstance(law, str) or law not in dict(_field(_LAW).choices):
+    if not isinstance(law, str) or law not in dict(LAW.choices):
         known[_LAW] = draft[_LAW] = WITHOUT if law is None else EXTRA_LAW
     _drop(rest, ["record", "file"])
     for one in FIELDS:
@@ -203,12 +203,12 @@ def read_joint_file(text: str) -> dict[str, str]:
             _drop(rest, one.key.split("."))
     if law is None and _at(rest, ["method", "name"]) == "idim":
         _drop(rest, ["method", "name"])
-    _as_written(rest)
+    _lay_out_filters(rest)
     return draft | {EXTRA: tomli_w.dumps(_without_empty(rest))}
 
 
-def _as_fields(tables: dict[str, Any]) -> None:
-    """Say a controller as the fields do, which know one torque filter, the kind of each, and a time for a cascade."""
+def _lay_out_fields(tables: dict[str, Any]) -> None:
+    """Convert a controller to the layout of the fields: one torque filter, kinds of filters, an integral time."""
     controller = _at(tables, ["controller"])
     if not isinstance(controller, dict):
         return
@@ -231,8 +231,8 @@ def _with_kind(written: Any) -> Any:
     return {"kind": "digital", **written} if isinstance(written, dict) and {*written} == {"numerator"} else written
 
 
-def _as_written(tables: dict[str, Any]) -> None:
-    """Say the filters of a controller as a joint file does: torque filters in a list, taps without a kind."""
+def _lay_out_filters(tables: dict[str, Any]) -> None:
+    """Convert the filters of a controller to the layout of a joint file: a list, taps without a kind."""
     controller = _at(tables, ["controller"])
     if not isinstance(controller, dict):
         return
@@ -247,12 +247,8 @@ def _as_written(tables: dict[str, Any]) -> None:
         del controller["torque_filters"]
 
 
-def _field(key: str) -> Field:
-    return next(one for one in FIELDS if one.key == key)
-
-
-def _named(one: Field, draft: Draft) -> bool:
-    """Whether a field of a channel belongs to one that has a column, or to no channel."""
+def _has_column(one: Field, draft: Draft) -> bool:
+    """Return whether the channel of a field has a column; True for fields of no channel."""
     path = one.key.split(".")
     if path[:2] != ["record", "channels"]:
         return True

@@ -1,4 +1,4 @@
-"""What the names of columns say of them: which channel each is, in which unit, and whether the axis turns.
+"""Guess channels, units and the kind of the joint from the names of columns.
 
 First come the names that engineers write where no drive did, then those of the drives' profiles, then words: "Actual
 torque", "Lagesollwert", "iq_act". A channel that two columns may be is left for the person to choose.
@@ -106,20 +106,13 @@ def guess_roles(columns: Iterable[str]) -> dict[str, str]:
     found: dict[str, str] = {}
     for role in ("time", *CHANNELS):
         free = [name for name in names if name not in found.values()]
-        column = _find_by_usage(role, free)
+        called = (_only(name for name in free if _normalise(name) == usual) for usual in _USUAL.get(role, ()))
+        column = next(filter(None, called), None)
         if column is None and role != "time":
             column = _find_by_profile(role, free) or _find_by_words(role, free)
         if column is not None:
             found[role] = column
     return found
-
-
-def _find_by_usage(role: str, names: list[str]) -> str | None:
-    for usual in _USUAL.get(role, ()):
-        called = [name for name in names if _normalise(name) == usual]
-        if len(called) == 1:
-            return called[0]
-    return None
 
 
 def _find_by_profile(channel: str, names: list[str]) -> str | None:
@@ -132,13 +125,14 @@ def _find_by_profile(channel: str, names: list[str]) -> str | None:
 
 
 def _find_by_words(role: str, names: list[str]) -> str | None:
-    """Return the one column whose words, or for a torque whose unit, are those of a channel."""
+    """Return the only column with the words of a channel, or with the unit of a torque."""
     told = {name: _normalise(name) for name in names}
     told = {name: words for name, words in told.items() if not _has(_OTHERWISE, words)}
     if role == "torque":
         torques = [name for name, words in told.items() if _has(_TORQUE, words)]
         commanded = [name for name in torques if _has(_COMMANDED, told[name])]
-        measured = [name for name, words in told.items() if _is_torque(name)]
+        known = {one for kind in _KINDS for one in units_of(TORQUE_UNITS[kind][0], "current")}
+        measured = [name for name in told if find_unit(name, known) is not None]
         return _only(commanded) or _only(torques) or _only(measured) or _only(n for n, w in told.items() if w == "istw")
     positions = {name: words for name, words in told.items() if _has(_POSITION, words) and not _has(_TORQUE, words)}
     loads = {name for name, words in positions.items() if _has(_LOAD, words)}
@@ -148,12 +142,6 @@ def _find_by_words(role: str, names: list[str]) -> str | None:
     if wanted is None:
         return None
     return _only(name for name, words in positions.items() if _has(wanted, words) and name not in loads)
-
-
-def _is_torque(name: str) -> bool:
-    """Whether a unit that only torques, forces and currents have is in a name."""
-    units_ = {one for kind in _KINDS for one in units_of(TORQUE_UNITS[kind][0], "current")}
-    return find_unit(name, units_) is not None
 
 
 def _only(names: Iterable[str]) -> str | None:

@@ -102,7 +102,7 @@ class Jobs:
         try:
             await self._work(action, folder, self._limits.reading, "Reading this record")
         except PageError as error:
-            raise PageError(_renamed(str(error), folder / file, name) if file else str(error)) from None
+            raise PageError(_rename(str(error), folder / file, name) if file else str(error)) from None
 
     async def ask(self, action: str, work: Mapping[str, Any], folder: Path) -> dict[str, Any]:
         """Have what stands in a form worked out, in a folder below this one, and return it.
@@ -169,9 +169,8 @@ class Jobs:
             async with asyncio.timeout(seconds):
                 code = await process.wait()
         except TimeoutError:
-            raise FailedError(
-                f"{subject} took longer than {_say_time(seconds)} and was stopped; use a shorter one."
-            ) from None
+            limit = f"{seconds:g} s" if seconds < 120 else f"{seconds / 60:.0f} minutes"
+            raise FailedError(f"{subject} took longer than {limit} and was stopped; use a shorter one.") from None
         finally:
             if process.returncode is None:
                 process.kill()
@@ -180,11 +179,7 @@ class Jobs:
             _raise_fault(code, folder)
 
 
-def _say_time(seconds: float) -> str:
-    return f"{seconds:g} s" if seconds < 120 else f"{seconds / 60:.0f} minutes"
-
-
-def _renamed(sentences: str, path: Path, name: str) -> str:
+def _rename(sentences: str, path: Path, name: str) -> str:
     """Return sentences about a file of ours with the name that it came with."""
     for ours, theirs in ((str(path.absolute()), name), (path.name, name), (path.stem, Path(name).stem)):
         sentences = sentences.replace(ours, theirs)

@@ -1,4 +1,4 @@
-"""What comes from the browser, and what it is shown.
+"""State, uploads and views of the page.
 
 Forms and files come in bounded and under names of ours; pages go out as HTML from templates of our own, every text that
 came in escaped. `AppState` is what all addresses share.
@@ -240,7 +240,7 @@ def show_run(state: AppState, run: Run) -> Response:
 
 
 def _list_goals(answer: Mapping[str, Any] | None) -> list[tuple[str, str]]:
-    """Return what a next test may be planned for, each with its words; nothing where none can be planned."""
+    """Return the goals of a next test with their labels; empty if none can be planned."""
     if answer is None or answer["method"] != "didim" or _say_no_goal(answer):
         return []
     free = {name: p["symbol"] for name, p in answer["parameters"].items() if p["free"] and name not in INITIAL}
@@ -281,7 +281,7 @@ def _render(template: str, state: AppState, code: int = 200, **values: object) -
 
 
 def find_fields(sentence: str) -> list[dict[str, str]]:
-    """Return the fields whose keys a sentence names, each with its label and where it stands on the page."""
+    """Return label and address of the fields that a sentence names."""
     found = []
     for one in fields.FIELDS:
         last = one.key.rpartition(".")[2]
@@ -313,7 +313,10 @@ def _build_rows(answer: Mapping[str, Any]) -> list[dict[str, str]]:
 
     Of a parameter that a fault of the loop moves, it is said by how much; and of one at its bound, that it is.
     """
-    reasons = [Message(one["code"], one["words"], one["values"]) for one in _loop_reasons(answer)]
+    of_loop: list[dict[str, Any]] = next(
+        (one["reasons"] for one in answer["verdicts"] if one["subject"] == Subject.LOOP), []
+    )
+    reasons = [Message(one["code"], one["words"], one["values"]) for one in of_loop]
     moved, when = sum_changes(reasons), "under the other law" if is_another_law(reasons) else "once corrected"
     there = {} if answer["other_side"] is None else answer["other_side"]["parameters"]
     return [
@@ -332,13 +335,8 @@ def _build_rows(answer: Mapping[str, Any]) -> list[dict[str, str]]:
     ]
 
 
-def _loop_reasons(answer: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the reasons of the check of controller and log; none where there is no such check."""
-    return next((one["reasons"] for one in answer["verdicts"] if one["subject"] == Subject.LOOP), [])
-
-
 def _tell_value(p: Mapping[str, Any]) -> str:
-    """Return what is known of a parameter, with its unit."""
+    """Return a parameter's value or bound with its unit."""
     if p["value"] is None:
         return "cannot be told" if p["lower_bound"] is None else f"> {number(p['lower_bound'])} {p['unit']}"
     if p["std"] is None:

@@ -80,7 +80,7 @@ def fill_in(folder: Path) -> None:
 
 
 def order(folder: Path) -> None:
-    """Write the joint file that the entries of the form in `work.json` make, and whether to learn, to `made.json`."""
+    """Write the joint file of the form in `work.json`, and whether to learn, to `made.json`."""
     from jointid.apps.web.form import make_order
 
     work = _read_work(folder)
@@ -89,7 +89,7 @@ def order(folder: Path) -> None:
 
 
 def prepare(_: Path) -> None:
-    """Compile the simulation where this machine has not yet, so that an identification finds it compiled."""
+    """Compile the simulation before the first identification needs it."""
     from jointid.simulation.warm_up import warm_up
 
     warm_up(wait=True)
@@ -139,7 +139,7 @@ def _write_report(folder: Path, file: JointFile, estimate: Estimate, record: Rec
     whole = Aside(tell_all)
     if not whole.is_done(within=_MOMENT):
         first = tell(profiles=())
-        first.dossier.absent["profiles"] = first.dossier.absent["tuning"] = _FOLLOWS
+        first.data.absent["profiles"] = first.data.absent["tuning"] = _FOLLOWS
         write_whole(folder / "report.html", first.html())
     write_whole(folder / "report.html", whole.result().html())
 

@@ -122,6 +122,7 @@ def identify_rigid_robot(
         RecordError: a record lacks torque or reference, or has the wrong clock or unit.
         MethodError: the records do not determine the parameters, or nothing can be simulated at the start.
     """
+    loop.robot.require_lines("DIDIM of a robot takes")
     robot = replace(loop.robot, joints=tuple(replace(joint, spring=None) for joint in loop.robot.joints))
     loop = replace(loop, robot=robot)
     parameters = robot_parameters(robot, offsets=offsets)

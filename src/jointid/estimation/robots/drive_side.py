@@ -269,6 +269,7 @@ def identify_flexible_drive_side(
         MethodError: as of `identify_flexible_robot`.
     """
     require_springs(robot, frequencies)
+    robot.require_lines("The drive side of a robot takes")
     stiff = replace(robot, joints=tuple(replace(joint, spring=None) for joint in robot.joints))
     parameters = robot_parameters(robot, offsets=offsets, logarithmic=True)
     problem = drive_side_problem(robot, records, parameters, filtering, delay)
@@ -391,7 +392,7 @@ class SearchOfSprings:
         for other, hertz in placed.items():
             w = 2.0 * math.pi * hertz
             rotors[other] = numbers.rotors[other]
-            springs[other] = start.links[other] * w * np.array([w, 2.0 * _DAMPING])
+            springs[other, :2] = start.links[other] * w * np.array([w, 2.0 * _DAMPING])
         run = run_drive_side(problem.prescribed, replace(numbers, rotors=rotors, springs=springs))
         asked = range(rotors.size) if joints is None else joints
         if run.outcome is not RobotOutcome.FINISHED:

@@ -49,6 +49,7 @@ def robot_instruments(
         RecordError: a record lacks a channel that its controller reads, or a clock does not divide the controllers'.
         MethodError: controllers or logs share no clock.
     """
+    loop.robot.require_lines("IDIM of a robot takes")
     rigid = replace(loop.robot, joints=tuple(replace(joint, spring=None) for joint in loop.robot.joints))
     experiment, size = prepare_robot(replace(loop, robot=rigid), records), len(motion.q)
 

@@ -106,6 +106,7 @@ def robot_parameters(robot: Robot, *, offsets: bool = True, logarithmic: bool = 
         offsets: whether a constant torque of each motor is one of them; else it keeps the robot's.
         logarithmic: whether the rotors and springs of flexible joints are searched on a logarithmic scale.
     """
+    robot.require_lines("An identification of a robot takes")
     numbers = RobotNumbers.of(robot)
     places = _ordered(robot, numbers, offsets)
     kept, sums = group_columns(_random_columns(robot, numbers, places))

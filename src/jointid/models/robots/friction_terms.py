@@ -12,6 +12,7 @@ from enum import StrEnum
 import numpy as np
 
 from jointid.common.arrays import FloatArray
+from jointid.models.friction import low_speed_share
 from jointid.models.robots.robot import Robot, RobotJoint
 
 
@@ -64,7 +65,7 @@ class FrictionTerm:
         """Return what it is multiplied with at speeds of the motor, (samples,)."""
         if self.number is Friction.RISE:
             assert joint.stribeck_speed is not None
-            return np.asarray(np.sign(v) * np.exp(-((v / joint.stribeck_speed) ** 2)))
+            return np.asarray(np.sign(v) * low_speed_share(v / joint.stribeck_speed))
         return {
             Friction.VISCOUS: v,
             Friction.FORWARDS: np.maximum(v, 0.0),
@@ -79,7 +80,11 @@ def friction_terms(robot: Robot) -> tuple[FrictionTerm, ...]:
 
     Viscous friction has two numbers where the model says that it is another backwards, and a Coulomb friction that
     rises towards standstill has its rise.
+
+    Raises:
+        MethodError: a law is not one of lines.
     """
+    robot.require_lines("A regression of a robot takes")
     found = []
     for k, joint in enumerate(robot.joints):
         viscous = (Friction.FORWARDS, Friction.BACKWARDS) if joint.asymmetric else (Friction.VISCOUS,)

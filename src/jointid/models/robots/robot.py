@@ -23,7 +23,16 @@ from jointid.common.errors import MethodError
 from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
 from jointid.common.settings import check_settings, declare, documented, setting
 from jointid.common.units import Kind
+from jointid.models.friction import (
+    AsymmetricFriction,
+    AsymmetricStribeckFriction,
+    Friction,
+    StribeckFriction,
+    SymmetricFriction,
+)
+from jointid.models.joints import FlexibleJoint, RigidJoint
 from jointid.models.robots.inertial import SYMBOLS
+from jointid.models.springs import ElasticLoad, LinearSpring, Spring
 
 _UNIT = 1e-9  # how far a unit vector may be from one, and a rotation from one
 
@@ -77,21 +86,37 @@ class Link:
 @documented
 @dataclass(frozen=True, slots=True)
 class JointSpring:
-    """The spring between a motor and its link, and the friction beyond it."""
+    """The spring between a motor and its link, and the friction beyond it.
+
+    Attributes:
+        law: of the spring; what it has beside stiffness and damping is among `RobotJoint.numbers`.
+    """
 
     stiffness: float = field(metadata=declare("of the spring, where a search begins", unit="N m/rad or N/m", above=0))
     damping: float = setting(0.0, "parallel to the spring", unit="N m s/rad or N s/m", at_least=0)
     viscous: float = setting(0.0, "viscous friction of the link's side", unit="N m s/rad or N s/m", at_least=0)
     coulomb: float = setting(0.0, "Coulomb friction of the link's side", unit="N m or N", at_least=0)
+    law: Spring = field(default_factory=LinearSpring)
 
     def __post_init__(self) -> None:
         check_settings(self)
+        if isinstance(self.law, ElasticLoad):
+            raise MethodError(
+                "A part of a link that swings is a link of its own in a robot; expected another spring than "
+                f'"{self.law.name}": add a link with a spring to the model.'
+            )
 
 
 @documented
 @dataclass(frozen=True, slots=True)
 class RobotJoint:
-    """The motor of a link; all its numbers behind the gear."""
+    """The motor of a link; all its numbers behind the gear.
+
+    Attributes:
+        friction: the law of motor and link; None for lines, as the numbers say them.
+        numbers: what the laws have beside the numbers here, by the names of a joint's parameters:
+            "presliding_distance", of a flexible joint "motor_presliding_distance", "gap", ...
+    """
 
     name: str
     rotor_inertia: float = setting(0.0, "of the rotor, behind the gear", unit="kg m2 or kg", at_least=0)
@@ -113,6 +138,8 @@ class RobotJoint:
         default_factory=dict,
         metadata=declare("by the names of other joints: how far this joint's motor turns with them, behind its gear"),
     )
+    friction: Friction | None = None
+    numbers: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_settings(self, called=f"joint {self.name}")
@@ -127,6 +154,44 @@ class RobotJoint:
                 f"The joint {self.name} has a stribeck_force, but no stribeck_speed; expected the speed below which "
                 "friction rises: add it."
             )
+        known = {p.name for p in self.model.parameters}
+        unknown = sorted(set(self.numbers) - known)
+        lacks = sorted(known - set(self.values) - {"load_inertia"})
+        if unknown or lacks:
+            names = ", ".join(unknown or lacks)
+            raise MethodError(
+                f"The joint {self.name} {'has' if unknown else 'lacks'} {names}; expected the numbers of its laws, "
+                f"which are {', '.join(sorted(known))}: {'leave them out' if unknown else 'add them'}."
+            )
+
+    @property
+    def law(self) -> Friction:
+        """The law of its friction."""
+        if self.friction is not None:
+            return self.friction
+        if self.stribeck_speed is not None:
+            return AsymmetricStribeckFriction() if self.asymmetric else StribeckFriction()
+        return AsymmetricFriction() if self.asymmetric else SymmetricFriction()
+
+    @property
+    def model(self) -> RigidJoint | FlexibleJoint:
+        """The same joint alone: its laws, and the names of its parameters."""
+        if self.spring is None:
+            return RigidJoint("revolute", self.law)
+        return FlexibleJoint("revolute", self.law, spring=self.spring.law)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Its numbers by the names of a joint's parameters; what its link weighs is not among them."""
+        motor, own = "" if self.spring is None else "motor_", (self.viscous, self.viscous_back)
+        back = self.coulomb if self.coulomb_backwards is None else self.coulomb_backwards
+        found = _friction_values(motor, *own, self.coulomb, back, self.stribeck_force, self.stribeck_speed or 0.0)
+        if self.spring is not None:
+            viscous, coulomb = self.spring.viscous, self.spring.coulomb
+            found |= _friction_values("load_", viscous, viscous, coulomb, coulomb, 0.0, 0.0)
+            found |= {"stiffness": self.spring.stiffness, "damping": self.spring.damping}
+        given = {f"{motor}inertia": self.rotor_inertia, "offset": self.offset, **self.numbers}
+        return found | {name: float(value) for name, value in given.items()}
 
     @property
     def asymmetric(self) -> bool:
@@ -143,6 +208,17 @@ class RobotJoint:
         """Coulomb friction the same in both directions, and the offset beside it: the same torques, at rest too."""
         back = self.coulomb if self.coulomb_backwards is None else self.coulomb_backwards
         return 0.5 * (self.coulomb + back), self.offset + 0.5 * (self.coulomb - back)
+
+
+def _friction_values(
+    prefix: str, viscous: float, viscous_back: float, coulomb: float, coulomb_back: float, rise: float, speed: float
+) -> dict[str, float]:
+    """Return the numbers of a side's friction by the names that they have in any law."""
+    forwards, backwards = {"viscous": viscous, "coulomb": coulomb}, {"viscous": viscous_back, "coulomb": coulomb_back}
+    found = {f"{prefix}{part}": value for part, value in forwards.items()}
+    found |= {f"{prefix}{part}_forwards": value for part, value in forwards.items()}
+    found |= {f"{prefix}{part}_backwards": value for part, value in backwards.items()}
+    return found | {f"{prefix}stribeck_force": rise, f"{prefix}stribeck_speed": speed}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -240,6 +316,21 @@ class Robot:
     def flexible(self) -> tuple[bool, ...]:
         """Which joints have a spring."""
         return tuple(joint.spring is not None for joint in self.joints)
+
+    def require_lines(self, taker: str) -> None:
+        """Raise a `MethodError` if a law is smooth, a spring is in pieces, or one has numbers beside those of lines.
+
+        Args:
+            taker: who takes laws for lines, as "IDIM of a robot takes".
+        """
+        for joint in self.joints:
+            sprung = joint.spring is not None and not joint.spring.law.linear
+            if sprung or joint.law.stepped or joint.numbers:
+                law = joint.spring.law if joint.spring is not None and sprung else joint.law
+                raise MethodError(
+                    f'{taker} friction and springs for lines; received the law "{law.name}" of {joint.name}: leave it '
+                    "out, or simulate the robot with it."
+                )
 
     def torque_unit(self, number: int) -> str:
         """Return the unit of a joint's torque: N m or N."""

@@ -73,7 +73,7 @@ class Export:
         write_whole(path, self.text)
 
     def __str__(self) -> str:
-        """Return what is lost, a line for each."""
+        """Return the losses, one on each line."""
         return "\n".join(f"lost in {self.format}: {sentence}" for sentence in self.lost) or (
             f"nothing of the joint is lost in {self.format}"
         )
@@ -145,7 +145,7 @@ def state_space(estimate: Estimate | JointModel, *, side: Side | None = None) ->
 
 
 def read_estimated(path: str | os.PathLike[str], joint: Joint, name: str | None = None) -> JointModel:
-    """Return what the file of an answer says of a joint, for `export`.
+    """Read a joint model from the JSON of an estimate, for `export`.
 
     Args:
         path: of what `identify --json` wrote: of one record, of several, or of a long log.
@@ -159,7 +159,7 @@ def read_estimated(path: str | os.PathLike[str], joint: Joint, name: str | None 
 
 
 def find_language(name: str) -> Language:
-    """Return the language of that name, or whose files end so, in small letters or capitals.
+    """Return a language by its name or the suffix of its files, in any case.
 
     Raises:
         MethodError: there is none.

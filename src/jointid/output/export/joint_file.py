@@ -40,7 +40,7 @@ def joint_file(
     """
     if values not in ("start", "fixed"):
         raise MethodError(f'The values of a joint file are "start" or "fixed"; received "{values}".')
-    file = _of_the_same_joint(file, model)
+    file = _require_same_joint(file, model)
     kept: dict[str, Parameter] = {}  # what the file says something of; what was fixed in it stays as it is
     refused: list[str] = []
     outside: list[str] = []
@@ -64,12 +64,12 @@ def joint_file(
     lines = [f"{name} = {_toml(p, symbols[name])}" for name, p in kept.items()]
     written = "\n".join(["[parameters]", *(f"# {line}" for line in head), *lines, ""])
     before = file.path.parent
-    made = with_paths(_filled(file, filled, written), before, before if folder is None else folder)
+    made = with_paths(_fill_in(file, filled, written), before, before if folder is None else folder)
     loads(made)  # which refuses what could not be read again
     return made, tuple(lost)
 
 
-def _of_the_same_joint(file: JointFile | None, model: JointModel) -> JointFile:
+def _require_same_joint(file: JointFile | None, model: JointModel) -> JointFile:
     if file is None:
         raise MethodError(
             "A joint file is made from the one the joint was identified with, which has its record and controller; "
@@ -89,8 +89,8 @@ def _of_the_same_joint(file: JointFile | None, model: JointModel) -> JointFile:
     return file
 
 
-def _filled(file: JointFile, filled: JointFile, written: str) -> str:
-    """Return the file's own text with its parameters replaced, or all of it anew where that would not say the same."""
+def _fill_in(file: JointFile, filled: JointFile, written: str) -> str:
+    """Return the file's text with new parameters; written anew if the text no longer matches."""
     try:
         text = with_table(file.path.read_text(encoding="utf-8-sig"), written)
         if loads(text).tables() == filled.tables():

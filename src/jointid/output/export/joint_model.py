@@ -287,7 +287,7 @@ class JointModel:
 
 
 def joint_model(answer: Json, joint: Joint, name: str | None = None, source: str = "The answer") -> JointModel:
-    """Return what an answer, as `identify --json` writes it, says of a joint; `source` is what a sentence calls it.
+    """Return the joint model of an estimate in JSON; `source` is its name in messages.
 
     Raises:
         RecordError: it is no such answer, or of another joint.
@@ -402,7 +402,7 @@ def remarks(model: JointModel, lost: Sequence[str]) -> list[str]:
 
 
 def interval(p: EstimatedParameter) -> str:
-    """Return a parameter's value, twice its standard deviation and its unit, in words where there is none."""
+    """Return a parameter's value, 2 sigma and unit as text."""
     if p.value is None:
         bound = "" if p.lower_bound is None else f", at least {text.number(p.lower_bound)} {p.unit}"
         return f"refused: the record does not tell it{bound}"

@@ -47,7 +47,7 @@ def modelica(model: JointModel) -> tuple[str, tuple[str, ...]]:
     lines = [
         f'model {name} "{model.kind} {model.joint.model} joint, identified"',
         *(f"  // {line}" for line in remarks(model, lost)),
-        *(_declared(p) for p in model.parameters if p.name not in in_pieces),
+        *(_declare(p) for p in model.parameters if p.name not in in_pieces),
     ]
     if model.gravity is not None:
         angle = number(model.gravity.angle)
@@ -66,14 +66,14 @@ def modelica(model: JointModel) -> tuple[str, tuple[str, ...]]:
         lines.append("initial equation")
     for mass, prefix in prefixes.items() if not _winds_up(model) else ():
         lines.append(f"  {mass}_direction = if {mass}_velocity > 0 then 1 else if {mass}_velocity < 0 then -1")
-        lines.append(f"    else {_released(model, mass, prefix)};")
+        lines.append(f"    else {_release(model, mass, prefix)};")
     lines += ["equation", *_spring_equations(model)]
     for mass, prefix in prefixes.items():
         lines += _equations(model, mass, prefix)
     return "\n".join([*lines, f"end {name};", ""]), lost
 
 
-def _declared(p: EstimatedParameter) -> str:
+def _declare(p: EstimatedParameter) -> str:
     assert p.value is not None
     return f'  parameter Real {p.name}(unit="{_unit(p.unit)}") = {number(p.value)} "{p.symbol}: {interval(p)}";'
 
@@ -126,13 +126,13 @@ def _equations(model: JointModel, mass: str, prefix: str) -> Iterator[str]:
     yield "  when {"
     yield ",\n".join(f"    {condition}" for condition in (*stops, *starts))
     yield "  } then"
-    yield f"    {direction} = {_released(model, mass, prefix)};"
+    yield f"    {direction} = {_release(model, mass, prefix)};"
     yield f"    reinit({velocity}, 0);"
     yield "  end when;"
 
 
-def _released(model: JointModel, mass: str, prefix: str) -> str:
-    """Return where a mass at rest goes."""
+def _release(model: JointModel, mass: str, prefix: str) -> str:
+    """Return the direction in which a mass at rest starts."""
     holds, holds_back = _holds(model, prefix)
     return f"if {mass}_push > {holds} then 1 else if {mass}_push < -{holds_back} then -1 else 0"
 
@@ -171,7 +171,7 @@ _OF_A_PIECE = ("begin", "torque", "stiffness", "damping")
 
 
 def _spring_variables(model: JointModel) -> Iterator[str]:
-    """Yield the numbers of each piece of a spring, and the torque between motor and load, where that has a name."""
+    """Yield the parameters of the pieces of a spring, and its torque if it is a variable."""
     position, force = model.position_unit, _unit(model.torque_unit)
     units = (position, force, f"{force}/{position}", f"{force}.s/{position}")
     for i, piece in enumerate(model.pieces, 1):
@@ -238,7 +238,7 @@ def _push(model: JointModel, mass: str) -> str:
 
 
 def _ripple_terms(model: JointModel, mass: str) -> Iterator[str]:
-    """Yield what a ripple takes from the push of the mass whose position it follows."""
+    """Yield the terms of the ripple in the force on a mass."""
     ripple = model.joint.ripple
     if ripple is None or ripple.side != mass:
         return
@@ -247,7 +247,7 @@ def _ripple_terms(model: JointModel, mass: str) -> Iterator[str]:
 
 
 def _gravity_terms(model: JointModel, position: str) -> Iterator[str]:
-    """Yield what gravity takes from a push, and what a counterbalance adds to it."""
+    """Yield the terms of gravity and a counterbalance in the force on a mass."""
     for p in model.parameters:
         of, _, term = p.name.partition("_")
         if of in ("gravity", "counterbalance"):

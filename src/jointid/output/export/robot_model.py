@@ -41,8 +41,8 @@ def write_robot(robot: Robot, path: Path) -> tuple[str, tuple[str, ...]]:
 
 
 def robot_urdf(robot: Robot) -> tuple[str, tuple[str, ...]]:
-    """Return a robot as URDF, and a sentence for each part of it that URDF does not have."""
-    lost, robot = _lost(robot), _simplified(robot)
+    """Return a robot as URDF, and its losses."""
+    lost, robot = _lost(robot), _simplify(robot)
     if np.any(robot.of_joints("rotor_inertia")):
         lost.append("the rotors' inertias")
     if not np.allclose(robot.gravity, _DOWN, atol=1e-3):
@@ -66,12 +66,12 @@ def robot_urdf(robot: Robot) -> tuple[str, tuple[str, ...]]:
         if link.kind == "prismatic":
             ET.SubElement(found, "limit", lower=f"-{_FAR}", upper=_FAR, effort=_STRONG, velocity=_STRONG)
         ET.SubElement(found, "dynamics", damping=number(joint.viscous), friction=number(joint.coulomb))
-    return write_document(root, [f"{robot.name}: written by jointid", *_said(lost)]), tuple(lost)
+    return write_document(root, [f"{robot.name}: written by jointid", *_comments(lost)]), tuple(lost)
 
 
 def robot_mjcf(robot: Robot) -> tuple[str, tuple[str, ...]]:
-    """Return a robot as MJCF, and a sentence for each part of it that MJCF does not have."""
-    lost, robot = _lost(robot), _simplified(robot)
+    """Return a robot as MJCF, and its losses."""
+    lost, robot = _lost(robot), _simplify(robot)
     root = ET.Element("mujoco", model=robot.name)
     ET.SubElement(root, "compiler", angle="radian")
     ET.SubElement(root, "option", gravity=_numbers(robot.gravity))
@@ -88,7 +88,7 @@ def robot_mjcf(robot: Robot) -> tuple[str, tuple[str, ...]]:
         }
         kind = "hinge" if link.kind == "revolute" else "slide"
         ET.SubElement(body, "joint", {"name": joint.name, "type": kind, "axis": _numbers(link.axis), **drive})
-    return write_document(root, [f"{robot.name}: written by jointid", *_said(lost)]), tuple(lost)
+    return write_document(root, [f"{robot.name}: written by jointid", *_comments(lost)]), tuple(lost)
 
 
 def _mjcf_inertial(body: ET.Element, link: Link) -> None:
@@ -98,7 +98,7 @@ def _mjcf_inertial(body: ET.Element, link: Link) -> None:
 
 
 def _lost(robot: Robot) -> list[str]:
-    """Return what neither language holds."""
+    """Return the losses common to both languages."""
     lost = []
     if any(joint.offset for joint in robot.joints):
         lost.append("the constant parts of the motors' torques")
@@ -115,8 +115,9 @@ def _lost(robot: Robot) -> list[str]:
     return lost
 
 
-def _simplified(robot: Robot) -> Robot:
+def _simplify(robot: Robot) -> Robot:
     """Return a robot whose joints are rigid, with the friction of both sides, the same in both directions."""
+    robot.require_lines("An export of a robot takes")
 
     def simple(joint: RobotJoint) -> RobotJoint:
         coulomb, offset = joint.coulomb_both
@@ -134,7 +135,7 @@ def _simplified(robot: Robot) -> Robot:
     return replace(robot, joints=tuple(map(simple, robot.joints)))
 
 
-def _said(lost: list[str]) -> list[str]:
+def _comments(lost: list[str]) -> list[str]:
     return [f"left out: {one}" for one in lost]
 
 

@@ -52,7 +52,7 @@ _HARD = {"solreffriction": "-1 -200000", "solimpfriction": "0.9999 0.9999 0.001 
 
 
 def urdf(model: JointModel) -> tuple[str, tuple[str, ...]]:
-    """Return a joint as URDF, the robot description of ROS, and a sentence for each part of it that URDF does not have.
+    """Return a joint as URDF, the robot description of ROS, and its losses.
 
     One joint with its `dynamics`: `damping` and `friction` are its viscous and Coulomb friction, the same in both
     directions. There is no spring in it, and no constant force: a flexible joint is written as the rigid one that it is
@@ -70,8 +70,10 @@ def urdf(model: JointModel) -> tuple[str, tuple[str, ...]]:
         )
         mass = Mass(motor.inertia + load.inertia, (forwards, backwards, coulomb, coulomb_back))
         constant += load.shift
+        assert model.spring is not None
+        spring = model.spring.describe({p.name: f"{shown(p.value)} {p.unit}" for p in model.parameters})
         lost.append(
-            f"the spring of {_spring_of(model)} and its damping; inertia and friction are the sums of both sides, "
+            f"the spring of {spring} and its damping; inertia and friction are the sums of both sides, "
             f"which hold below about a fifth of {shown(model.mode)} Hz"
         )
     constant += 0.0 if weight is None else weight.constant
@@ -107,7 +109,7 @@ def urdf(model: JointModel) -> tuple[str, tuple[str, ...]]:
 
 
 def mjcf(model: JointModel, *, timestep: float | None = None) -> tuple[str, tuple[str, ...]]:
-    """Return a joint as MJCF, MuJoCo's own XML, and a sentence for each part of it that MJCF does not have.
+    """Return a joint as MJCF, MuJoCo's XML, and its losses.
 
     Motor and load are two bodies beside each other, with the spring as a tendon between their joints. The `stiffness`
     of a MuJoCo joint is a spring between a body and its parent, parallel to the actuator. A joint in series with a
@@ -155,12 +157,6 @@ def mjcf(model: JointModel, *, timestep: float | None = None) -> tuple[str, tupl
         ET.SubElement(sensors, "jointpos", name=f"{name}_position", joint=name)
         ET.SubElement(sensors, "jointvel", name=f"{name}_velocity", joint=name)
     return write_document(root, [*remarks(model, lost), *_how_to_drive(model)]), tuple(lost)
-
-
-def _spring_of(model: JointModel) -> str:
-    """Return a spring in words, its damping left out."""
-    assert model.spring is not None
-    return model.spring.describe({p.name: f"{shown(p.value)} {p.unit}" for p in model.parameters})
 
 
 def _tendons(model: JointModel) -> ET.Element:
@@ -212,7 +208,7 @@ def _body(name: str, kind: str, mass: Mass, body: _Body, armature: float = 0.0) 
 
 
 def _actuators(model: JointModel) -> ET.Element:
-    """Return the motor, whose control is the torque, and what pushes without being asked."""
+    """Return the motor, controlled by its torque, and the constant forces."""
     element, weight, load = ET.Element("actuator"), model.weight, model.load
     ET.SubElement(element, "motor", name="torque", joint="motor", gear=number(model.gear))
     forces = {"motor": (model.friction_shift, 0.0)} | ({} if load is None else {"load": (load.shift, 0.0)})
@@ -252,7 +248,7 @@ class _Body:
 
 
 def _body_of(mass: Mass, kind: str, weight: Weight | None = None) -> _Body:
-    """Return a body that moves like a mass, and weighs what its link does.
+    """Return a body with the inertia of a mass and the weight of its link.
 
     A link that turns has ``gMX = m g X`` and ``gMY = -m g Z`` for its centre (X, 0, Z) at the zero of the position.
     Only these products are known; the mass m is chosen so that the centre's own share of the inertia is at most half.

@@ -188,7 +188,7 @@ def state_space_json(
 def matlab(
     model: JointModel, *, period: float | None = None, delay: float | None = None
 ) -> tuple[str, tuple[str, ...]]:
-    """Return a MATLAB script that makes two models of the Control System Toolbox, and what is not in them.
+    """Return a MATLAB script with two models of the Control System Toolbox, and its losses.
 
     Octave's `control` package has the same. Settings and errors are those of `state_space_json`.
     """
@@ -200,7 +200,9 @@ def matlab(
         lines.append(f"% The input is {number(model.gear)} times the motor's own torque.")
     for system, made in ((continuous, name), (sampled, f"{name}_sampled")):
         lines += ["", f"{made} = struct();"]
-        lines += [f"{made}.{letter} = {_matrix(getattr(system, letter))};" for letter in "ABCD"]
+        for letter in "ABCD":
+            rows = "; ".join(" ".join(map(number, row)) for row in getattr(system, letter))
+            lines.append(f"{made}.{letter} = [{rows}];")
         given = [f"{made}.{letter}" for letter in "ABCD"] + ([] if system.period is None else [number(system.period)])
         for key, signals in (
             ("StateName", system.states), ("InputName", system.inputs), ("OutputName", system.outputs)
@@ -248,7 +250,3 @@ def _matrices(system: StateSpace) -> Json:
         "outputs": list(system.outputs),
         **{letter: getattr(system, letter).tolist() for letter in "ABCD"},
     }
-
-
-def _matrix(values: FloatArray) -> str:
-    return f"[{'; '.join(' '.join(number(value) for value in row) for row in values)}]"

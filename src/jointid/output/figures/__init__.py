@@ -88,7 +88,7 @@ class Plots:
         inside = slice(fit.borders[0], fit.measured.size - fit.borders[1])
         found = estimate_spectra(fit.measured[inside], fit.predicted[inside], self.estimate.data.sample_time)
         cutoff, axis = self.estimate.settings.filtering.cutoff, AxisSignals.of(self.estimate)
-        return _draw(charts.spectra_chart([axis], [found], cutoff, {}))
+        return _draw(charts.spectra_chart([axis], [found], cutoff, self.estimate.frequencies))
 
     def response(self) -> Figure:
         """Return the frequency response of the joint, with the band of the estimate's covariance.

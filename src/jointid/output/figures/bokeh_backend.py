@@ -57,7 +57,7 @@ def plot(chart: Chart) -> str:
         toolbar_options={"logo": None},
     )  # fmt: skip
     item = json_item(layout, f"plot-{chart.name}", theme=_theme())
-    return json.dumps(_renumbered(item), separators=(",", ":"))
+    return json.dumps(_renumber(item), separators=(",", ":"))
 
 
 def _extent(chart: Chart, group: str) -> tuple[float, float]:
@@ -192,7 +192,7 @@ def _shade(value: float) -> str:
 
 
 def _short(values: Any) -> Any:
-    """Return values in the four bytes a screen can show, where they lose nothing that it does."""
+    """Return values in single precision, enough for a screen."""
     return np.asarray(values, dtype=np.float32)
 
 
@@ -221,7 +221,7 @@ def _theme() -> Any:
     )  # fmt: skip
 
 
-def _renumbered(item: Any) -> Any:
+def _renumber(item: Any) -> Any:
     """Return a plot whose parts are numbered from 1: bokeh counts on from whatever was drawn before."""
     names: dict[str, str] = {}
 

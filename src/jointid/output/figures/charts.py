@@ -1,4 +1,4 @@
-"""Charts of an estimate, a validation and a robot, each with a caption that says what to see."""
+"""Charts of an estimate, a validation and a robot, with their captions."""
 
 from __future__ import annotations
 
@@ -210,7 +210,7 @@ def _with_time(panel: Panel) -> Panel:
 
 
 def _heights(axes: Sequence[AxisSignals], alone: int = 280) -> int:
-    """Return the height of a panel, which is less where several axes are drawn."""
+    """Return the height of a panel, less for several axes."""
     return alone if len(axes) == 1 else 230
 
 

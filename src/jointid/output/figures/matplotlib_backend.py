@@ -30,7 +30,8 @@ def draw(chart: Chart) -> Figure:
 
     rows = [chart.panels[i : i + chart.columns] for i in range(0, len(chart.panels), chart.columns)]
     heights = [max(panel.height for panel in row) for row in rows] or [_EMPTY]
-    width = _WIDTH if chart.columns > 1 or not _square(chart) else 5.5
+    square = any(isinstance(item, Cells) for panel in chart.panels for item in panel.items)
+    width = _WIDTH if chart.columns > 1 or not square else 5.5
     figure = ShownFigure(figsize=(width, sum(heights) / _INCH), layout="constrained")
     FigureCanvasAgg(figure)
     grid = figure.subplots(len(heights), chart.columns, squeeze=False, height_ratios=heights)
@@ -82,10 +83,6 @@ def _laid_out(chart: Chart) -> Figure:
 def _shorter(path: re.Match[bytes]) -> bytes:
     """Return a path with two decimals: a hundredth of a point is finer than any print, and matplotlib writes six."""
     return re.sub(rb"\s*([MLQCz])\s*", rb"\1", re.sub(rb"(\.\d\d)\d+", rb"\1", path.group()))
-
-
-def _square(chart: Chart) -> bool:
-    return any(isinstance(item, Cells) for panel in chart.panels for item in panel.items)
 
 
 def _panel(axes: Axes, panel: Panel) -> None:

@@ -289,7 +289,7 @@ def to_dict(result: object) -> Json:
 
 
 def simulation_answer(simulation: object, joint: Joint, values: Mapping[str, float], record: Record) -> Json:
-    """Return what a simulation was and how it ended as it is written to JSON; the signals go into a record."""
+    """Return the document of a simulation, without its signals."""
     parameters = {
         p.name: {"symbol": p.symbol, "value": values[p.name], "unit": joint.unit(p)} for p in joint.parameters
     }
@@ -308,7 +308,7 @@ def simulation_answer(simulation: object, joint: Joint, values: Mapping[str, flo
 
 
 def robot_simulation_answer(robot: Robot, simulation: object, strays: Mapping[int, float]) -> Json:
-    """Return what a robot's simulation was and how it ended as it is written to JSON; the signals go into a record."""
+    """Return the document of a robot's simulation, without its signals."""
     said: Json = {"schema": "jointid.robot_simulation/1", "robot": robot.name, "joints": list(robot.names)}
     return {**said, **plain(simulation), "strays": {robot.names[k]: off for k, off in strays.items()}}
 

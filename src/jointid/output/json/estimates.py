@@ -24,7 +24,7 @@ Shape: TypeAlias = "str | Callable[[Any], object] | Mapping[str, Shape]"
 
 
 def take(value: Any, shape: Shape) -> Any:
-    """Return what a shape finds in an object."""
+    """Return the values of a shape in an object."""
     if callable(shape):
         return shape(value)
     if isinstance(shape, Mapping):
@@ -119,7 +119,7 @@ def _controller_sha256(estimate: Estimate) -> str | None:
 
 
 def estimate_shape(estimate: Estimate) -> Json:
-    """Return what an estimate has in JSON: of one record, of several, or of a long log."""
+    """Return the document of an estimate of one record, several records or a long log."""
     if estimate.data.records:
         shape = _OF_SEVERAL_RECORDS
     else:
@@ -128,16 +128,8 @@ def estimate_shape(estimate: Estimate) -> Json:
     return found
 
 
-def _records(estimate: Estimate) -> list[Json]:
-    """Return each of several records, with the parameters that are its own."""
-    return [
-        take(record, _RECORD) | {"parameters": {p.name: p for p in own}}
-        for record, own in zip(estimate.data.records, estimate.params.own, strict=True)
-    ]
-
-
 def _drift(estimate: Estimate) -> Json:
-    """Return what changes over a long log."""
+    """Return the drift over a long log."""
     drift = estimate.checks.drift
     assert drift is not None
     judged = drift.agreement
@@ -160,10 +152,6 @@ def _drift(estimate: Estimate) -> Json:
     }
 
 
-def _warnings(estimate: Estimate) -> tuple[str, ...]:
-    return (*estimate.checks.warnings, *estimate.checks.notes)
-
-
 _ALWAYS: dict[str, Shape] = {
     **keys(
         "answer settings.joint.model settings.joint.kind friction=settings.joint.friction.name settings.joint.gravity "
@@ -172,7 +160,7 @@ _ALWAYS: dict[str, Shape] = {
     ),
     "spring": lambda estimate: estimate.settings.joint.spring_name,
     "parameters": named("params.rows"),
-    "warnings": _warnings,
+    "warnings": lambda estimate: (*estimate.checks.warnings, *estimate.checks.notes),
 }
 
 _OF_ONE_RECORD: Shape = document(
@@ -199,7 +187,10 @@ _OF_SEVERAL_RECORDS: Shape = document(
     "data.torque_unit checks.agreement free=params.names params.correlation settings.weighting",
     **_ALWAYS,
     other_side=_other_side,
-    records=_records,
+    records=lambda estimate: [
+        take(record, _RECORD) | {"parameters": {p.name: p for p in own}}
+        for record, own in zip(estimate.data.records, estimate.params.own, strict=True)
+    ],
 )
 
 _OF_A_LOG: Shape = document(
@@ -220,7 +211,7 @@ _RECORD: Shape = {
         "initial residual_level=level filtering rows relative_error_percent=100*relative_error "
         "filtered_error_percent=100*filtered_error filtered_error_alone_percent=100*alone_error"
     ),
-    "parameters": always(None),  # see `_records`
+    "parameters": always(None),  # which the shape of several records replaces
     "alone": named("alone"),
     "repeatable": keys("repeatable.rms repeatable.share repeatable.p_value"),
 }

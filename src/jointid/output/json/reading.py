@@ -39,16 +39,16 @@ def read_identified(path: str | Path, joint: Joint, loop: ClosedLoop | None) -> 
     answer = read_answer(path)
     if (told := answer.get("transmission")) != (declared := plain(joint.transmission)):
         raise RecordError(
-            f"{path} was identified with {_geared(told)}, and this joint has {_geared(declared)}; correct "
+            f"{path} was identified with {_gear_text(told)}, and this joint has {_gear_text(declared)}; correct "
             "[transmission], or identify with this joint file first."
         )
-    if refused := _refused(answer, joint):
+    if refused := _refused_parameters(answer, joint):
         raise RecordError(
             f"{path} refuses {', '.join(refused)}, which its record did not tell, so it predicts no torque; identify "
             "the joint as rigid."
         )
     try:
-        return _identified(answer, joint, loop)
+        return _build_joint(answer, joint, loop)
     except (KeyError, TypeError, ValueError, OverflowError, MethodError):
         raise RecordError(
             f"{path} is no estimate of schema {ESTIMATE_SCHEMA} for a {joint.kind} {joint.model} joint with these "
@@ -79,7 +79,7 @@ def read_covariance(path: str | Path, names: Sequence[str]) -> FloatArray:
     return np.asarray(together * np.outer(std, std))
 
 
-def _refused(answer: Json, joint: Joint) -> list[str]:
+def _refused_parameters(answer: Json, joint: Joint) -> list[str]:
     """Return the parameters of the joint that an answer has without a value."""
     found = answer.get("parameters")
     told = found if isinstance(found, dict) else {}
@@ -87,7 +87,7 @@ def _refused(answer: Json, joint: Joint) -> list[str]:
     return [name for name, one in given.items() if isinstance(one, dict) and one.get("value", 0.0) is None]
 
 
-def _geared(transmission: object) -> str:
+def _gear_text(transmission: object) -> str:
     """Return a transmission of an answer in words."""
     if not isinstance(transmission, dict):
         return "no transmission"
@@ -121,8 +121,8 @@ def read_answer(path: str | os.PathLike[str], remedy: str = _REMEDY) -> Json:
             size = max(path.stat().st_size, len(raw))
             raise RecordError(f"{path} has {size} bytes, which no answer has (at most {_LARGEST}); {remedy}.")
         text = raw.decode("utf-8-sig")
-        if text.lstrip()[:1] == "<":
-            text = _carried(text)
+        if text.lstrip()[:1] == "<":  # the page of a report, which carries its answer along
+            text = text.partition(f'id="{REPORT_ELEMENT}"')[2].partition(">")[2].partition("</script>")[0]
         answer = json.loads(text, parse_constant=_no_number, parse_int=_whole)
     except OSError as error:
         raise RecordError(f"{path} cannot be read ({error.strerror}); {remedy}.") from None
@@ -135,24 +135,19 @@ def read_answer(path: str | os.PathLike[str], remedy: str = _REMEDY) -> Json:
     return answer
 
 
-def _carried(page: str) -> str:
-    """Return the answer that a page carries along; whatever else is in it is not looked at."""
-    return page.partition(f'id="{REPORT_ELEMENT}"')[2].partition(">")[2].partition("</script>")[0]
-
-
 def _no_number(name: str) -> float:
     """Refuse NaN and Infinity, which no answer holds and JSON does not know."""
     raise ValueError(name)
 
 
 def _whole(digits: str) -> int:
-    """Return a whole number, which as a float is none too large."""
+    """Return an integer that fits a float."""
     if len(digits) > _DIGITS:
         raise OverflowError(f"a number of {len(digits)} digits")
     return int(digits)
 
 
-def _identified(answer: Json, joint: Joint, loop: ClosedLoop | None) -> IdentifiedJoint:
+def _build_joint(answer: Json, joint: Joint, loop: ClosedLoop | None) -> IdentifiedJoint:
     found = answer["parameters"]
     same = answer["schema"] == ESTIMATE_SCHEMA and (answer["model"], answer["kind"]) == (joint.model, joint.kind)
     same = same and all(answer.get(part) == plain(getattr(joint, part)) for part in ("gravity", "ripple"))
@@ -197,12 +192,12 @@ def read_report(path: str | Path) -> ReportedEstimate:
     if not isinstance(answer, dict) or answer.get("schema") != ESTIMATE_SCHEMA:
         raise RecordError(f"{path} holds no estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY_OF_REPORT}.")
     try:
-        return _told(answer, path.name)
+        return _build_report(answer, path.name)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
         raise RecordError(f"{path} is a damaged estimate of schema {ESTIMATE_SCHEMA}; {_REMEDY_OF_REPORT}.") from None
 
 
-def _told(answer: Json, label: str) -> ReportedEstimate:
+def _build_report(answer: Json, label: str) -> ReportedEstimate:
     record, gear = answer["record"], answer["transmission"]
     side = "" if gear is None else f"{gear['side']} side, {float(gear['motor_per_load']):g} motor per load"
     filtering = answer["filtering"]
@@ -251,7 +246,7 @@ def _of_both_sides(weights: Mapping[str, float]) -> bool:
 
 
 def _quantity(name: str, symbol: str, p: Mapping[str, Any], **further: bool) -> ReportedQuantity:
-    """Return a parameter or a combination of an answer, whose symbol has that key."""
+    """Return a parameter or combination of a document; `symbol` is the key of its symbol."""
     value, std = number_or_none(p["value"]), number_or_none(p["std"])
     return ReportedQuantity(name, str(p[symbol]), str(p["unit"]), value, std, **further)
 

@@ -20,7 +20,6 @@ from jointid.output.json.documents import REPORT_ELEMENT
 
 if TYPE_CHECKING:
     from jinja2 import Environment
-    from markupsafe import Markup
 
 _FEW = 4  # headings: a shorter page needs no list of contents
 
@@ -47,7 +46,7 @@ def page(document: Document) -> str:
     links = dict(zip(map(id, headings), anchors, strict=True))
     return _environment().get_template("page.html").render(
         title=document.title,
-        blocks=[_escaped(block_html(block, links.get(id(block), ""))) for block in document.blocks],
+        blocks=[block_html(block, links.get(id(block), "")) for block in document.blocks],  # escaped
         contents=list(zip((block.text for block in headings), anchors, strict=True)) if len(headings) >= _FEW else [],
         style=Path(__file__).with_name("style.css").read_text(encoding="utf-8"),
         scripts=scripts,
@@ -73,13 +72,6 @@ def require_extra(*, plots: bool) -> None:
     _environment()
     if plots:
         script()
-
-
-def _escaped(html: str) -> Markup:
-    """Return HTML, whose texts are escaped, so that the template does not escape them again."""
-    from markupsafe import Markup
-
-    return Markup(html)  # noqa: S704
 
 
 def _environment() -> Environment:

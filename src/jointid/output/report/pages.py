@@ -1,35 +1,179 @@
-"""What every report is written as: one page, Markdown with its figures, and the figures alone."""
+"""Base class of reports, and the data to repeat one."""
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import re
+import shlex
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
+from typing import Any, Literal
 
+from jointid import __version__
 from jointid.common.charts import Cells, Chart
-from jointid.common.document import Block, Document, Paragraph, Picture
+from jointid.common.document import Block, Code, Document, Paragraph, Picture, dumps
 from jointid.common.errors import RecordError
 from jointid.common.files import write_folder, write_whole
 from jointid.common.parallel import Aside
+from jointid.common.typography import typeset_block
 from jointid.output.figures.bokeh_backend import plot
 from jointid.output.figures.matplotlib_backend import png, svg
+from jointid.output.json import plain
 from jointid.output.report.page import page
+
+_CREATED = re.compile(rb"Created on: \w{3} (\w{3} +\d+ \d\d:\d\d:\d\d \d{4})")  # of the header of a .mat file
+_BLOCK = 1 << 20  # bytes that are read at once
+
+
+@dataclass(frozen=True, slots=True)
+class Repetition:
+    """Version, files and command that reproduce a report.
+
+    Attributes:
+        version: of this program.
+        record_name: file of the record; empty for one that came from no file, as the next ones.
+        record_sha256: of that file.
+        date: of the record, as year-month-day: that in a .mat file's header, else when the file was last written (UTC).
+        joint_name: file of the joint or of the robot.
+        joint_file: its text.
+        command: that writes the report again.
+        system: "joint" or "robot".
+    """
+
+    version: str = __version__
+    record_name: str = ""
+    record_sha256: str = ""
+    date: str = ""
+    joint_name: str = ""
+    joint_file: str = ""
+    command: str = ""
+    system: Literal["joint", "robot"] = "joint"
+
+    @property
+    def facts(self) -> tuple[tuple[str, str], ...]:
+        """The names and hashes that are known."""
+        found = [
+            ("jointid", self.version),
+            ("Record", self.record_name),
+            ("Its date", self.date),
+            ("Its SHA-256", self.record_sha256),
+        ]
+        return tuple((name, value) for name, value in found if value)
+
+    @property
+    def blocks(self) -> list[Block]:
+        """The command and the file of the joint or of the robot."""
+        found = [
+            (self.command, f"The command, with {self.system} file and record beside each other:"),
+            (self.joint_file, f"The {self.system} file, {self.joint_name}:"),
+        ]
+        return [Code(text, caption) for text, caption in found if text]
+
+    @property
+    def document(self) -> dict[str, str | None]:
+        """Its part of the report's JSON; null where it is unknown."""
+        found = {
+            "record_file": self.record_name,
+            "record_date": self.date,
+            "record_file_sha256": self.record_sha256,
+            f"{self.system}_file_name": self.joint_name,
+            f"{self.system}_file": self.joint_file,
+            "command": self.command,
+        }
+        return {"version": self.version} | {key: text or None for key, text in found.items()}
+
+
+def repetition(
+    joint: Path,
+    record: Path,
+    options: Mapping[str, object],
+    changes: Iterable[str] = (),
+    html: str = "report.html",
+    system: Literal["joint", "robot"] = "joint",
+) -> Repetition:
+    """Return the data to repeat a report; files by their names, without their folders.
+
+    Of the command's options None leaves one away; `changes` are keys of the joint file, as ``method.frequency=30``.
+
+    Raises:
+        RecordError: a file cannot be read.
+    """
+    words = ["jointid", "report", joint.name, "--record", record.name]
+    for name, value in options.items():
+        if value is not None:
+            words += [f"--{name.replace('_', '-')}", str(value)]
+    for change in changes:
+        words += ["--set", change]
+    try:
+        text = joint.read_text(encoding="utf-8")
+        digest = hashlib.sha256()
+        date = _find_date(record)
+        with record.open("rb") as file:
+            while block := file.read(_BLOCK):
+                digest.update(block)
+    except OSError as error:
+        why = (error.strerror or type(error).__name__).lower()
+        raise RecordError(f"{error.filename} cannot be opened ({why}); check the path.") from None
+    return Repetition(
+        record_name=record.name,
+        record_sha256=digest.hexdigest(),
+        date=date,
+        joint_name=joint.name,
+        joint_file=text,
+        command=shlex.join([*words, "--html", html]),
+        system=system,
+    )
+
+
+def _find_date(record: Path) -> str:
+    """Return the date of a record's file; a copy that keeps no times still has that of its header, where it has one."""
+    with record.open("rb") as file:
+        created = _CREATED.search(file.read(128))
+    if created is not None:
+        with contextlib.suppress(ValueError):
+            return datetime.strptime(created[1].decode("ascii"), "%b %d %H:%M:%S %Y").date().isoformat()
+    return datetime.fromtimestamp(record.stat().st_mtime, UTC).date().isoformat()
 
 
 class Pages(ABC):
     """A report: it has figures, and becomes a document, for the screen or for paper."""
 
     __slots__ = ()
+    repetition: Repetition
 
     @property
     @abstractmethod
     def charts(self) -> dict[str, Chart]:
         """Its figures by name."""
 
+    @property
     @abstractmethod
+    def title(self) -> str:
+        """Its title."""
+
+    @abstractmethod
+    def _contents(self) -> dict[str, Any]:
+        """Return its JSON except for the repetition."""
+
+    @abstractmethod
+    def _blocks(self, *, interactive: bool) -> Iterable[Block]:
+        """Yield its blocks; where it is interactive its figures are plots, too."""
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.title!r})"
+
+    def answer(self) -> str:
+        """Return the JSON that the page carries along."""
+        return dumps(plain(self._contents() | self.repetition.document))
+
     def _document(self, *, interactive: bool) -> Document:
-        """Return it as a document; where that is interactive its figures are plots, too, and it carries its answer."""
+        blocks = tuple(map(typeset_block, self._blocks(interactive=interactive)))
+        return Document(self.title, blocks, self.answer() if interactive else "")
 
     def html(self) -> str:
         """Return one self-contained HTML page.
@@ -82,7 +226,7 @@ class Pages(ABC):
 def pictures_of(
     charts: Mapping[str, Chart], *, interactive: bool, absent: Callable[[str], str] = "Not available: {}".format
 ) -> Callable[[str], list[Block]]:
-    """Return what gives the blocks of a picture by its name; where it is interactive they are plots, too, for a page.
+    """Return a function from the name of a picture to its blocks; interactive ones have a plot too.
 
     Each is drawn twice then, at the same time: by one library for the screen, by the other for paper.
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from jointid.common.charts import Chart
-from jointid.common.document import Block, Code, Document, Facts, Heading, Listing, Paragraph, Table, dumps
+from jointid.common.document import Block, Facts, Heading, Listing, Paragraph, Table
 from jointid.common.errors import RecordError
 from jointid.common.text import interval, number
-from jointid.common.typography import typeset_block
 from jointid.diagnostics.report_data import Spectra, estimate_spectra
 from jointid.diagnostics.robots.diagnose import FeedForwardName, RobotDiagnosis, diagnose_robot
 from jointid.diagnostics.robots.parameters import ParameterOfJoint, Told
@@ -19,19 +19,15 @@ from jointid.estimation.robots.validation import RobotValidation
 from jointid.models.controllers import Controller
 from jointid.models.robots.robot import Robot
 from jointid.output.figures.charts import AxisSignals, residual_chart, spectra_chart, torques_chart
-from jointid.output.json import plain
-from jointid.output.report import Repetition
-from jointid.output.report.pages import Pages, pictures_of
+from jointid.output.report.pages import Pages, Repetition, pictures_of
 from jointid.records.record import Record
 
 REPORT_OF_ROBOT = "jointid.robot_report/1"
 
 _BEYOND = 1.2  # times the cut-off frequency, up to which the spectra of filtered signals are drawn
 
-_SAMPLES = 6_000  # of each torque that are drawn: six joints have as many as one has in its report
 
-
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class RobotReport(Pages):
     """A robot's estimate, told.
 
@@ -76,7 +72,7 @@ class RobotReport(Pages):
 
     @property
     def robot(self) -> Robot:
-        """The robot that was begun with."""
+        """The nominal robot."""
         return self.estimate.robot
 
     @property
@@ -89,33 +85,18 @@ class RobotReport(Pages):
         """Its figures by name."""
         return _charts(self.diagnosis)
 
-    def __repr__(self) -> str:
-        return f"RobotReport({self.title!r})"
+    def _contents(self) -> dict[str, Any]:
+        return {
+            "schema": REPORT_OF_ROBOT,
+            "estimate": self.estimate,
+            "diagnosis": self.diagnosis,
+            "validation": self.validation,
+        }
 
-    def answer(self) -> str:
-        """Return the JSON that the page carries along."""
-        repeated = self.repetition
-        return dumps(
-            plain(
-                {
-                    "schema": REPORT_OF_ROBOT,
-                    "version": repeated.version,
-                    "estimate": self.estimate,
-                    "diagnosis": self.diagnosis,
-                    "validation": self.validation,
-                    "record_file": repeated.record_name or None,
-                    "record_date": repeated.date or None,
-                    "record_file_sha256": repeated.record_sha256 or None,
-                    "robot_file_name": repeated.joint_name or None,
-                    "robot_file": repeated.joint_file or None,
-                    "command": repeated.command or None,
-                }
-            )
-        )
-
-    def _document(self, *, interactive: bool) -> Document:
+    def _blocks(self, *, interactive: bool) -> Iterable[Block]:
         picture = pictures_of(self.charts, interactive=interactive)
-        blocks = (
+        tests = () if self.validation is None else self.validation.document().blocks[1:]
+        return (
             Heading("Result"),
             *self._result(),
             Heading("Joints"),
@@ -124,7 +105,8 @@ class RobotReport(Pages):
             *_parameters(self.diagnosis),
             Heading("Torque"),
             *picture("torque"),
-            *self._held_out(),
+            *([Heading("A record that the estimate has not seen")] if tests else []),
+            *tests,
             Heading("Appendix"),
             Paragraph("What stands behind that: what is left of the torques, the sums, and how to repeat it."),
             Heading("Residual"),
@@ -133,9 +115,8 @@ class RobotReport(Pages):
             Heading("Sums that the parameters stand for"),
             *_sums(self.diagnosis),
             Heading("Settings and data"),
-            *self._repeated(),
+            *self._settings(),
         )
-        return Document(self.title, tuple(map(typeset_block, blocks)), self.answer() if interactive else "")
 
     def _result(self) -> Iterator[Block]:
         """Yield the verdict, what it rests on, and how the robot was identified."""
@@ -152,12 +133,7 @@ class RobotReport(Pages):
         yield from (b for b in estimate.document().blocks if isinstance(b, Paragraph))
         yield Paragraph("Numbers after ± are two standard deviations. All of them are behind the gears.")
 
-    def _held_out(self) -> list[Block]:
-        if self.validation is None:
-            return []
-        return [Heading("A record that the estimate has not seen"), *self.validation.document().blocks[1:]]
-
-    def _repeated(self) -> Iterator[Block]:
+    def _settings(self) -> Iterator[Block]:
         estimate, filtering, repeated = self.estimate, self.estimate.filtering, self.repetition
         yield from (b for b in estimate.document().blocks if isinstance(b, Facts))
         yield Facts(
@@ -167,10 +143,7 @@ class RobotReport(Pages):
                 *repeated.facts,
             )
         )
-        if repeated.command:
-            yield Code(repeated.command, "The command, with robot file, model and record beside each other:")
-        if repeated.joint_file:
-            yield Code(repeated.joint_file, f"The robot file, {repeated.joint_name}:")
+        yield from repeated.blocks
 
 
 def _parameters(found: RobotDiagnosis) -> Iterator[Block]:

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 from jointid.common.charts import Chart
 from jointid.common.document import (
     Block,
-    Code,
     Facts,
     Heading,
     Listing,
@@ -29,13 +27,10 @@ from jointid.estimation.result.summary import (
     combinations_table,
     settings_facts,
 )
-from jointid.output.report.pages import pictures_of
+from jointid.output.report.pages import Repetition, pictures_of
 from jointid.output.report.summary import summary_blocks, verdicts_in_full
 from jointid.planning.design import Design
 from jointid.tuning.tuned import Tuned
-
-if TYPE_CHECKING:
-    from jointid.output.report import Repetition
 
 
 def report_blocks(
@@ -48,7 +43,7 @@ def report_blocks(
     interactive: bool,
 ) -> tuple[Block, ...]:
     """Return the whole report; where it is interactive its figures are plots, too, for a page."""
-    picture = pictures_of(charts, interactive=interactive, absent=partial(_absent, given))
+    picture = pictures_of(charts, interactive=interactive, absent=partial(_explain_absence, given))
     return (
         *summary_blocks(given, tuned, design, picture),
         Heading("Appendix"),
@@ -68,7 +63,7 @@ def report_blocks(
             if design is None
             else [Heading("The next test in full"), *design.document().blocks[1:], *picture("test")]
         ),
-        *_repeated(given, repetition),
+        *_settings(given, repetition),
     )
 
 
@@ -103,21 +98,17 @@ def _tests(given: ReportData) -> list[Block]:
     every = ((given.validation,) if given.validation is not None else ()) + given.checks
     table = _checks_table(every)
     if table is None:
-        return [Heading("Validation"), Paragraph(_absent(given, "validation"))]
+        return [Heading("Validation"), Paragraph(_explain_absence(given, "validation"))]
     told = [sentence(warning) for check in every for warning in check.warnings]
     return [Heading("Validation"), table, *([Listing(tuple(told))] if told else [])]
 
 
-def _repeated(given: ReportData, repetition: Repetition) -> list[Block]:
+def _settings(given: ReportData, repetition: Repetition) -> list[Block]:
     estimate = given.estimate
     found: list[Block] = [Heading("Settings and data"), settings_facts(estimate), _channels_table(given)]
     hashes = [("Torque, SHA-256 of its samples", estimate.data.fingerprint), *repetition.facts]
     found += [Heading("Reproducing this report", 3), Facts(tuple(hashes))]
-    if repetition.command:
-        found.append(Code(repetition.command, "The command, with joint file and record beside each other:"))
-    if repetition.joint_file:
-        found.append(Code(repetition.joint_file, f"The joint file, {repetition.joint_name}:"))
-    return found
+    return [*found, *repetition.blocks]
 
 
 def _tuning(tuned: Tuned, picture: Callable[[str], list[Block]]) -> list[Block]:
@@ -127,7 +118,7 @@ def _tuning(tuned: Tuned, picture: Callable[[str], list[Block]]) -> list[Block]:
 
 
 def _parabolic(given: ReportData) -> list[Block]:
-    """Return of which quantities no profile is followed, since it would be what the table says."""
+    """Return the quantities without a profile, for which the interval of the table holds."""
     if not given.parabolic:
         return []
     symbols = {p.name: p.symbol for p in given.estimate.params.rows} | {"compliance": "1/K12"}
@@ -139,7 +130,7 @@ def _parabolic(given: ReportData) -> list[Block]:
     ]
 
 
-def _absent(given: ReportData, name: str) -> str:
+def _explain_absence(given: ReportData, name: str) -> str:
     """Return why a part is not there."""
     estimate = given.estimate
     refused = any(p.value is None for p in estimate.params.rows)

@@ -68,7 +68,7 @@ def summary_blocks(
 
 
 def _source(estimate: Estimate) -> str:
-    """Return the model, the method, what was read, and on which side the values are."""
+    """Return the model, the method, the channels and the side of the values."""
     data, settings = estimate.data, estimate.settings
     channels = listed([_CHANNELS.get(name, name.replace("_", " ")) for name in data.channels])
     title = method_of(settings.method, settings.joint.model).title
@@ -78,7 +78,7 @@ def _source(estimate: Estimate) -> str:
 
 
 def _results(estimate: Estimate) -> Iterator[str]:
-    """Yield what is to be known beside the parameters, in sentences."""
+    """Yield sentences on results beside the parameters."""
     fit = estimate.fit
     if not fit.converged:
         yield f"The search did not end well, and the values are where it stopped: {fit.stop}."
@@ -112,7 +112,7 @@ def _results(estimate: Estimate) -> Iterator[str]:
 
 
 def _checks(estimate: Estimate) -> Iterator[Block]:
-    """Yield the checks that failed first, each with what it means for the value that was asked for."""
+    """Yield the checks, failed ones first, with their effect on the requested parameter."""
     verdicts = estimate.checks.verdicts
     if not verdicts:
         yield Paragraph("This method has no checks; its warnings and intervals say how far it can be trusted.")

@@ -30,10 +30,54 @@ from jointid.models.robots.dynamics import regressor
 from jointid.models.robots.equations import ROOM, linearised_equations, of_joints
 from jointid.models.robots.robot import Tree
 from jointid.simulation.kernels.drive import IntArray
-from jointid.simulation.kernels.robot_loop import Bodies, Clock, Controllers, RobotTape
+from jointid.simulation.kernels.robot_loop import (
+    BACKWARDS,
+    BAND,
+    BEGIN,
+    COULOMB,
+    COULOMB_DRIFT,
+    CUBIC,
+    DAMPING,
+    FORWARDS,
+    INERTIA,
+    OFFSET,
+    PER_TORQUE,
+    PIECE,
+    PRESLIDING,
+    RATE,
+    SIGN,
+    SINCE,
+    SLIDER,
+    SLIPS,
+    STIFFNESS,
+    STRETCHED,
+    TORQUE,
+    TURNED,
+    VISCOUS_DRIFT,
+    WOUND,
+    Bodies,
+    Clock,
+    Controllers,
+    RobotTape,
+    wound_up,
+)
 
 OF_LINK, OF_MASS, OF_SPRING = range(3)
 """What a parameter is a number of: row of the inertials, the masses or the springs."""
+
+
+class Seeds(NamedTuple):
+    """Derivatives of the numbers of `Bodies` in the row that a parameter is of; 0 of a link's.
+
+    Attributes:
+        mass: (parameters, 6). bands: (parameters, bands, 4).
+        pieces: (parameters, pieces, 4). bends: (parameters, 3).
+    """
+
+    mass: FloatArray
+    bands: FloatArray
+    pieces: FloatArray
+    bends: FloatArray
 
 
 class Moved(NamedTuple):
@@ -128,28 +172,119 @@ def _control(
 
 
 @inlined
-def _rests(masses: FloatArray, i: int) -> bool:
-    """Return True of a mass that may rest."""
-    return bool(masses[i, 2] + masses[i, 6] > 0.0)
+def _winding(wound: float, since: float, way: float, x: float, over: float) -> tuple[float, float]:
+    """Return the derivatives of what is wound up, by what it was at the last reversal and by its displacement."""
+    faded = math.exp(-way * (x - since) / over)
+    return faded, -(way - wound) * faded * way * (x - since) / (over * over)
 
 
-@inlined
-def _share(masses: FloatArray, i: int, v: float) -> float:
-    """Return the share of its rise that a friction has at a speed."""
-    return math.exp(-((v / masses[i, 7]) ** 2)) if masses[i, 7] > 0.0 else 0.0
+@compiled
+def spring_torque(bodies: Bodies, laws: FloatArray, q: FloatArray, v: FloatArray, i: int) -> float:
+    """Return the torque of a spring."""
+    e, rate, piece = q[bodies.rotors[i]] - q[i], v[bodies.rotors[i]] - v[i], int(abs(laws[PIECE, i]))
+    torque = bodies.pieces[i, piece, STIFFNESS] * e + bodies.pieces[i, piece, DAMPING] * rate
+    if piece > 0:
+        begins = bodies.pieces[i, piece, TORQUE] - bodies.pieces[i, piece, STIFFNESS] * bodies.pieces[i, piece, BEGIN]
+        torque += math.copysign(1.0, laws[PIECE, i]) * begins
+    torque += bodies.bends[i, CUBIC] * e * e * e
+    if bodies.bends[i, SLIDER] > 0.0:
+        over = bodies.bends[i, SLIPS] / bodies.bends[i, SLIDER]
+        torque += bodies.bends[i, SLIPS] * wound_up(laws[STRETCHED, i], laws[TURNED, i], laws[RATE, i], e, over)
+    return float(torque)
 
 
-@inlined
-def _steepness(masses: FloatArray, i: int, v: float) -> float:
-    """Return how a friction that rises towards standstill changes with the velocity; negative, of no other."""
-    if not masses[i, 6] > 0.0:
-        return 0.0
-    return float(-2.0 * abs(v) / masses[i, 7] ** 2 * masses[i, 6] * _share(masses, i, v))
+@compiled
+def _grip(bodies: Bodies, laws: FloatArray, q: FloatArray, v: FloatArray, i: int, time: float) -> float:
+    """Return the Coulomb force of a mass."""
+    grip = bodies.bands[i, int(laws[BAND, i]), COULOMB] + bodies.masses[i, COULOMB_DRIFT] * time
+    if bodies.masses[i, PER_TORQUE] > 0.0:
+        grip += bodies.masses[i, PER_TORQUE] * laws[SIGN, i] * spring_torque(bodies, laws, q, v, i)
+    return float(grip)
+
+
+@compiled
+def _by_spring(bodies: Bodies, laws: FloatArray, seeds: Seeds, q: FloatArray, v: FloatArray, i: int, c: int) -> float:
+    """Return the derivative of a spring's torque by one of its numbers, the motion held."""
+    r = bodies.rotors[i]
+    e, rate = q[r] - q[i], v[r] - v[i]
+    piece = int(abs(laws[PIECE, i]))
+    own, line = seeds.pieces[c, piece], bodies.pieces[i, piece]
+    torque = own[STIFFNESS] * e + own[DAMPING] * rate
+    if piece > 0:
+        begins = own[TORQUE] - own[STIFFNESS] * line[BEGIN] - line[STIFFNESS] * own[BEGIN]
+        torque += math.copysign(1.0, laws[PIECE, i]) * begins
+    torque += seeds.bends[c, CUBIC] * e * e * e
+    slider, slips = bodies.bends[i, SLIDER], bodies.bends[i, SLIPS]
+    if slider > 0.0:
+        over = slips / slider
+        u = wound_up(laws[STRETCHED, i], laws[TURNED, i], laws[RATE, i], e, over)
+        _, longer = _winding(laws[STRETCHED, i], laws[TURNED, i], laws[RATE, i], e, over)
+        dover = seeds.bends[c, SLIPS] / slider - over * seeds.bends[c, SLIDER] / slider
+        torque += seeds.bends[c, SLIPS] * u + slips * longer * dover
+    return float(torque)
+
+
+@compiled
+def _over_edge(
+    bodies: Bodies, tape: RobotTape, seeds: Seeds, parameters: IntArray, piece: int, event: int, dq: FloatArray,
+    turned: FloatArray,
+) -> float:  # fmt: skip
+    """Fill by how much a deflection comes nearer to the edge of its piece, and return how fast it goes over it."""
+    n, nd = bodies.rotors.size, bodies.masses.shape[0]
+    laws, i = tape.laws[piece], (event - 3 * nd) % n
+    outer, r, now = event < 3 * nd + n, bodies.rotors[i], laws[PIECE, i]
+    e, rate = (
+        tape.places[piece + 1, r] - tape.places[piece + 1, i],
+        tape.speeds[piece + 1, r] - tape.speeds[piece + 1, i],
+    )
+    side = math.copysign(1.0, now if now != 0.0 else e)
+    edge = int(abs(now)) + (1 if outer else 0)
+    for c in range(turned.size):
+        own = seeds.pieces[c, edge, BEGIN] if parameters[c, 0] == OF_SPRING and parameters[c, 1] == i else 0.0
+        turned[c] = side * (dq[r, c] - dq[i, c]) - own
+    return float(side * rate)
+
+
+@compiled
+def _turn(
+    bodies: Bodies, tape: RobotTape, seeds: Seeds, parameters: IntArray, piece: int, dq: FloatArray, wound: FloatArray,
+    since: FloatArray, stretched: FloatArray, stretch_since: FloatArray,
+) -> None:  # fmt: skip
+    """Take the derivatives of what is wound up, where it turns at the end of a piece."""
+    n, nd, count = bodies.rotors.size, bodies.masses.shape[0], dq.shape[1]
+    laws, after = tape.laws[piece], tape.laws[piece + 1]
+    for i in range(nd):
+        way, over = tape.directions[piece, i], bodies.masses[i, PRESLIDING]
+        if over > 0.0 and tape.directions[piece + 1, i] != way:
+            x = tape.places[piece + 1, i]
+            slope = (1.0 - way * wound_up(laws[WOUND, i], laws[SINCE, i], way, x, over)) / over
+            faded, longer = _winding(laws[WOUND, i], laws[SINCE, i], way, x, over)
+            for c in range(count):
+                own = seeds.mass[c, PRESLIDING] if parameters[c, 0] == OF_MASS and parameters[c, 1] == i else 0.0
+                wound[i, c] = faded * wound[i, c] + slope * (dq[i, c] - since[i, c]) + longer * own
+                since[i, c] = dq[i, c]
+    for i in range(n):
+        r, way = bodies.rotors[i], laws[RATE, i]
+        if bodies.bends[i, SLIDER] > 0.0 and after[RATE, i] != way:
+            e, over = (
+                tape.places[piece + 1, r] - tape.places[piece + 1, i],
+                bodies.bends[i, SLIPS] / bodies.bends[i, SLIDER],
+            )
+            slope = (1.0 - way * wound_up(laws[STRETCHED, i], laws[TURNED, i], way, e, over)) / over
+            faded, longer = _winding(laws[STRETCHED, i], laws[TURNED, i], way, e, over)
+            for c in range(count):
+                own = 0.0
+                if parameters[c, 0] == OF_SPRING and parameters[c, 1] == i:
+                    own = (seeds.bends[c, SLIPS] - over * seeds.bends[c, SLIDER]) / bodies.bends[i, SLIDER]
+                moved = dq[r, c] - dq[i, c]
+                stretched[i, c] = faded * stretched[i, c] + slope * (moved - stretch_since[i, c]) + longer * own
+                stretch_since[i, c] = moved
 
 
 @compiled
 def _add_moved_links(
-    rotors: IntArray, springs: FloatArray, M: FloatArray, Cv: FloatArray, K: FloatArray, h: float, whole: float,
+    rotors: IntArray, stiff: FloatArray, damped: FloatArray, M: FloatArray, Cv: FloatArray, K: FloatArray, h: float,
+    whole: float,
     dq: FloatArray, rate: FloatArray, gained: FloatArray, moved_links: FloatArray,
 ) -> None:  # fmt: skip
     """Add what the links' changes of position, rate and velocity gained in a piece of h s add to the motors' torques.
@@ -163,8 +298,8 @@ def _add_moved_links(
             if rotors[j] == j or (rotors[i] != i and i != j):  # it is moved as prescribed, or on another's spring
                 continue
             inert = M[i, j] / whole if rotors[i] == i else 0.0
-            damping = share * (Cv[i, j] if rotors[i] == i else -springs[i, 1])
-            stiffness = share * (K[i, j] if rotors[i] == i else -springs[i, 0])
+            damping = share * (Cv[i, j] if rotors[i] == i else -damped[i])
+            stiffness = share * (K[i, j] if rotors[i] == i else -stiff[i])
             for c in range(count):
                 middle = dq[j, c] - 0.5 * h * rate[j, c]
                 moved_links[i, c] += inert * gained[j, c] + damping * rate[j, c] + stiffness * middle
@@ -172,8 +307,8 @@ def _add_moved_links(
 
 @compiled
 def differentiate_run(
-    tree: Tree, bodies: Bodies, clock: Clock, laws: Controllers, cuts: NDArray[np.bool_], tape: RobotTape,
-    parameters: IntArray, moved: Moved, command: FloatArray, tapped: FloatArray, moved_links: FloatArray,
+    tree: Tree, bodies: Bodies, clock: Clock, controllers: Controllers, cuts: NDArray[np.bool_], tape: RobotTape,
+    parameters: IntArray, seeds: Seeds, moved: Moved, command: FloatArray, tapped: FloatArray, moved_links: FloatArray,
 ) -> None:  # fmt: skip
     """Fill the derivatives of the torques, step of the clock by step.
 
@@ -181,17 +316,20 @@ def differentiate_run(
         tree: of `kernels.robot_loop.run`, as the run had it.
         bodies: the same.
         clock: the same.
-        laws: the same.
+        controllers: the same.
         cuts: what it wrote.
         tape: the same.
         parameters: (parameters, 3) what each is a number of, in which row and column.
+        seeds: how the numbers of that row depend on it.
         moved: derivatives at the beginning, overwritten.
         command: (n, clock, parameters) out; or (n, clock, 0) of motors that are moved, whatever it takes.
         tapped: the same as command, or (n, 0, 0) where it is the same.
         moved_links: (n, parts of all steps, parameters) out, mean over each: what the links' change of motion adds to
             the torque that a prescribed motion takes of a motor; or (n, 0, 0).
     """
-    rotors, masses, springs, joints = bodies.rotors, bodies.masses, bodies.springs, tree.joints
+    rotors, masses, joints, plain = bodies.rotors, bodies.masses, tree.joints, tape.laws.shape[1] == 0
+    bands, springs, rests = bodies.bands, bodies.pieces, bodies.rests
+    own_mass, own_bands, own_pieces = seeds.mass, seeds.bands, seeds.pieces
     lags, every, dq, dv, dz = clock.lags, clock.every, moved.dq, moved.dv, moved.dz
     before = moved.before
     first, lasting, places, speeds = tape.first, tape.lasting, tape.places, tape.speeds
@@ -207,6 +345,20 @@ def differentiate_run(
     M, K, Cv, left, Y = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, 10 * n))
     of_links = np.zeros(Y.shape if coupled else (0, 0))
     pull, alone, tie = np.zeros(n), np.zeros(n), np.zeros(n)
+    # Of masses the viscous coefficient, what the Coulomb force is multiplied with, its size, and what winding up adds
+    # to their stiffness; of springs the stiffness, the damping, and the share of their torque that pushes the link.
+    viscous, sliding, winds = np.zeros(nd), np.zeros(nd), np.zeros(nd)
+    stiff, damped, passed = np.zeros(n), np.zeros(n), np.ones(n)
+    # Derivatives of what was wound up at the last reversal, and of the place.
+    smooth = 0 if plain else nd
+    wound, since = np.zeros((smooth, count)), np.zeros((smooth, count))
+    stretched, stretch_since = np.zeros((min(smooth, n), count)), np.zeros((min(smooth, n), count))
+    for c in range(count):
+        for i in range(smooth):
+            since[i, c] = dq[i, c]
+        for i in range(min(smooth, n)):
+            stretch_since[i, c] = dq[rotors[i], c] - dq[i, c]
+    period, time = np.sum(clock.lengths), 0.0
     linked = False
     for c in range(count):
         linked = linked or parameters[c, 0] == OF_LINK
@@ -223,9 +375,10 @@ def differentiate_run(
             for c in range(count):
                 turned[c] = dq[rotors[j], c]
             _control(
-                laws, j, own % laws.A.shape[1], cuts[j, own], turned, dz[j], fresh, raw, command[j, k],
+                controllers, j, own % controllers.A.shape[1], cuts[j, own], turned, dz[j], fresh, raw, command[j, k],
                 tapped[j, k] if tapped.shape[1] > 0 else nothing,
             )  # fmt: skip
+        time = k * period
         for part in range(parts):
             at = k * parts + part
             if at >= first.size:
@@ -265,60 +418,112 @@ def differentiate_run(
                     for j in range(n):
                         for c in range(count):
                             other[rotors[j], c] = dtau[j, c]
+                    at_middle = time + 0.5 * h
+                    laws = tape.laws[piece]
+                    for i in range(nd):
+                        band = 0 if plain else int(laws[BAND, i])
+                        viscous[i] = bands[i, band, FORWARDS if v[i] >= 0.0 else BACKWARDS]
+                        viscous[i] += masses[i, VISCOUS_DRIFT] * at_middle
+                        sliding[i] = directions[piece, i] if rests[i] else np.sign(v[i])
+                        winds[i] = 0.0
+                    for i in range(n):
+                        r = rotors[i]
+                        if r == i:
+                            continue
+                        which = 0 if plain else int(abs(laws[PIECE, i]))
+                        stiff[i], damped[i] = springs[i, which, STIFFNESS], springs[i, which, DAMPING]
+                        if not plain:
+                            e = q[r] - q[i]
+                            stiff[i] += 3.0 * bodies.bends[i, CUBIC] * e * e
+                            if bodies.bends[i, SLIDER] > 0.0:
+                                over = bodies.bends[i, SLIPS] / bodies.bends[i, SLIDER]
+                                u = wound_up(laws[STRETCHED, i], laws[TURNED, i], laws[RATE, i], e, over)
+                                stiff[i] += bodies.bends[i, SLIDER] * (1.0 - laws[RATE, i] * u)
+                    for i in range(smooth):
+                        if masses[i, PRESLIDING] > 0.0:
+                            way, over = directions[piece, i], masses[i, PRESLIDING]
+                            sliding[i] = wound_up(laws[WOUND, i], laws[SINCE, i], way, q[i], over)
+                            grip = _grip(bodies, laws, q, v, i, at_middle)
+                            slope = grip * (1.0 - way * sliding[i]) / over
+                            faded, longer = _winding(laws[WOUND, i], laws[SINCE, i], way, q[i], over)
+                            winds[i] = slope
+                            for c in range(count):
+                                own = 0.0
+                                if parameters[c, 0] == OF_MASS and parameters[c, 1] == i:
+                                    own = own_mass[c, PRESLIDING]
+                                other[i, c] += slope * since[i, c] - grip * (faded * wound[i, c] + longer * own)
+                    for i in range(n):
+                        passed[i] = 1.0
+                        if not plain and rotors[i] != i:
+                            passed[i] -= sliding[i] * masses[i, PER_TORQUE] * laws[SIGN, i]
+                            if bodies.bends[i, SLIDER] > 0.0:
+                                e, over = q[rotors[i]] - q[i], bodies.bends[i, SLIPS] / bodies.bends[i, SLIDER]
+                                u = wound_up(laws[STRETCHED, i], laws[TURNED, i], laws[RATE, i], e, over)
+                                slope = bodies.bends[i, SLIDER] * (1.0 - laws[RATE, i] * u)
+                                faded, _ = _winding(laws[STRETCHED, i], laws[TURNED, i], laws[RATE, i], e, over)
+                                for c in range(count):
+                                    torque = bodies.bends[i, SLIPS] * faded * stretched[i, c]
+                                    torque -= slope * stretch_since[i, c]
+                                    other[rotors[i], c] -= torque
+                                    other[i, c] += passed[i] * torque
                     for c in range(count):
                         kind, row, which = parameters[c, 0], parameters[c, 1], parameters[c, 2]
                         if kind == OF_LINK:
                             for i in range(n):
                                 other[i, c] -= Y[i, 10 * row + which]
                         elif kind == OF_MASS:
-                            if which == 0:
-                                other[row, c] -= a[row]
-                            elif which == 1 or which == (4 if v[row] >= 0.0 else 5):
-                                other[row, c] -= v[row]
-                            elif which == 2 or which == 6:
-                                sliding = directions[piece, row] if _rests(masses, row) else np.sign(v[row])
-                                other[row, c] -= sliding * (_share(masses, row, v[row]) if which == 6 else 1.0)
-                            elif which == 3:
-                                other[row, c] -= 1.0
+                            band = 0 if plain else int(laws[BAND, row])
+                            drag = own_bands[c, band, FORWARDS if v[row] >= 0.0 else BACKWARDS]
+                            drag += own_mass[c, VISCOUS_DRIFT] * at_middle
+                            holds = own_bands[c, band, COULOMB] + own_mass[c, COULOMB_DRIFT] * at_middle
+                            if own_mass[c, PER_TORQUE] != 0.0:
+                                more = own_mass[c, PER_TORQUE] * laws[SIGN, row]
+                                holds += more * spring_torque(bodies, laws, q, v, row)
+                            inert = own_mass[c, INERTIA] * a[row] + own_mass[c, OFFSET]
+                            other[row, c] -= inert + drag * v[row] + sliding[row] * holds
                         else:
                             r = rotors[row]
-                            stretch = v[r] - v[row] if which == 1 else q[r] - q[row]
-                            other[r, c] -= stretch
-                            other[row, c] += stretch
+                            if plain:
+                                torque = own_pieces[c, 0, STIFFNESS] * (q[r] - q[row])
+                                torque += own_pieces[c, 0, DAMPING] * (v[r] - v[row])
+                            else:
+                                torque = _by_spring(bodies, laws, seeds, q, v, row, c)
+                            other[r, c] -= torque
+                            other[row, c] += passed[row] * torque
                     # The rotors of flexible joints are eliminated: each is tied to its link alone.
                     half = 0.5 * h
                     for i in range(n):
-                        M[i, i] += masses[i, 0] if rotors[i] == i else 0.0
-                        Cv[i, i] += masses[i, 1] + masses[i, 4 if v[i] >= 0.0 else 5] + _steepness(masses, i, v[i])
+                        M[i, i] += masses[i, INERTIA] if rotors[i] == i else 0.0
+                        Cv[i, i] += viscous[i]
+                        K[i, i] += winds[i]
                         pull[i], alone[i], tie[i] = 0.0, 1.0, 0.0
                         if rotors[i] != i:
-                            K[i, i] += springs[i, 0]
-                            Cv[i, i] += springs[i, 1]
+                            K[i, i] += passed[i] * stiff[i]
+                            Cv[i, i] += passed[i] * damped[i]
                     for i in range(n):
                         for c in range(count):
                             rows[i, c] = other[i, c]
                         for j in range(n):
                             left[i, j] = 2.0 / h * M[i, j] + Cv[i, j] + half * K[i, j]
-                            inert, stiff = 2.0 / h * M[i, j], K[i, j]
+                            inert, pulls = 2.0 / h * M[i, j], K[i, j]
                             for c in range(count):
-                                rows[i, c] += inert * dv[j, c] - stiff * dq[j, c]
+                                rows[i, c] += inert * dv[j, c] - pulls * dq[j, c]
                         r = rotors[i]
                         if r == i:
                             continue
-                        stiffness, damping = springs[i, 0], springs[i, 1]
+                        stiffness, damping = stiff[i], damped[i]
                         tie[i] = damping + half * stiffness
-                        alone[i] = 2.0 / h * masses[r, 0] + masses[r, 1] + masses[r, 4 if v[r] >= 0.0 else 5] + tie[i]
-                        alone[i] += _steepness(masses, r, v[r])
-                        inert = 2.0 / h * masses[r, 0]
-                        resting = _rests(masses, r) and directions[piece, r] == 0.0
+                        alone[i] = 2.0 / h * masses[r, INERTIA] + viscous[r] + tie[i] + half * winds[r]
+                        inert = 2.0 / h * masses[r, INERTIA]
+                        resting = rests[r] and directions[piece, r] == 0.0
                         pull[i] = 0.0 if resting else tie[i] / alone[i]
                         for c in range(count):
-                            rows[i, c] += stiffness * dq[r, c]
-                            other[r, c] += inert * dv[r, c] - stiffness * (dq[r, c] - dq[i, c])
-                            rows[i, c] += pull[i] * other[r, c]
-                        left[i, i] -= pull[i] * tie[i]
+                            rows[i, c] += passed[i] * stiffness * dq[r, c]
+                            other[r, c] += inert * dv[r, c] - stiffness * (dq[r, c] - dq[i, c]) - winds[r] * dq[r, c]
+                            rows[i, c] += passed[i] * pull[i] * other[r, c]
+                        left[i, i] -= passed[i] * pull[i] * tie[i]
                     for i in range(n):
-                        if _rests(masses, i) and directions[piece, i] == 0.0:
+                        if rests[i] and directions[piece, i] == 0.0:
                             for j in range(n):
                                 left[i, j] = 1.0 if i == j else 0.0
                             for c in range(count):
@@ -327,36 +532,44 @@ def differentiate_run(
                     for i in range(n):
                         r = rotors[i]
                         if r != i:
+                            moves = 0.0 if rests[r] and directions[piece, r] == 0.0 else 1.0
                             for c in range(count):
-                                x = 0.0
-                                if pull[i] != 0.0:
-                                    x = (other[r, c] + tie[i] * rows[i, c]) / alone[i]
+                                x = moves * (other[r, c] + tie[i] * rows[i, c]) / alone[i]
                                 dq[r, c] += h * x
                                 dv[r, c] = 2.0 * x - dv[r, c]
                         for c in range(count):
                             dq[i, c] += h * rows[i, c]
                             dv[i, c] = 2.0 * rows[i, c] - dv[i, c]
                     for i in range(nd):
-                        if _rests(masses, i) and directions[piece, i] == 0.0:
+                        if rests[i] and directions[piece, i] == 0.0:
                             for c in range(count):
                                 dv[i, c] = 0.0
                     for i in range(n if prescribed else 0):
                         for c in range(count):
                             gained[i, c] += 2.0 * (dv[i, c] - rows[i, c])
+                time += h
                 event = stopped[piece]
-                if event >= 0 and directions[piece, event] != 0.0:
-                    largest = 0.0
-                    for i in range(nd):
-                        largest = max(largest, abs(ended[piece, i]))
+                largest, slowing = 0.0, 0.0
+                for i in range(nd if event >= 0 else 0):
+                    largest = max(largest, abs(ended[piece, i]))
+                if 0 <= event < nd and directions[piece, event] != 0.0:
                     slowing = ended[piece, event]
-                    if abs(slowing) > _TURNING * largest:
+                    for c in range(count):
+                        turned[c] = dv[event, c]
+                    if abs(slowing) <= _TURNING * largest:
+                        slowing = 0.0
+                elif 3 * nd <= event < 3 * nd + 2 * n:  # the damper may act on one side of the edge only
+                    slowing = _over_edge(bodies, tape, seeds, parameters, piece, event, dq, turned)
+                if slowing != 0.0:
+                    for c in range(count):
+                        turned[c] /= slowing
+                    for i in range(nd):
+                        jump = begun[piece + 1, i] - ended[piece, i]
                         for c in range(count):
-                            turned[c] = dv[event, c] / slowing
-                        for i in range(nd):
-                            jump = begun[piece + 1, i] - ended[piece, i]
-                            for c in range(count):
-                                dv[i, c] += jump * turned[c]
-                                if prescribed and i < n:
-                                    gained[i, c] += jump * turned[c]
+                            dv[i, c] += jump * turned[c]
+                            if prescribed and i < n:
+                                gained[i, c] += jump * turned[c]
+                if not plain:
+                    _turn(bodies, tape, seeds, parameters, piece, dq, wound, since, stretched, stretch_since)
                 if prescribed:
-                    _add_moved_links(rotors, springs, M, Cv, K, h, whole, dq, rows, gained, moved_links[:, at])
+                    _add_moved_links(rotors, stiff, damped, M, Cv, K, h, whole, dq, rows, gained, moved_links[:, at])

@@ -1,0 +1,164 @@
+"""Every law of friction and of a spring on a robot's axis: a robot of one joint is that joint, derivatives included."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from jointid.common.errors import MethodError
+from jointid.models.controllers import PD
+from jointid.models.friction import FRICTIONS
+from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
+from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
+from jointid.models.springs import SPRINGS, ElasticLoad
+from jointid.records.record import Channel, Record
+from jointid.simulation.closed_loop import Initial, simulate
+from jointid.simulation.loop_input import prepare
+from jointid.simulation.robot_numbers import (
+    SPRING_NUMBERS,
+    MassNumbers,
+    NumberOf,
+    NumberPlace,
+    RobotNumbers,
+    robot_with,
+    with_values,
+)
+from jointid.simulation.robot_sensitivities import differentiate_torque
+from jointid.simulation.robots import RobotLoop, RobotOutcome, prepare_robot, run_robot, simulate_robot
+
+LAW = PD(position_gain=900.0, derivative_gain=30.0)
+LINK = 0.8  # kg m2
+MOTOR = {
+    "inertia": 0.3, "viscous": 1.1, "coulomb": 1.7, "viscous_forwards": 1.1, "viscous_backwards": 1.9,
+    "coulomb_forwards": 1.7, "coulomb_backwards": 1.1, "stribeck_force": 1.2, "stribeck_speed": 0.3,
+    "presliding_distance": 2e-3, "viscous_drift": 0.3, "coulomb_drift": -0.2,
+}  # fmt: skip
+LOAD = {
+    "inertia": LINK, "viscous": 0.6, "coulomb": 0.9, "viscous_forwards": 0.6, "viscous_backwards": 0.9,
+    "coulomb_forwards": 0.9, "coulomb_backwards": 0.7, "stribeck_force": 0.5, "stribeck_speed": 0.2,
+    "presliding_distance": 3e-3, "viscous_drift": -0.1, "coulomb_drift": 0.3, "friction_per_torque": 0.1,
+}  # fmt: skip
+BETWEEN = {
+    "stiffness": 900.0, "damping": 1.5, "gap": 0.004, "stiffness_2": 1500.0, "stiffness_3": 2500.0, "torque_1": 3.0,
+    "torque_2": 6.0, "cubic_stiffness": 4e6, "hysteresis_stiffness": 300.0, "hysteresis_torque": 1.0, "offset": 0.2,
+}  # fmt: skip
+
+RIGID = [RigidJoint("revolute", law()) for law in FRICTIONS.values() if law().of_whole == law()]
+FLEXIBLE = [FlexibleJoint("revolute", law()) for law in FRICTIONS.values()]
+SPRUNG = [FlexibleJoint("revolute", spring=law()) for law in SPRINGS.values() if law is not ElasticLoad]
+JOINTS = pytest.mark.parametrize(
+    "joint",
+    [*RIGID, *FLEXIBLE, *SPRUNG[1:]],
+    ids=lambda joint: f"{joint.model} {joint.friction.name} {joint.spring_name}",
+)
+
+
+def values_of(joint: Joint) -> dict[str, float]:
+    """Return the numbers of a joint; the link is a part of a rigid one's inertia."""
+    known = BETWEEN | MOTOR | {f"motor_{name}": value for name, value in MOTOR.items()}
+    known |= {f"load_{name}": value for name, value in LOAD.items()}
+    known["inertia"] += LINK
+    return {p.name: known[p.name] for p in joint.parameters}
+
+
+def robot_of(joint: Joint) -> Robot:
+    """Return a joint as a robot of one, about its link's principal axis and without gravity."""
+    values = values_of(joint)
+    body = np.zeros(10)
+    body[[0, 9]] = 1.0, LINK
+    spring = None
+    if isinstance(joint, FlexibleJoint):
+        spring = JointSpring(values["stiffness"], values["damping"], law=joint.spring)
+    own = {"motor_inertia", "load_inertia", "inertia", "offset", "stiffness", "damping"}
+    numbers = {name: value for name, value in values.items() if name not in own}
+    axis = RobotJoint("one", MOTOR["inertia"], offset=0.2, spring=spring, friction=joint.friction, numbers=numbers)
+    return Robot((Link("arm", -1, inertial=body),), (axis,), gravity=np.zeros(3))
+
+
+def reference() -> Record:
+    """Return a motion with a rest, so that the joint sticks: at the beginning, and towards the end."""
+    t = np.arange(1300) * 1e-3
+    x = np.clip(t / 0.3, 0, 1)
+    moved = 0.6 * np.sin(2 * np.pi * 1.5 * np.minimum(t, 0.9)) * x**3 * (10 - 15 * x + 6 * x * x)
+    return Record(reference=Channel(moved, "rad", 1e-3))
+
+
+@JOINTS
+def test_a_robot_of_one_joint_is_that_joint(joint: Joint) -> None:
+    """To the integrator's order, 4, or to rounding where nothing is left of its error."""
+    record, loop = reference(), RobotLoop(robot_of(joint), (LAW,))
+    runs = {steps: simulate_robot(loop, (record,), steps=steps) for steps in (4, 8)}
+    alone = ClosedLoop(joint, LAW)
+    begun = Initial(float(runs[8].motor_position[0, 0]), 0.0, 0.0)
+    exact = simulate(alone, prepare(alone, record), values_of(joint), begun)
+    peak = float(np.max(np.abs(exact.torque)))
+    errors = {steps: float(np.max(np.abs(run.torque[:, 0] - exact.torque))) / peak for steps, run in runs.items()}
+    assert all(run.outcome is RobotOutcome.FINISHED for run in runs.values())
+    assert errors[8] < 2e-9
+    assert errors[8] < errors[4] / 10.0 + 3e-11  # the exact engine of smooth laws has some 1e-11 of its own
+    assert abs(runs[8].events - exact.events) <= 1  # the spring's torque touches 0 at rest
+    assert np.max(np.abs(runs[8].motor_position[:, 0] - exact.motor_position)) < 1e-9
+
+
+def own_places(numbers: RobotNumbers) -> tuple[NumberPlace, ...]:
+    """Return the places of all numbers that the laws of a robot of one joint have."""
+    found = [NumberPlace(NumberOf.LINK, 0, 9)]
+    beside = {
+        "stribeck_force": MassNumbers.RISE, "stribeck_speed": MassNumbers.SPEED,
+        "presliding_distance": MassNumbers.PRESLIDING, "viscous_drift": MassNumbers.VISCOUS_DRIFT,
+        "coulomb_drift": MassNumbers.COULOMB_DRIFT, "friction_per_torque": MassNumbers.PER_TORQUE,
+    }  # fmt: skip
+    for row, law in enumerate(numbers.frictions):
+        viscous = (4, 5) if law.depends_on_direction("viscous") else (1,)
+        columns = [*viscous, 2, 3, *(beside[p.name] for p in law.parameters() if p.name in beside)]
+        if row in numbers.rotors:
+            columns = [0, *(column for column in columns if column != MassNumbers.PER_TORQUE)]
+        found += [NumberPlace(NumberOf.MASS, row, int(column)) for column in columns]
+    law = numbers.laws[0][1]
+    springs = [] if law is None else [SPRING_NUMBERS.index(p.name) for p in law.parameters]
+    return (*found, *(NumberPlace(NumberOf.SPRING, 0, column) for column in springs))
+
+
+@JOINTS
+def test_derivatives_by_variation_are_those_of_differences(joint: Joint) -> None:
+    """Of order 2 in the pieces of the tape: by every number of every law."""
+    record, robot = reference(), robot_of(joint)
+    driven, numbers = prepare_robot(RobotLoop(robot, (LAW,)), (record,)), RobotNumbers.of(robot)
+    places = own_places(numbers)
+    found = differentiate_torque(run_robot(driven, numbers, keep=True, steps=4), places)[:, 0]
+    for column, place in enumerate(places):
+        value = place.read(numbers)
+        step = 1e-5 * max(abs(value), 0.05)
+        high, low = (
+            run_robot(driven, with_values(numbers, (place,), np.array([value + by])), steps=4).torque[:, 0]
+            for by in (step, -step)
+        )
+        expected = (high - low) / (2.0 * step)
+        assert np.linalg.norm(found[:, column] - expected) < 1e-3 * np.linalg.norm(expected), place
+
+
+@JOINTS
+def test_a_robot_has_again_what_its_numbers_say(joint: Joint) -> None:
+    robot = robot_of(joint)
+    numbers = RobotNumbers.of(robot)
+    again = RobotNumbers.of(robot_with(robot, numbers))
+    assert again.masses == pytest.approx(numbers.masses, abs=1e-15)
+    assert again.springs == pytest.approx(numbers.springs, abs=1e-15)
+    assert again.laws == numbers.laws
+
+
+def test_a_joint_has_the_numbers_of_its_laws() -> None:
+    with pytest.raises(MethodError, match="lacks presliding_distance; expected the numbers of its laws"):
+        RobotJoint("one", 0.3, friction=FRICTIONS["presliding"]())
+    with pytest.raises(MethodError, match="has gap; expected"):
+        RobotJoint("one", 0.3, spring=JointSpring(900.0), numbers={"gap": 0.1})
+    with pytest.raises(MethodError, match="follows the torque through a spring"):
+        RobotJoint("one", 0.3, friction=FRICTIONS["load-dependent"]())
+    with pytest.raises(MethodError, match="a link of its own"):
+        JointSpring(900.0, law=ElasticLoad())
+
+
+def test_an_identification_refuses_what_it_does_not_know() -> None:
+    robot = robot_of(FlexibleJoint("revolute", spring=SPRINGS["backlash"]()))
+    with pytest.raises(MethodError, match='received the law "backlash" of one'):
+        robot.require_lines("An identification of a robot takes")
