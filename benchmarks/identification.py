@@ -21,8 +21,8 @@ from benchmarks.searching import Search, summed, timed
 from benchmarks.startup import HERE, emps
 from jointid.config import load
 from jointid.diagnostics.identify import identify
+from jointid.estimation.descent import least_squares as least_squares_of
 from jointid.estimation.methods.flexible import FlexibleDIDIM, stopping_tolerance
-from jointid.estimation.methods.search import least_squares as least_squares_of
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.paper.twin import Twin, twin

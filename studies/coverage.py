@@ -10,7 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from jointid.estimation.methods.flexible import inverse_model_covariance, refined_least_squares
+from jointid.estimation.descent import descend
+from jointid.estimation.methods.flexible import inverse_model_covariance
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.paper.twin import twin
 from jointid.records.signals.filtering import Filtering
@@ -55,7 +56,8 @@ def judge(seed: int, loop: Literal["L19", "L30"], noise: Literal["disturbance", 
     still = tuple(p.fixed(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
     problem = replace(problem, parameters=still)
     truth = problem.vector({**axis.truth, "initial_position": 0.0})
-    x, J = refined_least_squares(problem, truth, _ENOUGH)
+    end = descend(problem, truth, _ENOUGH)
+    x, J = end.x, -end.jacobian
     error, names = problem.residual(x), [p.name for p in problem.free]
     joint = names[: len(problem.free_joint)]
     known = uncertainty(J, J, error, problem.cells(problem.simulate(x)), names)

@@ -24,7 +24,7 @@ import numpy as np
 import jointid as ji
 from jointid.campaigns.cases import sha256_of
 from jointid.common.files import write_whole
-from jointid.estimation.methods.flexible import refined_least_squares
+from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.paper.twin import SAMPLE_TIME, twin
 from jointid.planning.design import plan_from_estimate
@@ -154,7 +154,7 @@ def judge(seed: int, loop: LoopName, noise: NoiseName, test: str, sha256: str) -
     problem = torque_problem(record, axis.loop, ji.Filtering(cutoff=60.0), axis.loop.joint.parameters)
     problem = problem.keeping({"initial_velocity": 0.0})
     start = problem.vector({**truth, "initial_position": float(reference[0])})
-    x = refined_least_squares(problem, start, _ENOUGH)[0]
+    x = descend(problem, start, _ENOUGH).x
     return MadeTest([float(x[k]) - truth[name] for k, name in enumerate(own)], float(over))
 
 

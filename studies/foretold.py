@@ -12,7 +12,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.estimation.methods.flexible import refined_least_squares
+from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.paper.twin import SAMPLE_TIME, Twin, twin
 from jointid.planning.predict import Noise, PredictedTest, planned_record, predict_test
@@ -52,7 +52,7 @@ def judge(seed: int, loop: Literal["L19", "L30"], noise: NoiseName, tap: str) ->
     problem = torque_problem(made, axis.loop, Filtering(), axis.loop.joint.parameters)
     problem = problem.keeping({"initial_velocity": 0.0})
     start = problem.vector({**axis.truth, "initial_position": 0.0})
-    x, _ = refined_least_squares(problem, start, _ENOUGH)
+    x = descend(problem, start, _ENOUGH).x
     told = _foretold(loop, noise, tap)
     errors = {name: float(x[i] - start[i]) for i, name in enumerate(told.joint)}
     found = {name: errors[name] / float(told.covariance.std[i]) for i, name in enumerate(told.joint)}

@@ -8,7 +8,7 @@ import numpy as np
 
 from jointid.diagnostics.check_loop import LoopTests, search_faults
 from jointid.diagnostics.fault_tests import rank_tests
-from jointid.estimation.methods.flexible import refined_least_squares
+from jointid.estimation.descent import descend
 from jointid.uncertainty.covariance import sandwich
 from tests.faults import Fault, Loop, Noise, line_7, on, problem, setting, solved
 
@@ -56,7 +56,8 @@ def judge_freed(seed: int, noise: Noise) -> Freed:
     where = setting("L19")
     truth = where.truth | line_7(where.loop)
     made = problem(where, Fault(line_7), noise, seed).freeing(*FREED)
-    x, J = refined_least_squares(made, made.vector(where.truth), 1e-6)
+    end = descend(made, made.vector(where.truth), 1e-6)
+    x, J = end.x, -end.jacobian
     std = sandwich(J, J, made.residual(x)).std
     error = {p.name: (float(x[i] - truth[p.name]), float(std[i])) for i, p in enumerate(made.free) if p.name in truth}
     return Freed(

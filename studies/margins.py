@@ -19,7 +19,8 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.diagnostics.identify import identify
-from jointid.estimation.methods.flexible import FlexibleDIDIM, refined_least_squares
+from jointid.estimation.descent import descend
+from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Cascade, Controller
@@ -146,7 +147,7 @@ def _again(first: Estimate, record: Record) -> dict[str, float]:
     problem = torque_problem(record, first.settings.loop, first.settings.filtering, first.settings.joint.parameters)
     still = tuple(p.fixed(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
     problem = replace(problem, parameters=still)
-    x, _ = refined_least_squares(problem, problem.vector({p.name: p.value or 0.0 for p in first.params.rows}), _ENOUGH)
+    x = descend(problem, problem.vector({p.name: p.value or 0.0 for p in first.params.rows}), _ENOUGH).x
     return dict(zip((p.name for p in problem.free), map(float, x), strict=True))
 
 

@@ -16,10 +16,11 @@ import numpy as np
 
 from jointid.common.messages import silent
 from jointid.common.text import aligned, number
-from jointid.estimation.methods.flexible import refined_least_squares
-from jointid.estimation.methods.flexible_search import frequency_of, on_band
+from jointid.estimation.descent import descend
+from jointid.estimation.methods.stiffness_search import on_band
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.stiffness_identifiability import visible
+from jointid.estimation.starts.flexible_joint import frequency_of
 from jointid.paper.twin import Twin, twin
 from jointid.records.signals.filtering import Filtering
 from jointid.uncertainty.position_dependent_error import uncertainty
@@ -133,7 +134,8 @@ def judge(seed: int, factor: float, noise: Noise) -> StiffnessRun:
     at, truth = names.index("stiffness"), problem.vector({**axis.truth, "initial_position": 0.0})
     error, J = problem.linearise(truth)
     predicted = uncertainty(J, J, error, problem.cells(problem.simulate(truth)), names).robust.std[at] / truth[at]
-    x, J = refined_least_squares(problem, truth, _EXACTLY)
+    end = descend(problem, truth, _EXACTLY)
+    x, J = end.x, -end.jacobian
     known = uncertainty(J, J, problem.residual(x), problem.cells(problem.simulate(x)), names)
     spring = visible(problem, x, J, known, (2, 2), silent, (_SHARE,))
     value, std = (float(x[at]), float(known.covariance.std[at])) if spring.shown else (None, None)

@@ -17,7 +17,7 @@ from functools import cache
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.estimation.methods.flexible import refined_least_squares
+from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.models.controllers import Cascade, FirstOrder, Notch
 from jointid.models.joints import ClosedLoop, FlexibleJoint
@@ -84,7 +84,7 @@ def judge(seed: int) -> dict[str, float]:
     """Return the errors of least squares from the truth, in the deviations that the sensitivities foretell."""
     problem = _problem(servo_twin(seed=seed))
     truth, names = _truth(problem), [p.name for p in problem.free_joint]
-    x, _ = refined_least_squares(problem, truth, _ENOUGH)
+    x = descend(problem, truth, _ENOUGH).x
     return {name: float((x[i] - truth[i]) / _foretold()[i]) for i, name in enumerate(names)}
 
 

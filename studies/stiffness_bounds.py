@@ -20,7 +20,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.diagnostics.check_loop import check_loop
 from jointid.diagnostics.identify import identify
-from jointid.estimation.methods.flexible_search import on_band
+from jointid.estimation.methods.stiffness_search import on_band
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.stiffness_bounds import SHARES
 from jointid.models.controllers import PID, Cascade, Controller

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.estimation.methods.flexible import refined_least_squares
+from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.models.joints import ClosedLoop
 from jointid.paper.twin import SAMPLE_TIME, twin
@@ -142,7 +142,7 @@ def problem(where: Setting, fault: Fault | None, noise: Noise | None, seed: int 
 
 def solved(made: ClosedLoopProblem, where: Setting, tolerance: float = 1e-6) -> FloatArray:
     """Return the least-squares parameters, from the truth."""
-    return refined_least_squares(made, made.vector(where.truth), tolerance)[0]
+    return descend(made, made.vector(where.truth), tolerance).x
 
 
 def _logged(where: Setting, fault: Fault, noise: Noise | None, seed: int) -> FloatArray:

@@ -13,10 +13,10 @@ from scipy.stats import norm
 
 from jointid.common.arrays import FloatArray
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.flexible_search import pseudo_regular
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
+from jointid.estimation.starts.flexible_joint import pseudo_regular
 from jointid.models.controllers import POSITION, SampledLaw
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.paper.twin import CONTROLLERS, TABLE_2, twin

@@ -11,13 +11,14 @@ import pytest
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.messages import silent
 from jointid.diagnostics.validation import validate
-from jointid.estimation.methods import flexible, flexible_search
+from jointid.estimation.descent import History
+from jointid.estimation.methods import flexible, stiffness_search
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.methods.search import History
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.starts import flexible_joint
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import Twin, twin
 from jointid.records.record import Injection, Record
@@ -198,13 +199,13 @@ def test_coulomb_friction_that_was_found_on_the_wrong_side_is_divided_anew() -> 
     history = History(silent)
     for wrong in (0.15, 0.9):
         sides = {"motor_coulomb": wrong * whole, "load_coulomb": (1 - wrong) * whole}
-        found = flexible_search.divided_otherwise(problem, problem.vector(state | axis.truth | sides), history)
+        found = stiffness_search.divide_coulomb_friction(problem, problem.vector(state | axis.truth | sides), history)
         assert found is not None
         values = problem.values(found)
         assert values["motor_coulomb"] == pytest.approx(axis.truth["motor_coulomb"], abs=0.05 * whole)
         assert values["motor_coulomb"] + values["load_coulomb"] == pytest.approx(whole)
         assert values["stiffness"] == axis.truth["stiffness"]
-    assert flexible_search.divided_otherwise(problem, problem.vector(state | axis.truth), history) is None
+    assert stiffness_search.divide_coulomb_friction(problem, problem.vector(state | axis.truth), history) is None
 
 
 @pytest.mark.slow
@@ -225,8 +226,8 @@ def test_a_record_that_tells_no_rigid_joint_is_begun_with_the_joint_that_would_f
     def none(*_: object) -> Estimate:
         raise MethodError("An inertia is not positive.")
 
-    monkeypatch.setattr(flexible, "rigid_estimate", none)
-    monkeypatch.setattr(flexible_search, "inverted_starts", lambda _: [])
+    monkeypatch.setattr(stiffness_search, "rough_rigid_joint", none)
+    monkeypatch.setattr(flexible_joint, "antiresonance_starts", lambda _: [])
     estimate = identify(torque_only(axis), axis.loop)
     assert estimate.values["stiffness"] == pytest.approx(axis.truth["stiffness"], rel=0.02)
 
@@ -246,12 +247,12 @@ def test_the_starts_said_to_end_together_are_different_ones(frequency: float, mo
     """At 38 Hz the halves of (13) are the best start: they must not be refined twice."""
     axis = twin(noise="white")
     seen = []
-    original = flexible_search.explored
+    original = stiffness_search.explore
     monkeypatch.setattr(
-        flexible_search, "explored", lambda *arguments: (seen.append(original(*arguments)), seen[-1])[1]
+        stiffness_search, "explore", lambda *arguments: (seen.append(original(*arguments)), seen[-1])[1]
     )
     estimate = identify(torque_only(axis), axis.loop, FlexibleDIDIM(frequency=frequency))
-    first, second = (start for _, start in seen[0][0][:2])
+    first, second = (one.values for one in seen[0][:2])
     assert any(abs(first[name] - second[name]) > 0.1 * abs(first[name]) for name in ("motor_inertia", "stiffness"))
     assert "; 2 of 2 starts led there" in estimate.fit.stop
 

@@ -10,8 +10,8 @@ from scipy.signal import lfilter
 
 import jointid as ji
 from jointid.common.messages import silent
+from jointid.estimation.descent import History, least_squares
 from jointid.estimation.methods.force_in_loop import allow_for_force, find_force
-from jointid.estimation.methods.search import History, least_squares
 from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.models.controllers import Cascade

@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 import jointid as ji
 from jointid.common.arrays import FloatArray
-from jointid.estimation.methods.search import least_squares
+from jointid.estimation.descent import least_squares
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.models.controllers import Cascade
 from jointid.records.signals.filtering import Filtering

@@ -13,7 +13,7 @@ import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.config import load
 from jointid.diagnostics.experiment_design import rebuild_declared_problem
-from jointid.estimation.methods.flexible import refined_least_squares
+from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.paper.twin import SAMPLE_TIME, twin
@@ -49,7 +49,7 @@ def test_a_rigid_joint_scatters_as_predicted() -> None:
         record = simulated_record(LOOP, REFERENCE, TRUTH, sample_time=T, torque_noise=added)
         problem = torque_problem(record, LOOP, Filtering(), LOOP.joint.parameters).keeping({"initial_velocity": 0.0})
         start = problem.vector({**TRUTH, "initial_position": 0.0, "initial_torque": float(record.torque.values[0])})  # type: ignore[union-attr]
-        found.append(refined_least_squares(problem, start, 1e-8)[0][:4])
+        found.append(descend(problem, start, 1e-8).x[:4])
     ratio = told.covariance.std / np.std(found, axis=0, ddof=1)
     assert np.all((ratio > 0.75) & (ratio < 1.33)), ratio  # four deviations of what 80 runs tell
 

@@ -10,7 +10,7 @@ import pytest
 from jointid.estimation.robots.didim import identify_rigid_robot
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.problem import robot_problem
-from jointid.estimation.robots.spring_start import StartOfSprings
+from jointid.estimation.starts.robot_springs import StartOfSprings
 from jointid.records.signals.filtering import Filtering
 from studies.robots import drives, judge, summarise
 

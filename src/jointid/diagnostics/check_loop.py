@@ -17,7 +17,6 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
-from jointid.common.messages import silent
 from jointid.common.parameters import Quantity, unit_of
 from jointid.diagnostics.fault_tests import (
     compute_signatures,
@@ -44,8 +43,8 @@ from jointid.diagnostics.faults.other_laws import (
 from jointid.diagnostics.faults.registry import FAULTS
 from jointid.diagnostics.faults.trials import solve_with_fault
 from jointid.diagnostics.intervals import rebuild_problem
+from jointid.estimation.descent import descend
 from jointid.estimation.methods.force_in_loop import find_force, simulate_with_force
-from jointid.estimation.methods.search import History, least_squares
 from jointid.estimation.problems.base import surrounding
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
@@ -210,7 +209,7 @@ def search_faults(
         if told is None and (not found.tests or found.tests[0].p_value > settings.level):
             break
         if not findings:  # a rigid joint's DIDIM ends near the least squares, not on them
-            state = replace(state, x=_solve(problem, state.x))
+            state = replace(state, x=descend(problem, state.x, _TOLERANCE).x)
         if told is not None:
             first_law = first_law or told
             alike = [one for one in laws if one is not told and one.possible and one.as_likely([told])]
@@ -224,10 +223,10 @@ def search_faults(
         state = after
     open_ones: list[Finding] = []
     if possible := [one for one in others if one.possible and one.test.fault is PRESENT_SAMPLE]:
-        solved = state if findings else replace(state, x=_solve(problem, state.x))
+        solved = state if findings else replace(state, x=descend(problem, state.x, _TOLERANCE).x)
         open_ones += [_find_other_law(solved, one, found, settings.level, known) for one in possible]
     if first is not None and (rates := _list_rates_left_open(faster, first, findings, first_law)):
-        solved = replace(beginning, x=_solve(problem, beginning.x))
+        solved = replace(beginning, x=descend(problem, beginning.x, _TOLERANCE).x)
         open_ones += [_find_other_law(solved, one, first, settings.level, known) for one in rates]
     moving = [one for one in open_ones if any(map(_is_out, one.changes.values()))]
     undecided = max(moving, key=_size_of_change, default=None)
@@ -511,14 +510,14 @@ def _accept_fault(state: SearchState, found: _TestResults) -> SearchState:
     if fault.mechanical and (end := solve_with_fault(problem, state.x, fault)):
         problem = replace(problem, measured=problem.measured - end.change)
         corrected = (*state.corrected, signature)
-        return SearchState(problem, _solve(problem, state.x), corrected, named, end.values)
+        return SearchState(problem, descend(problem, state.x, _TOLERANCE).x, corrected, named, end.values)
     if signature.raw is not None:
         problem = replace(problem, measured=problem.measured - suspect.size * signature.raw)
-        return SearchState(problem, _solve(problem, state.x), (*state.corrected, signature), named)
+        return SearchState(problem, descend(problem, state.x, _TOLERANCE).x, (*state.corrected, signature), named)
     wider, start = _free_parameter(problem, suspect)
     held = SearchState(problem, state.x, (*state.corrected, signature), named)
     try:
-        x = _solve(wider, wider.vector(problem.values(state.x) | {suspect.name: start}))
+        x = descend(wider, wider.vector(problem.values(state.x) | {suspect.name: start}), _TOLERANCE).x
         wider.linearise(x)
     except MethodError:  # the number goes to where its part of the law vanishes
         return held
@@ -528,11 +527,6 @@ def _accept_fault(state: SearchState, found: _TestResults) -> SearchState:
         # A bound or another fault prevents the fit: the test stands, the joint stays as it is.
         return held
     return SearchState(wider, x, state.corrected, named)
-
-
-def _solve(problem: ClosedLoopProblem, start: FloatArray) -> FloatArray:
-    """Return the least-squares parameters near a start."""
-    return History(silent).solve(problem, least_squares(problem, _TOLERANCE), start).solution.x
 
 
 def _free_parameter(problem: ClosedLoopProblem, suspect: FaultTest) -> tuple[ClosedLoopProblem, float]:

@@ -29,12 +29,12 @@ from jointid.diagnostics.law_comparison import (
     rank,
 )
 from jointid.diagnostics.method_comparison import MethodComparison, compare_methods
+from jointid.estimation.descent import History, Solved, free_more, least_squares
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.flexible import FlexibleDIDIM, stopping_tolerance
 from jointid.estimation.methods.registry import Task
-from jointid.estimation.methods.search import History, Solved, free_more, least_squares
-from jointid.estimation.methods.search_in_pieces import from_linear_laws
 from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.estimation.starts.nonlinear_laws import from_linear_laws
 from jointid.models.friction import FRICTIONS, Friction, SymmetricFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, of_whole
 from jointid.models.springs import SPRINGS, LinearSpring, Spring
@@ -147,7 +147,7 @@ def _compare_laws(
     parts_of(torque_problem(record, plain, chosen, own), among)  # before the search, which takes its time
     solved = _solve(settings, Task(record, plain.joint, plain, own, chosen, progress), history)
     if settings.free:
-        solved = free_more(solved.problem, solved.solution.x, settings.free, tolerance, history)
+        solved = free_more(solved, settings.free, tolerance, history)
     parts = parts_of(solved.problem, among)
     found: list[tuple[JudgedLaw, FloatArray | None]] = []
     line: tuple[JudgedLaw, FloatArray] | None = None

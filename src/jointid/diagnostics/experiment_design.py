@@ -47,10 +47,10 @@ from jointid.diagnostics.other_experiments import (
     double_acceleration,
     find_noise_source,
 )
-from jointid.estimation.methods.flexible_search import FASTEST, pseudo_regular
 from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
+from jointid.estimation.starts.flexible_joint import FASTEST, pseudo_regular
 from jointid.models.joints import acts_on_whole
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering

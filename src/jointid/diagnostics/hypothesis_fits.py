@@ -18,10 +18,11 @@ from jointid.common.arrays import FloatArray, triangle
 from jointid.common.errors import JointidError
 from jointid.common.parameters import Parameter
 from jointid.diagnostics.faults.fault import Hypothesis
-from jointid.estimation.methods.flexible_search import RIGID_CUTOFF, frequencies_to_try, started
-from jointid.estimation.methods.search import inversion_start, regular_start
+from jointid.estimation.methods.stiffness_search import RIGID_CUTOFF
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.prescribed import DriveSideProblem
+from jointid.estimation.starts.flexible_joint import frequencies_to_try, start_with_mode
+from jointid.estimation.starts.rigid_joint import inversion_start, regular_start
 from jointid.models.controllers import numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
 from jointid.records.signals.filtering import Filtering
@@ -115,7 +116,7 @@ def _flexible_starts(hypothesis: Hypothesis, problem: ClosedLoopProblem, rigid: 
     law, sample_time = problem.experiment.law, problem.experiment.sample_time
     for hertz in frequencies_to_try(law, rigid["inertia"], sample_time)[::_APART]:
         for share in _SHARES:
-            yield start_at(hypothesis, problem, problem.vector(started(problem, rigid, hertz, share)))
+            yield start_at(hypothesis, problem, problem.vector(start_with_mode(problem, rigid, hertz, share)))
 
 
 def _low(hypothesis: Hypothesis) -> Filtering:

@@ -27,7 +27,7 @@ from jointid.common.parameters import Parameter, Quantity
 from jointid.common.text import listed, number
 from jointid.common.transmission import Transmission
 from jointid.diagnostics.held_out import FEWEST, PARTS, TIMES, cut, mean_logarithm, squares_of
-from jointid.estimation.methods.search import Solved, least_squares
+from jointid.estimation.descent import Solved, least_squares
 from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.friction import SymmetricFriction

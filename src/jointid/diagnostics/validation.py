@@ -24,7 +24,6 @@ from jointid.common.messages import Message
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import number
 from jointid.common.transmission import Transmission
-from jointid.estimation.methods.search import fit_initial_state
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of, with_torque
 from jointid.estimation.problems.inverse_model import idim_channels, motion_of
@@ -35,6 +34,7 @@ from jointid.estimation.result.estimate import (
     law_fingerprint,
     relative_error,
 )
+from jointid.estimation.starts.rigid_joint import fit_initial_state
 from jointid.models.disturbances import effect_parameters
 from jointid.models.joints import ClosedLoop
 from jointid.models.motion import Motion

@@ -13,7 +13,7 @@ record's level alone.
 Rows of different records do not err together in time; a place errs alike in all of them, where anything repeats with
 the motion (`position_dependent_error`). Where the records, each by itself, disagree by more than their intervals allow,
 the answer says so and widens what they share (`result.agreement`). What moves a record's own solution, beside noise
-(`methods.least_error`), moves the common one as far as the record weighs in it, and widens that.
+(`uncertainty_of_least_error`), moves the common one as far as the record weighs in it, and widens that.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, silent
 from jointid.common.parameters import Parameter, adjusted
+from jointid.estimation.descent import History
 from jointid.estimation.identify_record import identify_record
+from jointid.estimation.methods.force_in_loop import uncertainty_of_least_error
 from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.methods.least_error import known_of_least_error
 from jointid.estimation.methods.registry import Method
-from jointid.estimation.methods.search import History
 from jointid.estimation.problems.base import EVEN, INITIAL, INITIAL_STATE, INITIAL_TORQUE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, initial_of, torque_problem
 from jointid.estimation.problems.several_records import (
@@ -179,7 +179,7 @@ class BySelf:
         error: (rows,) its residual, not weighted.
         level: rms of the residual over its degrees of freedom.
         weights: taps of the filter that the rows go through.
-        uncertainty: of the solution, see `methods.least_error`.
+        uncertainty: of the solution, see `uncertainty_of_least_error`.
         repeatable: what of the residual repeats with the motion.
         simulations: that this took.
     """
@@ -244,7 +244,7 @@ def _nothing(problem: ClosedLoopProblem) -> float:
 def _judge(problem: ClosedLoopProblem, end: Solution, taps: FloatArray) -> tuple[Uncertainty, int]:
     """Return what is known of a record's own solution, and the simulations that this took."""
     history, run = History(silent), problem.simulate(end.x)
-    known = known_of_least_error(problem, end.x, run, end.residual, -end.jacobian, history, taps)
+    known = uncertainty_of_least_error(problem, end.x, run, end.residual, -end.jacobian, history, taps)
     return known, history.tally.evaluations + 1
 
 

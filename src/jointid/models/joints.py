@@ -518,6 +518,12 @@ def acts_on_whole(name: str) -> bool:
     return name == "offset" or name.startswith(("gravity_", "counterbalance_", "harmonic_"))
 
 
+def spring_at(hertz: float, inertia: float, damping: float = MODE_DAMPING) -> dict[str, float]:
+    """Return the spring and damper on which an inertia swings at a frequency, damped by a share of critical."""
+    rate = 2 * math.pi * hertz
+    return {"stiffness": inertia * rate**2, "damping": 2 * damping * inertia * rate}
+
+
 def split_by_mode(inertia: float, share: float, hertz: float) -> dict[str, float]:
     """Return both inertias, spring and damper of a flexible joint with a given mode, damped by `MODE_DAMPING`.
 
@@ -526,6 +532,5 @@ def split_by_mode(inertia: float, share: float, hertz: float) -> dict[str, float
         share: of the load in it.
         hertz: the free-free frequency.
     """
-    reduced, rate = share * (1 - share) * inertia, 2 * math.pi * hertz
     inertias = {"motor_inertia": (1 - share) * inertia, "load_inertia": share * inertia}
-    return inertias | {"stiffness": reduced * rate**2, "damping": 2 * MODE_DAMPING * reduced * rate}
+    return inertias | spring_at(hertz, share * (1 - share) * inertia)

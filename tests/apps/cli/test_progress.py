@@ -17,7 +17,7 @@ from jointid.apps.cli.bars import Bars
 from jointid.common.messages import Work, describe_pace, describe_time, follow, silent
 from jointid.common.parameters import Parameter, Quantity
 from jointid.common.text import ordinal
-from jointid.estimation.methods.search import History
+from jointid.estimation.descent import History
 from jointid.uncertainty.resampling import Bootstrapping, bootstrap_estimate
 
 

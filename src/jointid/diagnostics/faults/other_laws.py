@@ -25,11 +25,10 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
-from jointid.common.messages import silent
 from jointid.common.text import number
 from jointid.diagnostics.faults.fault import Fault, FaultSignature, Hypothesis
 from jointid.diagnostics.faults.findings import Finding, LoopCheck, OtherLaw
-from jointid.estimation.methods.search import History, least_squares
+from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import PD, PID, Cascade, Controller, numbers_of, with_present_sample
 from jointid.models.controllers.servo_base import DiagramController
@@ -142,7 +141,7 @@ def refit(
     Raises:
         JointidError, LinAlgError: the loop cannot be solved under it.
     """
-    found = History(silent).solve(other, least_squares(other, _SOLVED), start).solution.x
+    found = descend(other, start, _SOLVED).x
     moved = problem.residual(x) - other.residual(found)
     return Refit(law, other, found, FaultSignature(law.fault, moved, raw=np.zeros(0)))
 

@@ -17,7 +17,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
 from jointid.common.messages import silent
 from jointid.diagnostics.faults.fault import Fault, FaultSignature
-from jointid.estimation.methods.search import History, least_squares
+from jointid.estimation.descent import History, least_squares
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.friction import SymmetricFriction
 from jointid.models.joints import FlexibleJoint

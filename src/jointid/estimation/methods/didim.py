@@ -12,35 +12,42 @@ that of an instrumental-variable estimator (`uncertainty`). On an axis that rest
 in its loop, such a fixed point can depend on the start, and take ten times the simulations.
 
 Where the model leaves something out, the least torque error and the fixed point lie further apart than the deviations
-of either; the interval of the first is then widened to hold both (`methods.least_error`).
+of either; the interval of the first is then widened to hold both (`uncertainty_of_least_error`).
+
+**What is tried, in order.** The starts: what IDIM finds on the motion that the controller must have seen, and a regular
+inertia (`starts.rigid_joint`). From each a descent with the motor at rest at the first sample, and the best end once
+more with it moving; or, where a form is named, the steps of the regressor from the first start, and descents where they
+lead to no joint. From there, with nonlinear laws, a descent from each of their starts; and one with more of the
+surroundings free.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
+import numpy as np
+
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress
 from jointid.common.settings import documented, setting
-from jointid.estimation.methods.least_error import known_of_least_error
+from jointid.estimation.descent import History, Solved, free_more, least_squares, or_moving
+from jointid.estimation.methods.force_in_loop import instruments, uncertainty_of_least_error
 from jointid.estimation.methods.registry import SURROUNDINGS, Method, Task
-from jointid.estimation.methods.rigid_search import End, RigidSearch, known_of_fixed_point
-from jointid.estimation.methods.search import (
-    History,
-    Solved,
-    Start,
-    given_start,
-    inversion_start,
-    least_squares,
-    regular_start,
-)
-from jointid.estimation.methods.search_in_pieces import from_linear_laws, with_linear_laws
-from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
+from jointid.estimation.methods.regressor_steps import REPRODUCED, RegressorSteps, describe_unstable
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.build_result import build_closed_loop_result
+from jointid.estimation.starts.nonlinear_laws import from_linear_laws, with_linear_laws
+from jointid.estimation.starts.rigid_joint import Start, rigid_starts
+from jointid.models.controllers import REFERENCE
 from jointid.models.joints import ClosedLoop
+from jointid.solvers.regression import refuse_idle
+from jointid.solvers.solve import Status
+from jointid.uncertainty.position_dependent_error import uncertainty
 
+_ROUNDING = 1e-10  # of the torque: an error this small is rounding
+_BETTER = 1e-6  # of the residual: by as much a later end has to be better than an earlier one
 _LEAST = "by least squares"
 _LEAST_ERROR = 'set method.form = "least-squares"'
 
@@ -103,75 +110,119 @@ class DIDIM(Method):
         if problem is not declared and self.form != "least-squares":
             declared.joint.require_linear("A fixed point of a regressor takes", _LEAST_ERROR)
             declared.joint.require_no_ripple("A fixed point of a regressor takes", _LEAST_ERROR)
-        search = RigidSearch(self, problem.size, History(task.progress))
-        began, starts = self._starts(problem, task.progress)
-        end, how = self._searched(search, problem, starts)
-        end = search.with_free(end) if self.free and problem is declared else end
+        history = History(task.progress)
+        starts = rigid_starts(problem, self.start, task.progress)
+        solved, how = self._search(problem, list(starts.values()), history)
         if problem is not declared:
-            end = search.go_on(declared, end, self.free)
-        state = end.state
+            solved = history.finish(solved, self.tolerance)
+            solved = from_linear_laws(declared, solved, self.tolerance, history)
+        if self.free:
+            aside = history if problem is not declared else History(task.progress)  # which keeps the trace of the steps
+            solved = free_more(solved, self.free, self.tolerance, aside)
+            history.tally.evaluations += aside.tally.evaluations if aside is not history else 0
+        problem, x, end = solved.problem, solved.x, solved.solution
+        run, error, J = solved.run or problem.simulate(x), end.residual, -end.jacobian
+        history.tally.evaluations += solved.run is None
+        names = [p.name for p in problem.free]
+        refuse_idle(J[:, : len(problem.free_joint)], tuple(names[: len(problem.free_joint)]))
         if self.free or how == _LEAST:
-            known = known_of_least_error(
-                state.problem, state.x, state.simulation, state.residual, state.J, search.history
-            )
+            known = uncertainty_of_least_error(problem, x, run, error, J, history)
         else:
-            known = known_of_fixed_point(state)
+            Z = instruments(problem, run, J)
+            known = uncertainty(Z, J, error, problem.cells(run), names, problem.torque_unit)
+        began = next(iter(starts))
         variant = f"DIDIM {how} from {'an' if began == 'inversion' else 'a'} {began} start"
         return build_closed_loop_result(
-            task.record, state.problem, state.x, state.simulation, (end.stop, end.converged), known, state.J, variant,
-            search.history.trace, search.history.tally.evaluations,
+            task.record, problem, x, run, (end.message, end.converged), known, J, variant, history.trace,
+            history.tally.evaluations,
         )  # fmt: skip
 
     def solve(self, task: Task, history: History) -> Solved:
-        """Return where the least torque error is, from any start.
-
-        Laws in pieces are looked for from where linear ones ended.
-        """
+        """Search for the least torque error from all starts; nonlinear laws from the end with linear ones."""
         assert task.loop is not None
         declared = torque_problem(task.record, task.loop, task.filtering, task.parameters)
         problem = with_linear_laws(declared)
-        search = RigidSearch(self, problem.size, history)
-        _, starts = self._starts(problem, task.progress)
-        state = search.least_torque_error(problem, starts).state
-        found = history.solve(state.problem, least_squares(state.problem, self.tolerance), state.x)
-        return found if problem is declared else from_linear_laws(declared, found, self.tolerance, history)
+        starts = rigid_starts(problem, self.start, task.progress)
+        solved = history.finish(self._descend(problem, list(starts.values()), history), self.tolerance)
+        return solved if problem is declared else from_linear_laws(declared, solved, self.tolerance, history)
 
-    def _searched(self, search: RigidSearch, problem: ClosedLoopProblem, starts: list[Start]) -> tuple[End, str]:
-        """Return where the search ended, and how it went.
+    def _search(self, problem: ClosedLoopProblem, starts: list[Start], history: History) -> tuple[Solved, str]:
+        """Search as the form asks, and return the end and how it was found.
 
         On a short record, or with a model that lacks much, steps by the regressor may lead to an inertia or a friction
         that no joint has; least squares keeps within bounds.
         """
         if self.form == "least-squares":
-            return search.least_torque_error(problem, starts), _LEAST
+            return self._descend(problem, starts, history), _LEAST
         try:
-            end = search.fixed_point(problem, starts[0])
+            steps = self._steps(problem, history)
+            end = steps.fixed_point(problem, self._first_sample(problem), starts[0])
         except MethodError as error:
             if self.form == "paper":
                 raise
-            search.history.progress(f"by least squares instead: {error}")
+            history.progress(f"by least squares instead: {error}")
             try:
-                return search.least_torque_error(problem, starts), _LEAST
+                return self._descend(problem, starts, history), _LEAST
             except MethodError:
                 raise error from None
         return end, "in the paper's form (11)" if self.form == "paper" else "in residual form"
 
-    def _starts(self, problem: ClosedLoopProblem, progress: Progress) -> tuple[str, list[Start]]:
-        """Return the name of the first start, and the starts: the one asked for, then the others that can be had.
+    def _descend(self, problem: ClosedLoopProblem, starts: list[Start], history: History) -> Solved:
+        """Descend from each start to the least torque error, and return the best end.
 
-        The least torque error is the same from wherever it is found, so all are tried; a fixed point is of one start.
+        Raises:
+            MethodError: the loop cannot be simulated at any start, and the sentence says why at the first.
         """
-        makers = {"given": given_start} if self.start == "given" else {}
-        makers |= {"regular": regular_start} if self.start == "regular" else {}
-        makers |= {"inversion": inversion_start, "regular": regular_start}
-        found, failures = dict[str, Start](), list[MethodError]()
-        for name, make in makers.items():
+        resting, ends, failures = problem.keeping(self._first_sample(problem)), list[Solved](), list[MethodError]()
+        solver = least_squares(resting, self.tolerance)
+        for count, start in enumerate(starts):
             try:
-                found[name] = make(problem)
+                begun = self._first_positions(resting, start, history)
             except MethodError as error:
                 failures.append(error)
-        if not found or (self.start not in found and self.start != "inversion"):
+                continue
+            ends += [history.solve(resting, solver, x) for x in begun[: 1 if count else None]]
+        if not ends:
             raise failures[0]
-        if self.start not in found:
-            progress(f"from a regular start instead: {failures[0]}")
-        return next(iter(found)), list(found.values())
+        best = ends[0]
+        for end in ends[1:]:
+            best = end if end.norm < (1.0 - _BETTER) * best.norm else best
+        size = problem.size
+        if self.initial_state == "free" and best.norm > _ROUNDING * size:
+            # Of a motor at rest the derivative by its velocity is 0: no search leaves it.
+            velocity = next((v for one in starts if (v := one.values["initial_velocity"]) != 0.0), 0.0)
+            best = or_moving(best, problem, {**best.values, "initial_velocity": velocity}, solver, history)
+        if best.norm <= _ROUNDING * size:
+            best = best._replace(solution=replace(best.solution, status=Status.EXACT, message=REPRODUCED))
+        return best
+
+    def _first_sample(self, problem: ClosedLoopProblem) -> dict[str, float]:
+        """Return what is known of the first sample while the motor is taken to be at rest there."""
+        if self.initial_state == "free":
+            return {"initial_velocity": 0.0}
+        return {"initial_velocity": 0.0, "initial_position": float(problem.experiment.inputs[0, REFERENCE])}
+
+    def _first_positions(self, problem: ClosedLoopProblem, start: Start, history: History) -> list[FloatArray]:
+        """Return a start with the motor where the start or the torque has it, the likelier first.
+
+        Friction that begins too small lets a motor slip that stood: then nothing tells where it stood.
+
+        Raises:
+            MethodError: the loop cannot be simulated there, or runs away.
+        """
+        x, steps = problem.vector(start.values), self._steps(problem, history)
+        if start.nominal_inertia and self.scaled_iterations:
+            x = steps.scale_gains(problem, start)[0].x
+        there, counted = problem.values(x), history.counted(problem)
+        homes = dict.fromkeys((there["initial_position"], beginning_position(problem)))
+        begun = [problem.vector(there | {"initial_position": home}) for home in homes]
+        begun.sort(key=lambda one: float(np.linalg.norm(counted.residual(one))))
+        if not np.any(counted.linearise(begun[0])[1]):
+            steps.evaluate(problem, begun[0]).require_simulated()
+            raise MethodError(describe_unstable(problem, begun[0]))
+        return begun
+
+    def _steps(self, problem: ClosedLoopProblem, history: History) -> RegressorSteps:
+        """Return the steps by the regressor that these settings ask for."""
+        tolerances = self.tolerance, self.step_tolerance
+        return RegressorSteps(self.form, *tolerances, self.iterations, self.scaled_iterations, problem.size, history)

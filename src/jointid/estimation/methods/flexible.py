@@ -20,34 +20,24 @@ from typing import Literal
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter
 from jointid.common.settings import documented, setting
-from jointid.estimation.methods.flexible_search import (
-    by_least_squares,
-    following_joint,
-    from_wide_grid,
-    or_moving,
-    rigid_estimate,
-    simplex_start,
-)
+from jointid.estimation.descent import History, Solved, free_more
 from jointid.estimation.methods.force_in_loop import widened_for_force
 from jointid.estimation.methods.registry import SURROUNDINGS, Method, Task
-from jointid.estimation.methods.search import History, Solved, free_more, least_squares
-from jointid.estimation.methods.search_in_pieces import from_linear_laws, with_linear_laws
+from jointid.estimation.methods.stiffness_search import StiffnessSearch, search_by_simplex
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.build_result import build_closed_loop_result
 from jointid.estimation.result.stiffness_identifiability import visible
-from jointid.models.joints import ClosedLoop, FlexibleJoint
+from jointid.estimation.starts.nonlinear_laws import from_linear_laws, with_linear_laws
+from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
-from jointid.solvers.nelder_mead import NelderMead, sizes_of
-from jointid.solvers.solve import Counted, Solver, solve
+from jointid.solvers.nelder_mead import NelderMead
 from jointid.uncertainty.covariance import Covariance
 from jointid.uncertainty.position_dependent_error import uncertainty
 
-_LOWER = (4.0, 16.0)  # times lower cut-offs of the rigid start, where no end explains the torque
 _LEAST_SQUARES = 'set method.minimiser = "least-squares"'
 _TOLERANCE, _SIMPLEX_TOLERANCE = 1e-8, 1e-4  # the latter is that of fminsearch
 _NOTHING = 0.5  # of the torque: an end that leaves so much is no answer
@@ -124,8 +114,7 @@ class FlexibleDIDIM(Method):
         solved, simulations = self.solve(task, history)
         starts = solved.solution.starts
         if self.free:
-            tolerance = stopping_tolerance(self)
-            solved = free_more(solved.problem, solved.solution.x, self.free, tolerance, history)
+            solved = free_more(solved, self.free, stopping_tolerance(self), history)
         problem, x = solved.problem, solved.solution.x
         error, J = history.counted(problem).linearise(x)
         run = problem.simulate(x)
@@ -154,115 +143,31 @@ class FlexibleDIDIM(Method):
         )  # fmt: skip
 
     def solve(self, task: Task, history: History) -> tuple[Solved, int]:
-        """Return where the search ends, and the simulations of the rigid joints it began with.
+        """Search, and return the end and the number of simulations of the rigid joints it began with.
 
-        Laws in pieces are looked for from where linear ones ended.
+        Nonlinear laws are looked for from the end with linear ones.
         """
-        loop = task.loop
+        loop, tolerance = task.loop, stopping_tolerance(self)
         assert loop is not None
         problem = torque_problem(task.record, loop, task.filtering, task.parameters, _at_rest(task.record, self))
         problem = problem if loop.joint.gravity is None else _hanging(problem)
-        joint = problem.joint
-        assert isinstance(joint, FlexibleJoint)
-        if joint == joint.linear:
-            return _searched(problem, task, self, history)
-        if self.minimiser != "least-squares":
-            joint.require_linear("Nelder-Mead takes", _LEAST_SQUARES)
-            joint.require_no_ripple("Nelder-Mead takes", _LEAST_SQUARES)
+        if self.minimiser == "nelder-mead":
+            loop.joint.require_linear("Nelder-Mead takes", _LEAST_SQUARES)
+            loop.joint.require_no_ripple("Nelder-Mead takes", _LEAST_SQUARES)
+            solver = NelderMead(tolerance, self.simulations, self.restarts)
+            return search_by_simplex(problem, task, self.frequency, self.rigid_cutoff, solver, history)
         linear = with_linear_laws(problem)
         own = replace(task, loop=linear.loop, joint=linear.joint)
-        solved, simulations = _searched(linear, own, self, history)
-        return from_linear_laws(problem, solved, stopping_tolerance(self), history), simulations
+        search = StiffnessSearch(linear, own, self.frequency, self.rigid_cutoff, tolerance, history)
+        solved, simulations = search.search()
+        if linear is not problem:
+            solved = from_linear_laws(problem, solved, tolerance, history)
+        return solved, simulations
 
 
 def stopping_tolerance(settings: FlexibleDIDIM) -> float:
     """Return the tolerance that settings stop at: their own, or their minimiser's."""
     return settings.tolerance or (_TOLERANCE if settings.minimiser == "least-squares" else _SIMPLEX_TOLERANCE)
-
-
-def _searched(problem: ClosedLoopProblem, task: Task, settings: FlexibleDIDIM, history: History) -> tuple[Solved, int]:
-    """Return where the search ends, from a rough rigid joint or lower ones, and the simulations that these took.
-
-    Raises:
-        MethodError: the loop cannot be simulated at any start, or no joint explains the torque.
-    """
-    paper, tolerance = settings.minimiser == "nelder-mead", stopping_tolerance(settings)
-    assert task.loop is not None
-    rigid = None
-    try:
-        rigid = rigid_estimate(task.record, task.loop, settings.rigid_cutoff, history.progress)
-    except MethodError as error:
-        if paper:
-            raise
-        # A mode inside the loop's bandwidth makes the joint look like no rigid one at any frequency.
-        history.progress(f"without a rigid joint to begin with: {error}")
-    if rigid is None:
-        return _searched_without_rigid(problem, task, settings, history), 0
-
-    def solved_from(rigid: FitResult) -> Solved:
-        if paper:
-            start = simplex_start(problem, rigid, settings.frequency, history)
-            solver: Solver[Counted] = NelderMead(
-                tolerance, settings.simulations, settings.restarts, sizes_of(start), problem.size
-            )
-            found = history.solve(problem, solver, start)
-        else:
-            found = by_least_squares(problem, task.filtering, rigid.values, settings.frequency, tolerance, history)
-            solver = least_squares(found.problem, tolerance)
-        # Below its resonance the axis seemed to move at the first sample.
-        moves = rigid["initial_velocity"].free
-        return or_moving(found, rigid, not paper, solver, history) if moves else found
-
-    try:
-        solved = solved_from(rigid)
-    except MethodError as error:
-        if paper or settings.frequency is not None:
-            raise
-        history.progress(f"with other inertias than that joint's: {error}")
-        solved = from_wide_grid(problem, task.filtering, rigid.values, tolerance, history)
-    assert rigid.settings.filtering.cutoff is not None
-    edge, simulations = rigid.settings.filtering.cutoff, rigid.simulations
-    for lower in () if paper or settings.rigid_cutoff else _LOWER:
-        left = history.counted(solved.problem).residual(solved.solution.x)
-        if np.linalg.norm(left) <= _NOTHING * solved.problem.size:
-            break
-        # A mode near the cut-off of the rigid start makes it a poor one, and all that is explored from it.
-        history.progress("the search ended where the model explains little; beginning again, below a lower frequency")
-        try:
-            rigid = rigid_estimate(task.record, task.loop, edge / lower, history.progress)
-        except MethodError as error:  # a short record shows too little there
-            history.progress(f"not below {edge / lower:.3g} Hz: {error}")
-            break
-        simulations += rigid.simulations
-        solved = solved_from(rigid)
-    return solved, simulations
-
-
-def _searched_without_rigid(
-    problem: ClosedLoopProblem, task: Task, settings: FlexibleDIDIM, history: History
-) -> Solved:
-    """Return where the search ends that begins from the controller turned round, or else from what the reference asks.
-
-    Raises:
-        MethodError: the loop cannot be simulated at any start, or no joint explains the torque.
-    """
-    assert task.loop is not None
-    tolerance = stopping_tolerance(settings)
-    try:
-        return by_least_squares(problem, task.filtering, None, settings.frequency, tolerance, history)
-    except MethodError as error:
-        history.progress(f"with the joint that would follow its reference to begin with: {error}")
-    follows = following_joint(task.record, task.loop)
-    try:
-        solved = by_least_squares(problem, task.filtering, follows, settings.frequency, tolerance, history)
-    except MethodError:
-        solved = from_wide_grid(problem, task.filtering, follows, tolerance, history)
-    if np.linalg.norm(solved.solution.residual) > _NOTHING * solved.problem.size:
-        raise MethodError(
-            "No joint, rigid or flexible, explains half of this torque; check the sign and the unit of torque and "
-            "reference, and the controller's gains and delay."
-        )
-    return solved
 
 
 def _at_rest(record: Record, settings: FlexibleDIDIM) -> tuple[Parameter, ...]:
@@ -299,11 +204,3 @@ def inverse_model_covariance(problem: ClosedLoopProblem, x: FloatArray, error: F
     inverse = np.linalg.inv((W / norms).T @ (W / norms))
     roots = np.sqrt(np.diag(inverse))
     return Covariance(np.sqrt(variance) * roots / norms, inverse / np.outer(roots, roots), 0)
-
-
-def refined_least_squares(
-    problem: ClosedLoopProblem, start: FloatArray, tolerance: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return the least-squares parameters near a start, and the sensitivities there, filtered (rows, parameters)."""
-    solution = solve(problem, least_squares(problem, tolerance), start)
-    return solution.x, -solution.jacobian

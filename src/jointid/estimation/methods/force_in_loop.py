@@ -1,4 +1,4 @@
-"""Intervals wide enough for a random force in the loop, which lets friction slide.
+"""The uncertainty of a least torque error, wide enough for a random force in the loop, which lets friction slide.
 
 A cutting force, a ripple, a floor that shakes: what pushes on the motor is not in the log. The controller answers to
 it, so the torque shows it; and now and then it makes a motor slide that would stand, or turn round. On the average over
@@ -34,14 +34,18 @@ from jointid.common.arrays import FloatArray
 from jointid.common.messages import Message
 from jointid.common.parameters import Bounds
 from jointid.common.text import number
-from jointid.estimation.methods.search import History, crossover
+from jointid.estimation.descent import History
 from jointid.estimation.problems.base import EVEN, filter_rows
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.result.build_result import find_at_bound
+from jointid.estimation.starts.flexible_joint import crossover
+from jointid.models.joints import RigidJoint
 from jointid.models.linear import frequency_response
 from jointid.simulation.closed_loop import Outcome, Simulation
 from jointid.simulation.loop_input import LoopInput
 from jointid.solvers.regression import projection
-from jointid.uncertainty.position_dependent_error import Uncertainty
+from jointid.uncertainty.position_dependent_error import Uncertainty, uncertainty
+from jointid.uncertainty.second_solution import widened_to_second
 
 _PAIRS = 4  # of opposite forces that are simulated
 _ROUNDS = 8  # at most
@@ -88,6 +92,45 @@ class RandomForce:
         return np.fft.irfft(size * turn, samples)
 
 
+def uncertainty_of_least_error(
+    problem: ClosedLoopProblem,
+    x: FloatArray,
+    run: Simulation,
+    residual: FloatArray,
+    J: FloatArray,
+    history: History,
+    taps: FloatArray = EVEN,
+) -> Uncertainty:
+    """Return the uncertainty of the free parameters at a least torque error.
+
+    Beside noise: what a random force in the loop moves, and, of a rigid joint with linear laws, how far the fixed point
+    of its regressor lies away where noise does not explain that (`second_solution`).
+
+    Args:
+        problem: that was solved.
+        x: (free,) where.
+        run: of the loop there.
+        residual: (rows,) filtered, and through the taps.
+        J: (rows, free) the derivatives of the simulated torque, filtered, and through the taps.
+        history: counts the simulations.
+        taps: of the filter that the rows of the criterion went through.
+    """
+    names = [p.name for p in problem.free]
+    known = uncertainty(J, J, residual, problem.cells(run), names, problem.torque_unit)
+    known = widened_for_force(known, problem, x, J, history, taps)
+    if not isinstance(problem.joint, RigidJoint) or not problem.joint.friction.linear:  # no regressor is linear then
+        return known
+    held = find_at_bound(problem.free, x, residual, J)
+    freely = np.array([name not in held for name in names])
+    return widened_to_second(known, instruments(problem, run, J, taps), J, residual, freely)
+
+
+def instruments(problem: ClosedLoopProblem, run: Simulation, J: FloatArray, taps: FloatArray = EVEN) -> FloatArray:
+    """Return the regressor on a run, and for what surrounds the joint the derivatives, (rows, free)."""
+    W = filter_rows(taps, problem.filtered(problem.regressor(run)))
+    return np.hstack([W, J[:, W.shape[1] :]])
+
+
 def widened_for_force(
     known: Uncertainty,
     problem: ClosedLoopProblem,
@@ -96,16 +139,7 @@ def widened_for_force(
     history: History,
     taps: FloatArray = EVEN,
 ) -> Uncertainty:
-    """Return what is known of a least torque error, wide enough for the force in its loop (see the module).
-
-    Args:
-        known: without it.
-        problem: that was solved.
-        x: (free,) where.
-        J: (rows, free) the derivatives of the simulated torque there, filtered, and through the taps.
-        history: counts the simulations.
-        taps: of the filter that the rows of the criterion went through.
-    """
+    """Return an uncertainty widened for the force in the loop; arguments as of `uncertainty_of_least_error`."""
     found = allow_for_force(problem, x, J, known.covariance.std, history, taps)
     if found is None:
         return known
@@ -134,15 +168,9 @@ def allow_for_force(
     history: History,
     taps: FloatArray = EVEN,
 ) -> tuple[FloatArray, RandomForce] | None:
-    """Return where least squares would end if the force were simulated, and that force; None where that is no news.
+    """Return the end of least squares with the force simulated, and the force; None if the shift is insignificant.
 
-    Args:
-        problem: that was solved.
-        x: (free,) where.
-        J: (rows, free) the derivatives of the simulated torque there, filtered, and through the taps.
-        std: (free,) deviations without the force; a shift of less than a quarter of them does not matter.
-        history: counts the simulations.
-        taps: of the filter that the rows of the criterion went through.
+    A shift of less than a quarter of the deviations without the force, `std`, does not matter.
     """
     run, at = problem.simulate(x), x
     history.tally.evaluations += 1
@@ -173,20 +201,13 @@ def allow_for_force(
 def _find_large_force(
     problem: ClosedLoopProblem, x: FloatArray, run: Simulation, error: FloatArray
 ) -> RandomForce | None:
-    """Return what `find_force` does; None where it is too small to move a parameter, too."""
+    """Return the force that a residual shows, if it is large enough to move a parameter."""
     found = find_force(problem, x, run, error)
     return found if found is not None and found.rms > _LEAST * float(np.std(problem.measured)) else None
 
 
 def find_force(problem: ClosedLoopProblem, x: FloatArray, run: Simulation, error: FloatArray) -> RandomForce | None:
-    """Return the force that a residual shows; None where it shows none, or too little of the motion.
-
-    Args:
-        problem: that was solved.
-        x: (free,) parameters.
-        run: of the loop with them.
-        error: (samples,) the raw residual.
-    """
+    """Return the force that a raw residual, (samples,), shows; None if it shows none, or too little of the motion."""
     from scipy.optimize import nnls
 
     speed = np.abs(run.motor_velocity)

@@ -26,9 +26,8 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.parameters import ADDED, Bounds, Parameter, Quantity
-from jointid.estimation.methods.flexible_search import frequency_of
-from jointid.estimation.methods.search import crossover
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.starts.flexible_joint import crossover, frequency_of
 from jointid.models.joints import acts_on_whole
 from jointid.records.signals.filtering import Filtering
 from jointid.solvers.bounded_least_squares import LevenbergMarquardt, damped_step

@@ -26,10 +26,8 @@ from dataclasses import replace
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.messages import Message, Progress, silent
-from jointid.estimation.methods.flexible_search import FASTEST, frequency_of
-from jointid.estimation.methods.search import History, least_squares
-from jointid.estimation.methods.search_in_pieces import with_linear_spring
+from jointid.common.messages import Message, Progress
+from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.build_result import Visibility, find_lost
 from jointid.estimation.result.stiffness_bounds import (
@@ -41,6 +39,8 @@ from jointid.estimation.result.stiffness_bounds import (
     profile_modes,
     spring,
 )
+from jointid.estimation.starts.flexible_joint import FASTEST, frequency_of
+from jointid.estimation.starts.nonlinear_laws import with_linear_spring
 from jointid.models.joints import ClosedLoop, FlexibleJoint, of_whole, split_by_mode
 from jointid.simulation.closed_loop import in_threads
 from jointid.solvers.solve import Solution
@@ -209,7 +209,7 @@ def _fit_rigid(problem: ClosedLoopProblem, values: Mapping[str, float]) -> tuple
     rigid = replace(problem, loop=loop, parameters=(*joint.parameters, *surroundings))
     start = {p.name: values[p.name] for p in surroundings}
     start |= {p.name: of_whole(p, values) for p in joint.parameters}
-    return rigid, History(silent).solve(rigid, least_squares(rigid, 1e-8), rigid.vector(start)).solution
+    return rigid, descend(rigid, rigid.vector(start), 1e-8)
 
 
 def _springs(problem: ClosedLoopProblem, rigid: Mapping[str, float], error: FloatArray) -> list[FloatArray]:

@@ -39,7 +39,7 @@ from jointid.estimation.robots.flexible import (
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
 from jointid.estimation.robots.problem import RobotProblem, require_torques
 from jointid.estimation.robots.regression import RobotMotion, motion_of_robot
-from jointid.estimation.robots.spring_start import StartOfSprings
+from jointid.estimation.starts.robot_springs import StartOfSprings
 from jointid.models.robots.robot import Robot, Tree
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, lowpass, window_parts

@@ -1,12 +1,16 @@
 """DIDIM of a robot with flexible joints: rotors, springs, friction on both sides and the links, from torques alone.
 
-A robot of rigid joints is identified first. It fixes sums: of both sides' friction, of rotor and link. These are
-split, what it says of each by how well it knows it. Each spring is begun at a frequency, given or the best of a row
-of them that all joints go through together; where that leads nowhere, from one frequency of all. The torque error of
-all joints is then made least by Levenberg and Marquardt's steps with derivatives by variation
+The torque error of all joints is made least by Levenberg and Marquardt's steps with derivatives by variation
 (`solvers.bounded_least_squares`), rotors' inertias and stiffnesses on a logarithmic scale. The joints weigh by their
-errors, which are estimated again until they settle, a few times at most: a search may leave a wrong minimum after the
-joint that led it there weighs less.
+errors. What is tried, in order:
+
+1. The robot of rigid joints, split into rotors, springs and links (`starts.robot_springs`).
+2. A frequency for each spring, given or the best of a row of them; and a rough descent from there.
+3. Where that leads nowhere: rough descents from one frequency of all springs, and from stiff springs.
+4. Where no spring can be seen then, the answer is that none is shown. A search for them would go on for minutes along
+   what the record does not tell.
+5. A close descent, and fine ones, each with the joints' errors estimated anew, until these settle. A search may leave a
+   wrong minimum after the joint that led it there weighs less.
 
 Whether a record shows a spring is asked of each joint alone, by its compliance c = 1/K, in which a rigid joint is not
 at infinity but at 0: it is shown where c is more than four of its standard deviations above 0, with the spring not at
@@ -25,30 +29,36 @@ from typing import Any
 
 import numpy as np
 
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, no_choice
-from jointid.estimation.robots.didim import RobotFit, identify_rigid_robot, joint_sizes
+from jointid.estimation.robots.didim import RobotFit, conclude, identify_rigid_robot
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.problem import RobotProblem, robot_problem
-from jointid.estimation.robots.spring_search import CLOSE, FIRST, OFF, ROUGH, Aim, begin_search, least_error, search
-from jointid.estimation.robots.spring_start import STIFFEST, StartOfSprings, bound_springs, frequency_row
+from jointid.estimation.starts.robot_springs import STIFFEST, StartOfSprings, bound_springs, frequency_row
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.robots import RobotLoop
-from jointid.solvers.solve import Status
+from jointid.simulation.robots import RobotLoop, RobotOutcome
+from jointid.solvers.bounded_least_squares import LevenbergMarquardt
+from jointid.solvers.solve import Counted, Solution, Status, Step, solve
+from jointid.uncertainty.covariance import white
 
 SLOW = Filtering(cutoff=4.0)
 """Below the modes, where a robot is as good as rigid."""
 
 _NEAR = 0.2  # standard deviations: a change of the rigid robot's parameters that is none where springs are to follow
-_TURNS, _SETTLED = 4, 0.4  # searches with new sizes of the joints' errors, and their change that asks for no other
-_SHOWN = 4.0  # standard deviations by which a compliance is told from 0
-_TWO = 2.0  # of them: the bound of one that is not
-
-
+_COMMON = 11.25, 16.875, 25.3125  # Hz of all springs, where the first descent leads nowhere
+_FIRST, _TRIED = 12, 6  # evaluations of a rough descent, mostly enough; and of those from other frequencies
+_ROUGH, _CLOSE = (3e-2, 1e-2), (1e-3, 1e-4)  # tolerance, and what a step is to promise: shares of the criterion
 _FINE = 3e-5  # tolerance at last
 _LAST = 0.1  # of the sum of squares in units of the noise, a step's worth there: all parameters move by 0.3 deviations
+_FALLING = 0.7  # of its error before a step: a descent that is on its way
+_POOR = 0.1  # of a joint's filtered torque: an error that is more than noise
+_TURNS, _SETTLED = 4, 0.4  # descents with new sizes of the joints' errors, and their change that asks for no other
+_OFF = 1e-3  # of the stiffest, on a logarithmic scale: a spring that is not at its bound
+_SHOWN = 4.0  # standard deviations by which a compliance is told from 0
+_TWO = 2.0  # of them: the bound of one that is not
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +149,7 @@ def identify_flexible_robot(
 
 def require_springs(robot: Robot, frequencies: Mapping[str, float] | None) -> None:
     """Raise MethodError if no joint has a spring, or a frequency is missing, or is of no flexible joint."""
-    flexible = _springs(robot)
+    flexible = [joint.name for joint in robot.joints if joint.spring is not None]
     if not flexible:
         raise MethodError(
             "No joint of this robot has a spring; give one a JointSpring, [joints.spring] of a robot file, or identify "
@@ -166,11 +176,6 @@ def require_frequencies(frequencies: Mapping[str, float] | None, sample_time: fl
             )
 
 
-def _springs(robot: Robot) -> list[str]:
-    """Return the names of the flexible joints."""
-    return [joint.name for joint in robot.joints if joint.spring is not None]
-
-
 def search_springs(
     problem: RobotProblem[Any],
     robot: Robot,
@@ -179,28 +184,28 @@ def search_springs(
     evaluations: int,
     progress: Progress,
 ) -> FlexibleRobotFit:
-    """Return the flexible robot that leaves the least torque error, searched from the rigid one.
+    """Search the flexible robot of the least torque error, from the rigid one; see the module.
 
     Args:
         problem: of the flexible robot.
         robot: that is identified.
         rigid: what was found of it with stiff joints, below the modes.
         look: for the frequencies of the flexible joints at which the search is to begin, Hz, in the robot split.
-        evaluations: at most, of each search.
+        evaluations: at most, of each descent.
         progress: is told the steps.
 
     Raises:
         MethodError: nothing can be simulated at the start, or a robot of rigid joints explains the torques better.
     """
-    flexible = _springs(robot)
-    problem = problem.weighted(joint_sizes(problem, problem.error(rigid.run), rigid.values.size, least_error(problem)))
+    error = problem.error(rigid.run)
+    problem = problem.reweighted(error, rigid.values.size)
     start = StartOfSprings.of(problem.roughly(), rigid, robot.names)
     hertz = look(start)
     problem = bound_springs(problem, start)
     rough = problem.roughly()
-    errors = problem.error(rigid.run)
-    without = float(np.linalg.norm(errors * problem.weights(errors.size)))
-    end = begin_search(rough, start, hertz, without, evaluations, progress)
+    without = float(np.linalg.norm(error * problem.weights(error.size)))
+    descents = _Descents(evaluations, progress)
+    end = descents.begin(rough, start, hertz, without)
     if end.solution.status is Status.NOT_EVALUABLE:
         raise MethodError(
             f"The robot cannot be simulated where its search begins: {rough.run(end.solution.x).outcome.value}. Give "
@@ -209,37 +214,169 @@ def search_springs(
     stiff = not end.solution.converged and end.norm > without
     if stiff:
         # No better than without springs: a robot that has none, or whose modes are high, is found from stiff ones.
-        before = end.made
-        end = search(rough, start.begin(start.all_at(start.stiff)), ROUGH, min(FIRST, evaluations), progress)
-        end = replace(end, made=before + end.made)
-    kinds = dict(zip(robot.names, (link.kind for link in robot.links), strict=True))
-    units = {name: "N/m" if kinds[name] == "prismatic" else "N m/rad" for name in flexible}
-    # A search without springs to find goes on for minutes along what the record does not tell.
-    if (not end.may_show or (stiff and end.norm > without)) and (seen := end.of(problem).fit()) is not None:
-        found = (_judge(seen, problem, name, units[name]) for name in flexible)
-        springs = tuple(replace(one, shown=False, stiffness=None, deviation=None) for one in found)
-        return FlexibleRobotFit(seen, springs, rigid, seen.iterations, "no joint shows a spring")
-    end = search(end.reweighted(), end, CLOSE, evaluations, progress).of(problem)
+        end = descents.from_start(rough, start, start.all_at(start.stiff))
+
+    def judged(fit: RobotFit) -> tuple[SpringVerdict, ...]:
+        return tuple(
+            _judge(fit, problem, joint.name, "N/m" if link.kind == "prismatic" else "N m/rad")
+            for joint, link in zip(robot.joints, robot.links, strict=True)
+            if joint.spring is not None
+        )
+
+    if not end.may_show or (stiff and end.norm > without):
+        seen = end.of(problem).fit(descents.made)
+        if seen is not None:
+            springs = tuple(replace(one, shown=False, stiffness=None, deviation=None) for one in judged(seen))
+            return FlexibleRobotFit(seen, springs, rigid, descents.made, "no joint shows a spring")
+    end = descents.from_end(end.reweighted(), end, _CLOSE).of(problem)
     for _ in range(_TURNS):
         weighed = end.reweighted()
-        end = search(weighed, end, Aim(_FINE, _LAST / end.solution.residual.size), evaluations, progress)
+        end = descents.from_end(weighed, end, (_FINE, _LAST / end.solution.residual.size))
         change = np.log(end.reweighted().sigma / weighed.sigma)
         if not end.solution.converged or np.all(np.abs(change) < _SETTLED):
             break
-    fit = end.fit()
+    fit = end.fit(descents.made)
     if fit is None:
         raise MethodError(
             f"The search led to where the robot cannot be simulated: {problem.run(end.solution.x).outcome.value}. Give "
             "other frequencies, or leave out springs of joints that are stiff."
         )
-    before, after = (np.linalg.norm(problem.by_joint(problem.error(one.run)), axis=1) for one in (rigid, fit))
+    before, after = (problem.norms(problem.error(one.run)) for one in (rigid, fit))
     if np.all(after >= before):
         raise MethodError(
             "A robot of rigid joints explains the torque of every joint better than the one that the search of springs "
             "ended at; leave the springs out of the robot file, or excite their modes by a multisine."
         )
-    springs = tuple(_judge(fit, problem, name, units[name]) for name in flexible)
-    return FlexibleRobotFit(fit, springs, rigid, fit.iterations, end.solution.message)
+    return FlexibleRobotFit(fit, judged(fit), rigid, descents.made, end.solution.message)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _End:
+    """Where a descent ended.
+
+    Attributes:
+        problem: as the descent weighed it.
+        solution: of that.
+        reach: (free,) how far one step may move each parameter.
+        finer: whether the problem simulates finer than the descent did, so that what is known of the end is only nearly
+            so.
+    """
+
+    problem: RobotProblem[Any]
+    solution: Solution
+    reach: FloatArray
+    finer: bool = False
+
+    def of(self, problem: RobotProblem[Any]) -> _End:
+        """Return the end as one of a problem that is simulated finer."""
+        finer = problem.roughly() is not problem
+        return replace(self, problem=problem.weighted(self.problem.sigma), finer=finer)
+
+    def linearise(self) -> tuple[FloatArray, FloatArray]:
+        """Return the error, (rows,), and its derivatives, (rows, free), not weighted."""
+        weights = self.problem.weights(self.solution.residual.size)
+        return self.solution.residual / weights, self.solution.jacobian / weights[:, np.newaxis]
+
+    def reweighted(self) -> RobotProblem[Any]:
+        """Return the problem with the sizes of the errors that are left."""
+        error, slopes = self.linearise()
+        return self.problem.reweighted(error, slopes.shape[1])
+
+    @property
+    def norm(self) -> float:
+        """Of the weighted error that is left."""
+        return float(np.linalg.norm(self.solution.residual))
+
+    @property
+    def may_show(self) -> bool:
+        """Whether a longer search may find a spring: of one its compliance is above two deviations, off its end."""
+        x, known = self.solution.x, white(self.solution.jacobian, self.solution.residual)
+        return any(
+            parameter.symbol == "stiffness" and 0.0 < std < 1.0 / _TWO and value < parameter.upper - _OFF
+            for parameter, std, value in zip(self.problem.free, known.std, x, strict=True)
+        )
+
+    @property
+    def leads_on(self) -> bool:
+        """Whether the descent is on its way, or has ended with little of each joint's torque left."""
+        trace = self.solution.trace
+        if not self.solution.converged:
+            return len(trace) > 1 and trace[-1].norm < _FALLING * trace[-2].norm
+        left = self.problem.norms(self.linearise()[0])
+        return not np.any(left > _POOR * self.problem.sizes)
+
+    def fit(self, made: int) -> RobotFit | None:
+        """Return the fit after so many evaluations; None where the robot cannot be simulated there."""
+        x = self.solution.x
+        run = self.problem.run(x)
+        if run.outcome is not RobotOutcome.FINISHED:
+            return None
+        J = -self.linearise()[1]
+        return conclude(self.problem, x, run, J, J, made, self.solution.converged)
+
+
+class _Descents:
+    """Descents to the least weighted torque error, with the evaluations of all counted.
+
+    Args:
+        evaluations: at most, of each.
+        progress: is told the steps.
+    """
+
+    def __init__(self, evaluations: int, progress: Progress) -> None:
+        self.evaluations, self.progress, self.made = evaluations, progress, 0
+
+    def begin(
+        self, problem: RobotProblem[Any], start: StartOfSprings, hertz: Mapping[str, float], without: float
+    ) -> _End:
+        """Descend from these frequencies, Hz, and from others where that leads nowhere; return the best end.
+
+        That is where it creeps, or where much of a joint's torque is left; not where it is more than the robot of rigid
+        joints left, `without`, which may have no springs. A robot split into wrong rotors may look best on wrong
+        frequencies. Of 200 random robots four did, and all came down from one frequency of all springs.
+        """
+        best = self.from_start(problem, start, start.values(hertz))
+        if best.leads_on or best.norm > without:
+            return best
+        chosen = None
+        for frequency in (f for f in _COMMON if f < start.stiff):
+            values = start.all_at(frequency)
+            other = self.from_start(problem, start, values, _TRIED)
+            if other.norm < best.norm:
+                best, chosen = other, values
+        if chosen is not None and not best.solution.converged:
+            # From its start once more: from an end the first steps would be long, and may leave the way.
+            best = self.from_start(problem, start, chosen)
+        return best
+
+    def from_start(
+        self, problem: RobotProblem[Any], start: StartOfSprings, values: FloatArray, evaluations: int = _FIRST
+    ) -> _End:
+        """Descend roughly from values of all parameters."""
+        x = problem.parameters.searched(values)
+        return self._descend(Counted(problem), x, start.reach(values), _ROUGH, min(evaluations, self.evaluations))
+
+    def from_end(self, problem: RobotProblem[Any], end: _End, aim: tuple[float, float]) -> _End:
+        """Descend from where another descent ended, with other weights."""
+        counted, x = Counted(problem), end.solution.x
+        if not end.finer:
+            error, slopes = end.linearise()
+            weights = problem.weights(error.size)
+            counted.remember(x, error * weights, slopes * weights[:, np.newaxis])
+        return self._descend(counted, x, end.reach, aim, self.evaluations)
+
+    def _descend(
+        self, counted: Counted, x: FloatArray, reach: FloatArray, aim: tuple[float, float], evaluations: int
+    ) -> _End:
+        def watch(step: Step) -> None:
+            self.progress(f"{step.evaluations} simulations: weighted torque error {step.norm:.6g}")
+
+        problem = counted.problem
+        assert isinstance(problem, RobotProblem)
+        (tolerance, worth), exact = aim, problem.floor / float(np.max(problem.sigma))
+        found = solve(counted, LevenbergMarquardt(tolerance, evaluations, reach, worth, exact), x, watch)
+        self.made += found.evaluations
+        return _End(problem, found, reach)
 
 
 def _judge(fit: RobotFit, problem: RobotProblem[Any], joint: str, unit: str) -> SpringVerdict:
@@ -247,6 +384,6 @@ def _judge(fit: RobotFit, problem: RobotProblem[Any], joint: str, unit: str) -> 
     stiffness, deviation = fit.value(f"{joint}.stiffness")
     compliance, spread = 1.0 / stiffness, deviation / stiffness**2
     bound = problem.free[fit.names.index(f"{joint}.stiffness")].upper
-    shown = compliance > _SHOWN * spread and math.log(stiffness) < bound - OFF
+    shown = compliance > _SHOWN * spread and math.log(stiffness) < bound - _OFF
     at_least = 1.0 / (compliance + _TWO * spread)
     return SpringVerdict(joint, shown, stiffness if shown else None, deviation if shown else None, at_least, unit)

@@ -10,7 +10,7 @@ from typing import Generic, Self, TypeVar
 
 import numpy as np
 
-from jointid.common.arrays import FloatArray
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import MethodError
 from jointid.common.parallel import threads
 from jointid.common.parameters import Parameter
@@ -40,6 +40,8 @@ Run = TypeVar("Run", RobotRun, RobotDriveSideRun)
 """Of one candidate, by whatever simulates it."""
 
 _FEWEST = 16  # parameters whose derivatives are worth a thread
+EXACT = 1e-6  # of the torques: an error that the simulation itself may have
+_SINGULAR = 1e-9  # of columns of norm 1: the least singular value of what a record tells
 _FAILED = 1e3  # times the measured torques: the error of a candidate that cannot be simulated
 
 
@@ -105,6 +107,13 @@ class RobotProblem(ABC, Generic[Run]):
         """Return the problem with other sizes of the joints' errors."""
         return replace(self, sigma=sigma)
 
+    def reweighted(self, left: FloatArray, count: int, floor: float | None = None) -> Self:
+        """Return the problem with the sizes of the errors that so many parameters left, (rows,)."""
+        rows = self.by_joint(left)
+        degrees = max(rows.size - count, 1) / rows.size
+        least = (self.floor if floor is None else floor) / math.sqrt(rows.shape[1])
+        return self.weighted(np.maximum(np.sqrt(np.mean(rows**2, axis=1) / degrees), least))
+
     def run(self, x: FloatArray, *, keep: bool = True) -> Run:
         """Simulate a candidate."""
         return self.simulate(self.parameters.numbers(self.parameters.values(x)), keep=keep)
@@ -144,6 +153,20 @@ class RobotProblem(ABC, Generic[Run]):
         """Return rows as (n, instants)."""
         return rows.reshape(self.sigma.size, -1)
 
+    def norms(self, rows: FloatArray) -> FloatArray:
+        """Return the norms of the joints' rows, (n,)."""
+        return np.asarray(np.linalg.norm(self.by_joint(rows), axis=1))
+
+    @property
+    def sizes(self) -> FloatArray:
+        """Norms of the joints' filtered torques, (n,)."""
+        return self.norms(self.decimated(self.measured))
+
+    @property
+    def floor(self) -> float:
+        """Norm of an error that the simulation itself may have: no joint's is taken for smaller."""
+        return EXACT * float(np.max(self.sizes))
+
     def weights(self, rows: int) -> FloatArray:
         """Return one over the size of each row's error, (rows,)."""
         return np.repeat(1.0 / self.sigma, rows // self.sigma.size)
@@ -158,17 +181,40 @@ class RobotProblem(ABC, Generic[Run]):
 
     def linearise(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the weighted residual, (rows,), and its derivatives, (rows, free); 0 of what cannot be simulated."""
-        return self.linearised_run(x)[1:]
-
-    def linearised_run(self, x: FloatArray) -> tuple[Run, FloatArray, FloatArray]:
-        """Return the run that `linearise` makes, and what that returns."""
         run = self.run(x)
         if run.outcome is not RobotOutcome.FINISHED:
             error = self._failed()
-            return run, error, np.zeros((error.size, x.size))
+            return error, np.zeros((error.size, x.size))
         error = self.error(run)
         weights = self.weights(error.size)
-        return run, error * weights, -self.slopes(run, x) * weights[:, np.newaxis]
+        return error * weights, -self.slopes(run, x) * weights[:, np.newaxis]
+
+    def step(self, W: FloatArray, error: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the weighted least-squares step, its deviations for white errors, and what it leaves, (rows,).
+
+        Raises:
+            MethodError: the columns do not determine the step.
+        """
+        from jointid.common.compiled import triangle_of
+
+        weights = self.weights(error.size)
+        weighted = W * weights[:, np.newaxis]
+        norms = column_norms(weighted)
+        zero = ~np.any(weighted, axis=0)
+        idle = [name for name, nothing in zip(self.parameters.names, zero, strict=True) if nothing]
+        both = np.zeros((norms.size + 1, norms.size + 1))
+        triangle_of(np.column_stack([weighted / norms, error * weights]), both)
+        R, target = both[:-1, :-1], both[:-1, -1]
+        _, sizes, directions = np.linalg.svd(R)
+        if idle or sizes[-1] < _SINGULAR * sizes[0]:
+            names = idle or [self.parameters.names[i] for i in np.flatnonzero(np.abs(directions[-1]) > 0.2)]
+            raise MethodError(
+                f"The records do not tell {', '.join(names)} apart, or not at all; expected a motion that excites all "
+                "parameters: move all joints, at several speeds and both ways."
+            )
+        step = np.linalg.solve(R, target) / norms
+        std = np.linalg.norm(np.linalg.inv(R), axis=1) / norms
+        return step, std, error - W @ step
 
     def _failed(self) -> FloatArray:
         seen = self.decimated(self.measured)

@@ -21,6 +21,7 @@ from jointid.common.parameters import Parameter
 from jointid.estimation.robots.didim import RobotFit
 from jointid.estimation.robots.numbers import RobotParameters
 from jointid.estimation.robots.problem import RobotProblem
+from jointid.models.joints import spring_at
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers
 from jointid.simulation.robots import RobotOutcome
@@ -39,26 +40,6 @@ _STIFF = 0.07  # of the sampling frequency: where a joint is as good as rigid, a
 _SOFTEST = 1e-3  # of the sampling frequency: the lowest mode that is looked for
 _REACH = math.log(3.0)  # of a step: a stiffness or a rotor's inertia to at most so many times what it was
 _DAMPED = 5.0  # of a step: a spring's damping by at most so many times what it begins with
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Start:
-    """Where a search begins.
-
-    Attributes:
-        x: (parameters,) what is searched.
-        reach: (parameters,) how far one step may move each: rotors, springs and their damping not too far.
-    """
-
-    x: FloatArray
-    reach: FloatArray
-
-    @classmethod
-    def of(cls, parameters: RobotParameters, values: FloatArray) -> Start:
-        """Return a start at values of all parameters."""
-        damping = np.array([place.of is NumberOf.SPRING and place.column == 1 for place in parameters.places])
-        reach = np.where(parameters.logarithmic, _REACH, np.where(damping, _DAMPED * values, np.inf))
-        return cls(parameters.searched(values), reach)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,7 +93,7 @@ class StartOfSprings:
             if run.outcome is not RobotOutcome.FINISHED:
                 return start, False
             error = problem.error(run)
-            return replace(start, costs=start._norms(error * problem.weights(error.size))), True
+            return replace(start, costs=problem.norms(error * problem.weights(error.size))), True
 
         for first in range(0, len(_SPREADS), threads()):
             for start, runs in in_threads(split, _SPREADS[first : first + threads()]):
@@ -120,9 +101,10 @@ class StartOfSprings:
                     return start
         return start
 
-    def _norms(self, weighted: FloatArray) -> FloatArray:
-        """Return the norms of the joints' errors, (n,)."""
-        return np.asarray(np.linalg.norm(self.problem.by_joint(weighted), axis=1))
+    @property
+    def reduced(self) -> FloatArray:
+        """Inertias that swing on the springs of free joints, (n,)."""
+        return self.rotors * self.links / (self.rotors + self.links)
 
     @property
     def stiff(self) -> float:
@@ -133,18 +115,19 @@ class StartOfSprings:
         """Return all parameters with one frequency of all springs."""
         return self.values(dict.fromkeys(self.names, frequency))
 
-    def begin(self, values: FloatArray) -> Start:
-        """Return the start of a search at values of all parameters."""
-        return Start.of(self.problem.parameters, values)
+    def reach(self, values: FloatArray) -> FloatArray:
+        """Return how far a step may move each parameter, (parameters,): rotors, springs and damping not too far."""
+        parameters = self.problem.parameters
+        damping = np.array([place.of is NumberOf.SPRING and place.column == 1 for place in parameters.places])
+        return np.where(parameters.logarithmic, _REACH, np.where(damping, _DAMPED * values, np.inf))
 
     def values(self, hertz: Mapping[str, float]) -> FloatArray:
         """Return all parameters with springs of these frequencies, (parameters,)."""
         values = self.split.copy()
         for c, place in enumerate(self.problem.parameters.places):
             if place.of is NumberOf.SPRING:
-                inertia = self.rotors[place.row] * self.links[place.row] / (self.rotors + self.links)[place.row]
-                w = 2.0 * math.pi * hertz[self.names[place.row]]
-                values[c] = inertia * w * w if place.column == 0 else 2.0 * _DAMPING * inertia * w
+                spring = spring_at(hertz[self.names[place.row]], float(self.reduced[place.row]), _DAMPING)
+                values[c] = spring["stiffness" if place.column == 0 else "damping"]
         return values
 
     def search(self, progress: Progress) -> dict[str, float]:
@@ -158,7 +141,7 @@ class StartOfSprings:
         row = frequency_row(self.problem.sample_time)
 
         def costs(values: FloatArray) -> FloatArray:
-            return self._norms(self.problem.residual(self.problem.parameters.searched(values)))
+            return self.problem.norms(self.problem.residual(self.problem.parameters.searched(values)))
 
         flexible = np.flatnonzero(self.problem.parameters.base.flexible)
         own = np.array(in_threads(costs, [self.all_at(f) for f in row]))[:, flexible]
@@ -204,15 +187,8 @@ def _split(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the parameters that move as the rigid robot does with stiff springs, and their rotors, (n,).
 
-    Least squares of what the rigid robot's parameters say, each as well as it is known, and of the wanted rotors.
-
-    Args:
-        parameters: of the flexible robot.
-        rigid: what was found of the rigid one.
-        numbers: of the flexible robot.
-        wanted: (n,) rotors.
-        spread: (n,) of these.
-        lightest: (n,) rotors that are not gone below.
+    Least squares of what the rigid robot's parameters say, each as well as it is known, and of the wanted rotors with
+    their spread, (n,) each; no rotor is lighter than the lightest.
     """
     rotors = wanted.copy()
     known = dict(zip(rigid.parameters.places, rigid.values, strict=True))
@@ -268,13 +244,13 @@ def _split(
 
 def bound_springs(problem: RobotProblem[Any], start: StartOfSprings) -> RobotProblem[Any]:
     """Return the problem with each spring between the softest and the stiffest that are looked for."""
-    inertias = start.rotors * start.links / (start.rotors + start.links)
-    lowest, highest = (2.0 * math.pi * share / problem.sample_time for share in (_SOFTEST, STIFFEST))
+    lowest, highest = (share / problem.sample_time for share in (_SOFTEST, STIFFEST))
 
     def within(place: NumberPlace, parameter: Parameter) -> Parameter:
         if parameter.symbol != "stiffness":
             return parameter
-        ends = [math.log(inertias[place.row] * w * w) for w in (lowest, highest)]
+        inertia = float(start.reduced[place.row])
+        ends = [math.log(spring_at(hertz, inertia)["stiffness"]) for hertz in (lowest, highest)]
         return replace(parameter, lower=ends[0], upper=ends[1])
 
     free = tuple(within(place, one) for place, one in zip(problem.parameters.places, problem.free, strict=True))

@@ -1,4 +1,4 @@
-"""The search for a joint with laws in pieces: from where one with linear laws ended, by the starts of the laws.
+"""Nonlinear spring and friction laws: searched from the end with linear ones, by the starts of the laws.
 
 The linear spring and the friction of one line that fit best lie between the pieces: everything else about the joint is
 nearly right there. Where the pieces begin is not known, and the criterion has more than one valley over it, so that
@@ -16,7 +16,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.text import counted, listed
-from jointid.estimation.methods.search import History, Solved, least_squares
+from jointid.estimation.descent import History, Solved, roughly
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.friction import PARTS, Friction, MotionSize
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint
@@ -24,7 +24,6 @@ from jointid.models.springs import LinearSpring
 from jointid.simulation.closed_loop import Simulation
 
 _STIFFER = 2.5  # times the stiffness found with lines, which is too soft where friction winds up
-_ROUGHLY, _FEW = 1e-5, 30  # tolerance and evaluations of a descent that only has to show where it leads
 
 
 def with_linear_spring(problem: ClosedLoopProblem) -> ClosedLoopProblem:
@@ -61,19 +60,12 @@ def _with_joint(problem: ClosedLoopProblem, joint: Joint) -> ClosedLoopProblem:
 
 
 def from_linear_laws(problem: ClosedLoopProblem, found: Solved, tolerance: float, history: History) -> Solved:
-    """Return where the search for a joint with laws in pieces ends.
-
-    Args:
-        problem: of that joint.
-        found: with linear laws, see `with_linear_laws`; or with a linear spring.
-        tolerance: of the parameters and the criterion.
-        history: of the search.
-    """
+    """Search for a joint with nonlinear laws from the end with linear ones, or with a linear spring."""
     joint, linear = problem.joint, found.problem
     surroundings = linear.parameters[len(linear.joint.parameters) :]  # the search may have let the motor begin moving
     own = problem.parameters[: len(joint.parameters)]
     problem = replace(problem, filtering=linear.filtering, parameters=(*own, *surroundings))
-    values, run = linear.values(found.solution.x), linear.simulate(found.solution.x)
+    values, run = found.values, linear.simulate(found.x)
     history.tally.evaluations += 1
     given = {p.name: p.start for p in own if p.start is not None}
     begins: list[Mapping[str, float]] = [values]
@@ -87,21 +79,15 @@ def from_linear_laws(problem: ClosedLoopProblem, found: Solved, tolerance: float
     laws += [] if joint.friction.linear else [f"{joint.friction.name} friction"]
     laws += [] if joint.ripple is None else ["ripple"]
     history.progress(f"looking for a {' and '.join(laws)}, from {counted(len(starts), 'start')}")
-    rough = replace(least_squares(problem, _ROUGHLY), evaluations=_FEW)
-    ends = [history.solve(problem, rough, problem.vector(start)).solution for start in starts]
-    best = min(ends, key=lambda end: float(np.linalg.norm(end.residual)))
-    end = history.solve(problem, least_squares(problem, tolerance), best.x).solution
-    return Solved(problem, replace(end, starts=found.solution.starts))
+    ends = [history.solve(problem, roughly(problem), problem.vector(start)) for start in starts]
+    best = min(ends, key=lambda end: end.norm)
+    return history.finish(best, tolerance).with_starts(found.solution.starts)
 
 
 def _starts(joint: Joint, found: Joint, values: Mapping[str, float], run: Simulation) -> Iterator[dict[str, float]]:
-    """Yield what the laws in pieces may begin with: each start of the spring with each of the friction.
+    """Yield each start of the spring with each of the friction, where the joint that was found has lines.
 
-    Args:
-        joint: that is looked for.
-        found: one with lines in the place of some laws, or all; what it has of the others is kept.
-        values: its parameters.
-        run: of the loop with it.
+    The values are its parameters, and the run is of the loop with it.
     """
     springs: list[dict[str, float]] = [{}]
     if isinstance(joint, FlexibleJoint) and isinstance(found, FlexibleJoint) and joint.spring != found.spring:
@@ -118,12 +104,12 @@ def _starts(joint: Joint, found: Joint, values: Mapping[str, float], run: Simula
         sides = {"motor_": (run.motor_position, run.motor_velocity), "load_": (run.load_position, run.load_velocity)}
         moving = sides if isinstance(joint, FlexibleJoint) else {"": sides["motor_"]}
         by_side = [
-            list(joint.friction.starts(_motion_size(run, position, velocity, joint.friction, values, prefix), prefix))
-            for prefix, (position, velocity) in moving.items()
+            joint.friction.starts(_motion_size(run, *motion, joint.friction, values, prefix), prefix)
+            for prefix, motion in moving.items()
         ]
-        frictions = by_side[0]
-        if len(by_side) > 1:
-            frictions = [motor | load for motor, load in zip(*by_side, strict=True)]
+        frictions = [
+            {name: value for side in both for name, value in side.items()} for both in zip(*by_side, strict=True)
+        ]
     for spring, friction in product(springs, frictions):
         yield spring | friction
 

@@ -1,8 +1,8 @@
-"""Starts for a flexible joint from one record, without a simulation: the controller turned round, then regressions.
+"""Starts for a flexible joint without a simulation: regressions at a row of antiresonances.
 
-The motor's motion is what the known controller must have seen to put out the logged torque
-(`search.reconstructed_position`). Along a known motion of the motor, the load of a spring with antiresonance f_a and
-little damping moves as a filter of second order says, ``q12 = G(f_a) q1``, and what is left is linear::
+The motor's motion is reconstructed by the inverse of the controller (`inverse_controller`). Along a known motion of the
+motor, the load of a spring with antiresonance f_a and little damping moves as a filter of second order says,
+``q12 = G(f_a) q1``, and what is left is linear::
 
     tau = ZZ1 a1 + ZZ2 a12 + Fv (v1 + v12) / 2 + Fc sign(v1) + offset,     K12 = ZZ2 (2 pi f_a)^2
 
@@ -20,9 +20,10 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.estimation.methods.search import command_of, reconstructed_position
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.starts.inverse_controller import reconstructed_position, torque_behind_limit
 from jointid.models.controllers import REFERENCE
+from jointid.models.joints import spring_at
 
 _MOST, _WIDER, _SHARE = 0.99, 4.0, 0.2  # the band: times that holds so much of the torque, or of the sampling frequency
 _SLOWEST, _FASTEST, _COUNT = 0.015, 0.75, 36  # of the band, antiresonances that are tried
@@ -34,45 +35,37 @@ _SHORTEST = 100  # samples: of fewer nothing is said
 _KEPT = 4  # starts by least squares, and as many by instruments
 
 
-def inverted_starts(problem: ClosedLoopProblem) -> list[dict[str, float]]:
-    """Return starts, every parameter by name, those that explain the torque best first; none where none can be had.
-
-    Args:
-        problem: of a flexible joint; its joint's fixed parameters are kept.
-    """
+def antiresonance_starts(problem: ClosedLoopProblem) -> list[dict[str, float]]:
+    """Return starts, every parameter by name, the best first; none where the controller cannot be inverted."""
     try:
         position = reconstructed_position(problem)
     except MethodError:  # the log does not show the output, or the law cannot be turned round
         return []
     experiment = problem.experiment
     law, sample_time = experiment.law, problem.sample_time
-    skip = law.order // experiment.every + 2
-    acting = command_of(problem) + experiment.after_limit[:: experiment.every][: position.size]
     reference = experiment.inputs[:: experiment.every, REFERENCE][: position.size]
     at = np.arange(position.size) * sample_time
-    acting = np.interp(at - law.delay - 0.5 * law.period, at, acting)
-    motions = np.column_stack([position, reference, acting])[skip:]
+    acting = np.interp(at - law.delay - 0.5 * law.period, at, torque_behind_limit(problem))
+    motions = np.column_stack([position, reference, acting])[law.order // experiment.every + 2 :]
     if len(motions) < _SHORTEST or not (np.all(np.isfinite(motions)) and np.ptp(motions[:, 2]) > 0):
         return []
-    seen, step, band = _resampled(motions, sample_time)
-    begun = {
-        "initial_position": float(motions[0, 0]),
-        "initial_velocity": 0.0,
-        "initial_torque": float(problem.measured[0]),
-    }
-    named = {p.name for p in problem.parameters}
+    first = {"initial_position": float(motions[0, 0]), "initial_velocity": 0.0}
+    first["initial_torque"] = float(problem.measured[0])
     fixed = {p.name: p.start or 0.0 for p in problem.parameters if not p.free}
-    nothing = {p.name: p.start or 0.0 for p in problem.parameters}
     starts = []
-    for values in _solved(seen, step, band):
+    for values in _solve_row(*_resample(motions, sample_time)):
         # A friction law may have a coefficient for each direction, which begin alike.
-        told = values | begun
-        known = {name: told[base] for base in told for name in named if f"{name}_".startswith(f"{base}_")}
-        starts.append(nothing | known | fixed)
+        known = {
+            p.name: value
+            for base, value in (values | first).items()
+            for p in problem.parameters
+            if f"{p.name}_".startswith(f"{base}_")
+        }
+        starts.append({p.name: p.start or 0.0 for p in problem.parameters} | known | fixed)
     return starts
 
 
-def _resampled(motions: FloatArray, sample_time: float) -> tuple[FloatArray, float, float]:
+def _resample(motions: FloatArray, sample_time: float) -> tuple[FloatArray, float, float]:
     """Return motions below a band that holds most of the torque, their sample time, and the band in Hz."""
     from scipy.signal import butter, sosfiltfilt
 
@@ -84,13 +77,10 @@ def _resampled(motions: FloatArray, sample_time: float) -> tuple[FloatArray, flo
     return np.asarray(sosfiltfilt(low_pass, motions, axis=0)[::every]), every * sample_time, band
 
 
-def _solved(seen: FloatArray, step: float, band: float) -> Iterator[dict[str, float]]:
-    """Return the values by both ways that explain the torque best, in turn.
+def _solve_row(seen: FloatArray, step: float, band: float) -> Iterator[dict[str, float]]:
+    """Yield the values that explain the torque best, by least squares and by instruments in turn.
 
-    Args:
-        seen: (samples, 3) motor position, reference and torque.
-        step: sample time, seconds.
-        band: of the motions, Hz.
+    The motions are (samples, 3) motor position, reference and torque, below a band in Hz.
     """
     ends = max(round(_ENDS / (band * step)), 2)
     inside, torque = slice(ends, -ends), seen[ends:-ends, 2]
@@ -100,8 +90,7 @@ def _solved(seen: FloatArray, step: float, band: float) -> Iterator[dict[str, fl
         for kind, Z in enumerate((W, R)):
             x = _by_instruments(Z, W, torque)
             if x[0] > 0 and x[1] > 0:
-                left = float(np.linalg.norm(torque - W @ x))
-                found[kind].append((left, _values(x, float(frequency))))
+                found[kind].append((float(np.linalg.norm(torque - W @ x)), _values(x, float(frequency))))
     ranked = [sorted(kind, key=lambda one: one[0])[:_KEPT] for kind in found]
     for place in range(_KEPT):
         for best in ranked:
@@ -136,11 +125,9 @@ def _by_instruments(Z: FloatArray, W: FloatArray, torque: FloatArray) -> FloatAr
 
 
 def _values(x: FloatArray, frequency: float) -> dict[str, float]:
-    """Return a solution as the parameters of a flexible joint; the frictions are halved."""
+    """Return a solution as the parameters of a flexible joint, with both sides' frictions halved."""
     motor, load, viscous, coulomb, offset = map(float, x)
-    rate = 2 * math.pi * frequency
-    values = {"motor_inertia": motor, "load_inertia": load, "offset": offset}
-    values |= {"stiffness": load * rate**2, "damping": 2 * _RATIO * load * rate}
+    values = {"motor_inertia": motor, "load_inertia": load, "offset": offset, **spring_at(frequency, load, _RATIO)}
     for side in ("motor", "load"):
         values |= {f"{side}_viscous": max(0.5 * viscous, 0.0), f"{side}_coulomb": max(0.5 * coulomb, 0.0)}
     return values

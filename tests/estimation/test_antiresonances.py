@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jointid.estimation.methods.flexible_search import frequency_of
-from jointid.estimation.methods.inverted_starts import inverted_starts
 from jointid.estimation.problems.closed_loop import torque_problem
+from jointid.estimation.starts.antiresonances import antiresonance_starts
+from jointid.estimation.starts.flexible_joint import frequency_of
 from jointid.models.friction import AsymmetricFriction
 from jointid.records.signals.filtering import Filtering
 from tests.plants import prismatic
@@ -23,7 +23,7 @@ def test_a_torque_that_stays_gives_no_start(changes: int) -> None:
     assert torque is not None
     record = replace(case.clean, torque=replace(torque, values=(np.arange(torque.values.size) < changes) * 1.0))
     record = replace(record, injected=None)
-    assert inverted_starts(torque_problem(record, case.loop, Filtering(), case.loop.joint.parameters)) == []
+    assert antiresonance_starts(torque_problem(record, case.loop, Filtering(), case.loop.joint.parameters)) == []
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -31,7 +31,7 @@ def test_without_a_simulation_the_best_start_is_near_the_truth(seed: int) -> Non
     """The friction is told whole, and begins in halves; the offset is told, and the motion begins where it does."""
     case = prismatic(seed)
     problem = torque_problem(case.clean, case.loop, Filtering(), case.loop.joint.parameters)
-    starts = inverted_starts(problem)
+    starts = antiresonance_starts(problem)
     assert len(starts) == 8
     best, truth = starts[0], case.truth
     assert best.keys() == {p.name for p in problem.parameters}
@@ -49,6 +49,6 @@ def test_parameters_that_are_known_stay_and_frictions_by_direction_begin_alike()
     joint = replace(case.loop.joint, friction=AsymmetricFriction())
     parameters = tuple(p.fixed(123.0) if p.name == "damping" else p for p in joint.parameters)
     loop = replace(case.loop, joint=joint)
-    for start in inverted_starts(torque_problem(case.clean, loop, Filtering(), parameters)):
+    for start in antiresonance_starts(torque_problem(case.clean, loop, Filtering(), parameters)):
         assert start["damping"] == 123.0
         assert start["load_coulomb_forwards"] == start["load_coulomb_backwards"] > 0

@@ -1,0 +1,196 @@
+"""Descents to the least torque error: one run of a solver each, counted, traced and reported."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.messages import Progress
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.result.parts import Iteration
+from jointid.simulation.closed_loop import Simulation
+from jointid.solvers.bounded_least_squares import TrustRegion
+from jointid.solvers.solve import Counted, Solution, Solver, Step, Tally, solve
+from jointid.uncertainty.position_dependent_error import uncertainty
+
+_ROUGHLY, _FEW = 1e-5, 30  # tolerance and evaluations of a rough descent
+_CLEARLY = 25.0  # times the residual's variance: the first rows of a filter without a lag vary more than the others ...
+_SURELY = 2.0  # ... and robust standard deviations of that velocity
+
+
+class Solved(NamedTuple):
+    """The end of a descent.
+
+    Attributes:
+        problem: the problem that was solved.
+        solution: where the solver ended.
+        run: the simulation there, if the search has it already.
+    """
+
+    problem: ClosedLoopProblem
+    solution: Solution
+    run: Simulation | None = None
+
+    @property
+    def x(self) -> FloatArray:
+        """The free parameters, (free,)."""
+        return self.solution.x
+
+    @property
+    def values(self) -> dict[str, float]:
+        """All parameters by name."""
+        return self.problem.values(self.solution.x)
+
+    @property
+    def norm(self) -> float:
+        """Norm of the residual."""
+        return float(np.linalg.norm(self.solution.residual))
+
+    def with_starts(self, starts: tuple[int, int]) -> Solved:
+        """Return the end with another count of the starts that led there, and of all."""
+        return self._replace(solution=replace(self.solution, starts=starts))
+
+
+class History:
+    """The simulations and steps of a search that solves several problems, one after the other."""
+
+    def __init__(self, progress: Progress) -> None:
+        self.progress, self.tally, self.trace = progress, Tally(), list[Iteration]()
+        self._last: Counted | None = None
+        self._starts, self._best = 0, math.inf
+
+    def counted(self, problem: ClosedLoopProblem) -> Counted:
+        """Return the problem with counted evaluations; it remembers the last point that was linearised."""
+        if self._last is None or self._last.problem is not problem:
+            self._last = Counted(problem, self.tally)
+        return self._last
+
+    def solve(self, problem: ClosedLoopProblem, solver: Solver[Counted], start: FloatArray) -> Solved:
+        """Descend from a start and trace the steps."""
+        size = problem.size or 1.0
+        self.begin()
+
+        def watch(step: Step) -> None:
+            number = self.note(problem, step.x, step.norm, np.where(step.x != 0.0, np.abs(step.x), 1.0))
+            if number % 100 == 0 or number < 10:  # a simplex takes more than a thousand steps
+                self.tell(number, step.norm / size)
+
+        return Solved(problem, solve(self.counted(problem), solver, start, watch))
+
+    def finish(self, rough: Solved, tolerance: float) -> Solved:
+        """Descend from the end of a rough descent to the full tolerance."""
+        return self.solve(rough.problem, least_squares(rough.problem, tolerance), rough.x)
+
+    def begin(self) -> None:
+        """Begin another descent: its error may be larger than the last one's."""
+        self._starts += 1
+
+    def tell(self, number: int, error: float) -> None:
+        """Report a step's relative torque error, and the best so far where another start has a larger one."""
+        which = f"start {self._starts}, " if self._starts > 1 else ""
+        best = f" (best so far {100 * self._best:.4f} %)" if which and error > self._best else ""
+        self._best = min(self._best, error)
+        self.progress(f"{which}iteration {number}: torque error {100 * error:.4f} %{best}")
+
+    def note(
+        self,
+        problem: ClosedLoopProblem,
+        x: FloatArray,
+        norm: float,
+        scales: FloatArray,
+        gain_scale: float = 1.0,
+        *,
+        alone: bool = False,
+    ) -> int:
+        """Add a step to the trace, with the norm of its residual, and return its number.
+
+        Changes of the first parameters are measured against the scales; those of the others do not count. A step that
+        stands `alone` has no change.
+        """
+        change = step = None
+        if self.trace and not alone:
+            before = self.trace[-1]
+            change = abs(norm - before.residual_norm) / before.residual_norm if before.residual_norm else 0.0
+            step = float(np.max(np.abs(x - problem.vector(before.values))[: scales.size] / scales))
+        number = len(self.trace)
+        self.trace.append(Iteration(number, problem.values(x), norm, change, step, self.tally.evaluations, gain_scale))
+        return number
+
+
+def descend(problem: ClosedLoopProblem, start: FloatArray, tolerance: float) -> Solution:
+    """Descend by least squares, neither traced nor counted."""
+    return solve(problem, least_squares(problem, tolerance), start)
+
+
+def least_squares(problem: ClosedLoopProblem, tolerance: float) -> TrustRegion:
+    """Return the solver of a closed loop, in units of the torque and of the start."""
+    return TrustRegion(tolerance, size=problem.size)
+
+
+def roughly(problem: ClosedLoopProblem) -> TrustRegion:
+    """Return the solver of a descent that only has to show where it leads."""
+    return replace(least_squares(problem, _ROUGHLY), evaluations=_FEW)
+
+
+def free_more(solved: Solved, names: tuple[str, ...], tolerance: float, history: History) -> Solved:
+    """Go on by least squares with more of the joint's surroundings free, see `surrounding`.
+
+    Raises:
+        MethodError: nothing around the joint has such a name, or one record cannot tell it.
+    """
+    if isinstance(names, str):
+        raise MethodError(f'What is freed is a list of names; received "{names}": write free=("{names}",).')
+    if "drive_gain" in names:
+        raise MethodError(
+            "One record cannot tell the drive_gain from the scale of the joint; free log_gain or a gain of the law, or "
+            "identify from two records with a known mass between them."
+        )
+    wider = solved.problem.freeing(*names)
+    return history.solve(wider, least_squares(wider, tolerance), wider.vector(solved.values))
+
+
+def or_moving(
+    resting: Solved, problem: ClosedLoopProblem, values: Mapping[str, float], solver: Solver[Counted], history: History
+) -> Solved:
+    """Descend with the motor moving at the first sample, and return the better of both answers.
+
+    Friction makes them two problems: a motor that slips a little before it sticks is not near one that stands, so no
+    descent leads from one to the other. The torque that was held before the first sample, for the delay of the drive,
+    is not in the log; it pushes a motor that moves, and is then a part of that velocity.
+
+    Args:
+        resting: the end with the motor at rest.
+        problem: the same with the motor moving.
+        values: where its descent begins.
+        solver: of the descent.
+        history: of the search.
+    """
+    moving = history.solve(problem, solver, problem.vector(values))
+    if not _is_significant(resting, moving, history):
+        return resting
+    return moving.with_starts(resting.solution.starts)
+
+
+def _is_significant(resting: Solved, moving: Solved, history: History) -> bool:
+    """Test whether a first velocity explains more torque than noise, and is above two robust standard deviations.
+
+    A residual is correlated as a rule, and a motor that slips before it sticks changes where it stands for the rest of
+    the record: the gain alone would invent a motion.
+    """
+    before, after = resting.norm**2, moving.norm**2
+    if before - after <= _CLEARLY * before / resting.solution.residual.size:
+        return False
+    problem, (x, J) = moving.problem, (moving.x, -moving.solution.jacobian)
+    names = [p.name for p in problem.free]
+    if "initial_velocity" not in names:
+        return True
+    history.tally.evaluations += 1
+    known = uncertainty(J, J, moving.solution.residual, problem.cells(problem.simulate(x)), names, problem.torque_unit)
+    at = names.index("initial_velocity")
+    return bool(abs(x[at]) > _SURELY * known.covariance.std[at])

@@ -1,0 +1,329 @@
+"""The search for a flexible joint's stiffness: what is tried, in order.
+
+1. A rough rigid joint, identified below the resonance: its values are divided between the sides.
+2. A grid of flexible joints, a simulation each, on a band as wide as the log (`starts.flexible_joint`); and starts at
+   antiresonances, which need no rigid joint (`starts.antiresonances`).
+3. Rough descents from the best few, at frequencies apart, until two end together.
+4. The end with its Coulomb friction divided otherwise. How much of it is the motor's decides which side stands still
+   first at every reversal, so the criterion has valleys along it, and several starts find the same wrong one.
+5. A descent to the full tolerance. Where no second start led to the end, it is first begun again beside itself.
+6. The same with the motor moving at the first sample.
+7. All of it again from a rigid joint below a lower frequency, where the end explains little of the torque.
+
+Nelder-Mead begins as the paper does, by halves (13) at a known frequency.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.messages import Progress
+from jointid.common.parameters import Quantity
+from jointid.estimation.descent import History, Solved, least_squares, or_moving, roughly
+from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.registry import Task
+from jointid.estimation.problems.base import INITIAL_STATE
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
+from jointid.estimation.result.assemble import FitResult
+from jointid.estimation.starts.flexible_joint import (
+    FASTEST,
+    Candidate,
+    crossover,
+    explore,
+    explore_widely,
+    frequency_of,
+    start_with_mode,
+)
+from jointid.estimation.starts.rigid_joint import regular_start
+from jointid.models.joints import ClosedLoop, FlexibleJoint
+from jointid.records.signals.filtering import Filtering
+from jointid.simulation.closed_loop import in_threads
+from jointid.solvers.nelder_mead import NelderMead, sizes_of
+from jointid.solvers.solve import Counted, Solution, Solver, solve
+
+RIGID_CUTOFF = 0.005  # of the sampling frequency: the paper's 5 Hz at 1 kHz
+
+_WIDE = 0.4  # of the sampling frequency: the widest band whose edge a filter can still make
+_SWINGS = 30.0  # periods of the rigid start's cut-off in a record: in fewer there is too little to tell a joint from
+_RIGID_BELOW = 0.28  # of the crossover frequency; both are the paper's for its axis
+_LOWER = (4.0, 4.0)  # times lower cut-offs are tried where a rigid joint cannot be identified
+_LOWER_AGAIN = (4.0, 16.0)  # times lower cut-offs of the rigid start, where no end explains the torque
+_NOTHING = 0.5  # of the torque: an end that leaves so much is no answer
+_ROUGH = DIDIM("residual", tolerance=1e-3, step_tolerance=1e-2, iterations=6)  # a start needs no more
+_REFINED = 6  # starts that are refined at most, until two of them end together
+_BESIDE = 3  # times an end that no second start led to is begun again beside itself
+# Ends closer than this in frequency, and in what remains, are one: along a flat valley a descent ends no nearer to the
+# bottom, and what several ends are good for is to show that no other valley is deeper.
+_TOGETHER, _AS_GOOD = 1e-2, 3e-3
+_BETTER = 1e-3  # of what remains: so much less is further down
+_DIVISIONS = tuple(np.linspace(0.05, 0.95, 13))  # of the Coulomb friction, the motor's part: valleys are a tenth wide
+_REST = 1e-4  # of the torque: what remains of a record without noise, and is not compared
+_MODES = 2.0  # the cut-off is that many free-free frequencies, or more
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StiffnessSearch:
+    """The search by least squares, see the module.
+
+    Where no filter's cut-off is asked for, it follows the mode: the exploration sees the whole band of the log, a rough
+    descent twice the frequency it starts from; the last descent is on the band of the mode that was found.
+
+    Attributes:
+        problem: of a joint with linear laws. task: that it is a part of.
+        frequency: free-free, Hz; a grid is tried when None.
+        cutoff: of the rough rigid joint, Hz; chosen when None.
+        tolerance: of the parameters and the criterion.
+        history: of the search.
+    """
+
+    problem: ClosedLoopProblem
+    task: Task
+    frequency: float | None
+    cutoff: float | None
+    tolerance: float
+    history: History
+
+    def search(self) -> tuple[Solved, int]:
+        """Return the end, and the number of simulations of rigid joints.
+
+        Raises:
+            MethodError: the loop cannot be simulated at any start, or no joint explains the torque.
+        """
+        tell = self.history.progress
+        try:
+            rigid = rough_rigid_joint(self.task, self.cutoff, tell)
+        except MethodError as error:
+            # A mode inside the loop's bandwidth makes the joint look like no rigid one at any frequency.
+            tell(f"without a rigid joint to begin with: {error}")
+            return self._without_rigid_joint(), 0
+        try:
+            solved = self._from_rigid_joint(rigid)
+        except MethodError as error:
+            if self.frequency is not None:
+                raise
+            tell(f"with other inertias than that joint's: {error}")
+            solved = self._refine(explore_widely(self._on_band(math.inf), rigid.values, self.history))
+        assert rigid.settings.filtering.cutoff is not None
+        edge, simulations = rigid.settings.filtering.cutoff, rigid.simulations
+        for lower in () if self.cutoff else _LOWER_AGAIN:
+            left = self.history.counted(solved.problem).residual(solved.x)
+            if np.linalg.norm(left) <= _NOTHING * solved.problem.size:
+                break
+            # A mode near the cut-off of the rigid start makes it a poor one, and all that is explored from it.
+            tell("the search ended where the model explains little; beginning again, below a lower frequency")
+            try:
+                rigid = rough_rigid_joint(self.task, edge / lower, tell)
+            except MethodError as error:  # a short record shows too little there
+                tell(f"not below {edge / lower:.3g} Hz: {error}")
+                break
+            simulations += rigid.simulations
+            solved = self._from_rigid_joint(rigid)
+        return solved, simulations
+
+    def _from_rigid_joint(self, rigid: FitResult) -> Solved:
+        found = self._refine(explore(self._on_band(math.inf), rigid.values, self.frequency, self.history))
+        return _or_moving(found, rigid, least_squares(found.problem, self.tolerance), self.history)
+
+    def _without_rigid_joint(self) -> Solved:
+        """Search from antiresonances; from the joint that would follow its reference if that fails.
+
+        Where noise moves the axis as much as its reference does, what the controller must have seen tells no joint at
+        all.
+        """
+        wide, history = self._on_band(math.inf), self.history
+        try:
+            return self._refine(explore(wide, None, self.frequency, history))
+        except MethodError as error:
+            history.progress(f"with the joint that would follow its reference to begin with: {error}")
+        filtering = Filtering(cutoff=RIGID_CUTOFF / self.problem.sample_time)
+        loop = _rigid_loop(self.task)
+        follows = regular_start(torque_problem(self.task.record, loop, filtering, loop.joint.parameters)).values
+        try:
+            solved = self._refine(explore(wide, follows, self.frequency, history))
+        except MethodError:
+            solved = self._refine(explore_widely(wide, follows, history))
+        if solved.norm > _NOTHING * solved.problem.size:
+            raise MethodError(
+                "No joint, rigid or flexible, explains half of this torque; check the sign and the unit of torque and "
+                "reference, and the controller's gains and delay."
+            )
+        return solved
+
+    def _refine(self, candidates: Sequence[Candidate]) -> Solved:
+        """Descend from candidates until two ends agree, look beside the best, and go on to the full tolerance."""
+        wide, rough, history = self._on_band(math.inf), roughly(self.problem), self.history
+        ends, together = list[tuple[float, float, FloatArray]](), 0
+        for candidate in candidates[:_REFINED]:
+            on = self._on_band(candidate.frequency)
+            x = history.solve(on, rough, on.vector(candidate.values)).x
+            history.tally.evaluations += 1
+            ends.append((float(np.linalg.norm(wide.residual(x))), frequency_of(on.values(x)), x))
+            cost, mode, x = min(ends, key=lambda end: end[0])
+            together = sum(_agree((c, f), (cost, mode), wide.size) for c, f, _ in ends)
+            if together > 1:
+                break
+        on, tried = self._on_band(mode), len(ends)
+        divided = divide_coulomb_friction(on, x, history) if together > 1 else None
+        if divided is not None:
+            x, together = divided, 1
+        found = history.solve(on, rough if together < 2 else least_squares(on, self.tolerance), x)
+        # An end that no second start leads to is refused, as is a mode too fast for the log: neither is worth a step.
+        followed = frequency_of(found.values) <= FASTEST / on.experiment.sample_time
+        for _ in range(_BESIDE if together < 2 and followed else 0):
+            beside, tried = _from_beside(found, history), tried + 1
+            left, other = found.norm, float(np.linalg.norm(beside.residual))
+            if other < (1 - _BETTER) * left - _REST * on.size:  # the way back led further down
+                found = history.solve(on, rough, beside.x)
+                continue
+            if _agree((other, frequency_of(on.values(beside.x))), (left, frequency_of(found.values)), on.size):
+                found, together = history.finish(found, self.tolerance), 2
+            break
+        message = f"{found.solution.message}; {together} of {tried} starts led there"
+        return found._replace(solution=replace(found.solution, message=message, starts=(together, tried)))
+
+    def _on_band(self, mode: float) -> ClosedLoopProblem:
+        """Return the problem on the cut-off that is asked for, or on one for a mode at that frequency."""
+        return self.problem if self.task.filtering.cutoff else on_band(self.problem, self.task.filtering, mode)
+
+
+def search_by_simplex(
+    problem: ClosedLoopProblem,
+    task: Task,
+    frequency: float | None,
+    cutoff: float | None,
+    solver: NelderMead,
+    history: History,
+) -> tuple[Solved, int]:
+    """Search as the paper does, by a simplex from (13) at its frequency; see `StiffnessSearch`.
+
+    Where that loop is unstable, or no frequency is given, it begins at the best of the grid.
+    """
+    rigid = rough_rigid_joint(task, cutoff, history.progress)
+    start = None
+    if frequency is not None:
+        start = problem.vector(start_with_mode(problem, rigid.values, frequency, 0.5))
+        if np.linalg.norm(history.counted(problem).residual(start)) > problem.size:
+            history.progress("the halved inertia (13) makes an unstable loop here; starting from another load share")
+            start = None
+    if start is None:
+        start = problem.vector(explore(problem, rigid.values, frequency, history)[0].values)
+    solver = replace(solver, scales=sizes_of(start), size=problem.size)
+    found = _or_moving(history.solve(problem, solver, start), rigid, solver, history, free=False)
+    return found, rigid.simulations
+
+
+def rough_rigid_joint(task: Task, cutoff: float | None, progress: Progress) -> FitResult:
+    """Return a rough identification of a flexible joint as rigid, below its resonance.
+
+    Its cut-off, Hz, where None: 0.5 % of the sampling frequency, or less for a loop that is slow for its log.
+    """
+    record, rigid = task.record, _rigid_loop(task)
+    record.require(rigid.channels, "DIDIM")
+    assert record.torque is not None
+    sample_time = record.torque.sample_time
+
+    def identified(edge: float) -> FitResult:
+        progress(f"identifying the joint as rigid, below {edge:.3g} Hz")
+        return _ROUGH.identify(
+            Task(record, rigid.joint, rigid, rigid.joint.parameters, Filtering(cutoff=edge), progress)
+        )
+
+    least = _SWINGS / (record.torque.values.size * sample_time)
+    edge = cutoff or max(RIGID_CUTOFF / sample_time, least)
+    found = None
+    for lower in () if cutoff else _LOWER:  # a mode below the cut-off may make the joint look like none at all
+        try:
+            found = identified(edge)
+            break
+        except MethodError as error:
+            progress(f"not below {edge:.3g} Hz: {error}")
+            edge /= lower
+    found = found or identified(edge)
+    law = rigid.controller.law(sample_time)
+    slow = max(_RIGID_BELOW * crossover(law, found.values["inertia"]), least)
+    if cutoff is None and slow < 0.7 * edge:
+        return replace(identified(slow), earlier=found.simulations)
+    return found
+
+
+def _rigid_loop(task: Task) -> ClosedLoop:
+    """Return the loop of a task with its joint taken for rigid."""
+    assert task.loop is not None and isinstance(task.loop.joint, FlexibleJoint)
+    return replace(task.loop, joint=task.loop.joint.rigid)
+
+
+def on_band(problem: ClosedLoopProblem, filtering: Filtering, mode: float) -> ClosedLoopProblem:
+    """Return the problem filtered for a mode at that frequency: the default cut-off, or twice the mode.
+
+    What seems to be a mode too fast for the log is none, and no reason to look at more than by default.
+    """
+    sample_time = problem.experiment.sample_time
+    if FASTEST / sample_time < mode < math.inf:
+        mode = 0.0
+    default = Filtering().resolve(sample_time, "flexible").cutoff
+    assert default is not None
+    cutoff = min(max(default, _MODES * mode), _WIDE / sample_time)
+    return replace(problem, filtering=replace(filtering, cutoff=cutoff).resolve(sample_time, "flexible"))
+
+
+def _agree(end: tuple[float, float], best: tuple[float, float], size: float) -> bool:
+    """Test whether two ends, cost and frequency, are one; `size` is the norm of the torque."""
+    (cost, frequency), (least, mode) = end, best
+    return abs(frequency / mode - 1) < _TOGETHER and cost < (1 + _AS_GOOD) * least + _REST * size
+
+
+def divide_coulomb_friction(problem: ClosedLoopProblem, x: FloatArray, history: History) -> FloatArray | None:
+    """Divide an end's Coulomb friction otherwise between motor and load; None where none is better."""
+    values, own = problem.values(x), {p.name for p in problem.free}
+    sides = [
+        (p.name, load)
+        for p in problem.free
+        if p.quantity is Quantity.FORCE and p.name != (load := p.name.replace("motor_", "load_", 1)) and load in own
+    ]
+    if not sides:
+        return None
+    tried = [x]
+    for share in _DIVISIONS:
+        wholes = {motor: (values[motor] + values[load], load) for motor, load in sides}
+        moved = {motor: share * whole for motor, (whole, _) in wholes.items()}
+        moved |= {load: (1 - share) * whole for whole, load in wholes.values()}
+        tried.append(problem.vector(values | moved))
+    left = in_threads(lambda at: float(np.linalg.norm(problem.residual(at))), tried)
+    history.tally.evaluations += len(tried)
+    best = int(np.argmin(left))
+    if not left[best] < (1 - _BETTER) * left[0] - _REST * problem.size:
+        return None
+    history.progress(
+        f"with {100 * _DIVISIONS[best - 1]:.0f} % of the Coulomb friction on the motor the model explains more"
+    )
+    return tried[best]
+
+
+def _from_beside(found: Solved, history: History) -> Solution:
+    """Descend from beside an end: softer, more damped, with more of the inertia on the load."""
+    problem, values = found.problem, found.values
+    moved = 0.2 * values["load_inertia"] if values["load_inertia"] < values["motor_inertia"] else 0.0
+    aside = {"stiffness": 0.8 * values["stiffness"], "load_inertia": values["load_inertia"] + moved}
+    aside |= {"motor_inertia": values["motor_inertia"] - moved, "damping": 1.5 * values["damping"]}
+    # The way back is no part of the way there, and is not noted.
+    return solve(history.counted(problem), roughly(problem), problem.vector(values | aside))
+
+
+def _or_moving(
+    resting: Solved, rigid: FitResult, solver: Solver[Counted], history: History, *, free: bool = True
+) -> Solved:
+    """Descend with the motor moving as the rigid joint's does, if it does; see `or_moving`.
+
+    `free` says whether the state at the first sample is searched for, or kept as the rigid joint has it.
+    """
+    if not rigid["initial_velocity"].free:  # below its resonance the axis seemed to rest at the first sample
+        return resting
+    values = resting.values | {p.name: rigid[p.name].value or 0.0 for p in INITIAL_STATE}
+    state = {p.name: replace(p, start=values[p.name], free=free) for p in INITIAL_STATE}
+    return or_moving(resting, resting.problem.changed(state), values, solver, history)

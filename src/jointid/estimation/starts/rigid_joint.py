@@ -1,0 +1,149 @@
+"""Starts for a rigid joint: regressions on a motion that the record implies, without a simulation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import MethodError
+from jointid.common.messages import Progress
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.problems.inverse_model import InverseModel, inverse_model
+from jointid.estimation.starts.inverse_controller import (
+    first_state,
+    invertible_samples,
+    reconstructed_position,
+    torque_behind_limit,
+)
+from jointid.models.controllers import REFERENCE
+from jointid.models.joints import RigidJoint
+from jointid.records.record import Channel, Timing
+from jointid.solvers.gauss_newton import GaussNewton
+from jointid.solvers.regression import solution as linear_solution
+from jointid.solvers.solve import solve
+
+_STEPS = 6  # enough for two parameters that act almost linearly on the torque
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Start:
+    """Where a search begins.
+
+    Attributes:
+        values: of every parameter, by name.
+        nominal_inertia: the inertia at which the simulated controller's gains are the real ones, while they are
+            scaled with the inertia; None when they need not be.
+    """
+
+    values: dict[str, float]
+    nominal_inertia: float | None
+
+
+def rigid_starts(problem: ClosedLoopProblem, asked: str, progress: Progress) -> dict[str, Start]:
+    """Return starts by name: the one asked for, then the others that can be had.
+
+    Raises:
+        MethodError: there is none, or not the one asked for; a missing inversion start is no reason.
+    """
+    makers = {"given": given_start} if asked == "given" else {}
+    makers |= {"regular": regular_start} if asked == "regular" else {}
+    makers |= {"inversion": inversion_start, "regular": regular_start}
+    found, failures = dict[str, Start](), list[MethodError]()
+    for name, make in makers.items():
+        try:
+            found[name] = make(problem)
+        except MethodError as error:
+            failures.append(error)
+    if not found or (asked not in found and asked != "inversion"):
+        raise failures[0]
+    if asked not in found:
+        progress(f"from a regular start instead: {failures[0]}")
+    return found
+
+
+def inversion_start(problem: ClosedLoopProblem) -> Start:
+    """Return what IDIM finds on the reconstructed position: nearly what it finds on a measured one."""
+    position = reconstructed_position(problem)
+    acting, known = torque_behind_limit(problem), invertible_samples(problem)
+    found = _regress(problem, acting, position, known, problem.experiment.law.delay)
+    return Start(_with_fixed(problem, found | first_state(problem, position)), None)
+
+
+def regular_start(problem: ClosedLoopProblem, given: Mapping[str, float] | None = None) -> Start:
+    """Return a regular inertia and no friction, or the given values, with the controller's gains to be scaled.
+
+    The loop of an inertia that is `n` times too large, under gains that are `n` times too large, moves like the real
+    one; regressing on its motion gives good values at once. The real loop's own inertia is first read off the
+    reference, as if the axis tracked it perfectly.
+    """
+    experiment = problem.experiment
+    periods = experiment.log_index // experiment.lengths.size
+    reference = experiment.inputs[periods, REFERENCE]
+    torque = problem.measured - experiment.logged[periods] + experiment.after_limit[periods]
+    tracked = _regress(problem, torque, reference, np.ones(torque.size, dtype=np.bool_))
+    known = next(p for p in problem.parameters if p.name == "inertia")
+    nominal = abs(tracked["inertia"]) if known.free else float(known.start or 1.0)
+    regular = {p.name: 0.0 for p in problem.parameters} | {"inertia": nominal}
+    regular |= {"initial_position": float(reference[0]), "initial_velocity": 0.0}
+    return Start(_with_fixed(problem, {**regular, **(given or {})}), nominal)
+
+
+def given_start(problem: ClosedLoopProblem) -> Start:
+    """Return the starts the parameters carry; those without one begin as in `regular_start`."""
+    given = {p.name: p.start for p in problem.parameters if p.start is not None}
+    if given.get("inertia", 1.0) <= 0:
+        raise MethodError(f"A start for the inertia must be positive; received {given['inertia']}.")
+    return regular_start(problem, given)
+
+
+def fit_initial_state(problem: ClosedLoopProblem) -> tuple[FloatArray, int]:
+    """Return the best initial position and velocity, and the number of simulations.
+
+    A motor at rest and a moving one are two problems (see `descent.or_moving`), so both are solved.
+    """
+    try:
+        start = first_state(problem, reconstructed_position(problem))
+    except MethodError:  # a controller that cannot be inverted: start on the reference, at rest
+        start = {"initial_position": float(problem.experiment.inputs[0, 0]), "initial_velocity": 0.0}
+    problems = (problem.keeping({"initial_velocity": 0.0}), problem)
+    solver = GaussNewton(tolerance=1e-9, step_tolerance=math.inf, iterations=_STEPS, halvings=0)
+    ends = [(p, solve(p, solver, p.vector(start))) for p in problems]
+    which, best = min(ends, key=lambda end: float(np.linalg.norm(end[1].residual)))
+    return problem.vector(which.values(best.x)), sum(end.evaluations for _, end in ends)
+
+
+def _regress(
+    problem: ClosedLoopProblem,
+    torque: FloatArray,
+    position: FloatArray,
+    known: NDArray[np.bool_],
+    delay: float = 0.0,
+) -> dict[str, float]:
+    """Return what IDIM finds where the position is known; elsewhere it is bridged, and both sides weigh nothing."""
+    joint = problem.joint
+    assert isinstance(joint, RigidJoint)
+    sample_time, instants = problem.experiment.sample_time, np.arange(torque.size)
+    filtering = replace(problem.filtering, borders=(50, 50) if torque.size > 500 else (0, 0), timing="respected")
+    held = Channel(torque, joint.force_unit, sample_time, Timing.HELD)
+    if not np.all(known):
+        position = np.interp(instants, instants[known], position[known])
+    model = inverse_model(joint, held, (position,), filtering, delay)
+    if not np.all(known):
+        columns = model.columns * known[:, np.newaxis]
+        model = InverseModel(model.torque * known, columns, model.inside, model.motor)
+    parameters, free = problem.parameters[: len(joint.parameters)], problem.free_joint
+    kept = np.array([0.0 if p.free else p.start or 0.0 for p in parameters])
+    Y, W = model.decimated(filtering, sample_time, kept, compiled=True)
+    names = tuple(p.name for p in free)
+    found = linear_solution(W[:, [p.free for p in parameters]], Y, names)
+    return dict(zip(names, map(float, found), strict=True))
+
+
+def _with_fixed(problem: ClosedLoopProblem, values: Mapping[str, float]) -> dict[str, float]:
+    """Return the values with every fixed parameter at what it is fixed to."""
+    return {**values, **{p.name: p.start or 0.0 for p in problem.parameters if not p.free}}
