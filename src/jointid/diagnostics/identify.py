@@ -94,7 +94,8 @@ def identify(
         several: what the records share, and what was added to the load; see `SeveralRecords`.
         windows: of a log; see `Windowing`. With it a record in memory is identified in windows, too.
         checks: whether to check controller and log, what else may cause a misfit, and what the model lacks: of one
-            record, by a DIDIM that ends at the least squares. The checks take about as long as the identification.
+            record, by a DIDIM that ends at the least squares. The checks of a rigid joint take several times as
+            long as its identification.
             Without them, the verdict on the loop says so. Those of a robot are made by `diagnose_robot`.
         shown: how the drive shows the numbers of its controller, see `check_loop`.
         torque_constant: with its unit, where all values are proportional to it, see `Estimate.data`.
