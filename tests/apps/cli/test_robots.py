@@ -144,7 +144,7 @@ def test_options_of_a_joint_file_are_refused(folder: Path, tmp_path: Path) -> No
             "bodies behind their gears.*--fixed is for a joint",
         ),
         (("report", joint, "--plan", "all", "--html", page), "jointid design plans the motion of a robot"),
-        (("doctor", joint), "The look over a record takes a joint file"),
+        (("examine", joint), "The look over a record takes a joint file"),
         (("tune", joint), "Tuning takes a joint file"),
         (("diagnose", "methods", joint), "This command takes a joint file"),
     ):
