@@ -11,7 +11,8 @@ import pytest
 from scipy.io import loadmat
 
 from jointid import Cascade, MethodError
-from jointid.config.robot_file import RobotFile, load_robot_file
+from jointid.config import load
+from jointid.config.robot_file import RobotFile
 from jointid.diagnostics.robots.diagnose import diagnose_robot
 from jointid.estimation.robots.consistent import mass_matrix_at
 from jointid.estimation.robots.idim import identify_robot
@@ -29,7 +30,7 @@ ROWS = re.findall(r"^\| ([AB]) on ([AB]) \| (.*) \|$", PAGE, re.MULTILINE)
 
 @pytest.fixture(scope="module")
 def file() -> RobotFile:
-    return load_robot_file(EXAMPLE / "robot.toml")
+    return load(EXAMPLE / "robot.toml")
 
 
 def fit_of_kinematics(robot: Robot, data_dir: Path) -> float:

@@ -3,7 +3,7 @@
 from .common.errors import ExtraError, JointFileError, JointidError, MethodError, RecordError
 from .common.transmission import Transmission
 from .config import JointFile, load
-from .config.robot_file import RobotFile, load_robot_file
+from .config.robot_file import RobotFile
 from .config.robot_model import load_robot
 from .controller_id.learn import learn_controller
 from .diagnostics.check_loop import check_loop
@@ -147,7 +147,6 @@ __all__ = [
     "learn_controller",
     "load",
     "load_robot",
-    "load_robot_file",
     "planned_record",
     "predict_test",
     "prepare",

@@ -298,7 +298,7 @@ FAULTS = [
     ),
     (
         SMALLEST + "[method]\niterations = 0xffffffffffffffff",
-        "method.iterations is a whole number beyond 64 bits; expected a whole number, 1 or more: correct it, or "
+        "method.iterations is a whole number of more than 64 bits; expected a whole number, 1 or more: correct it, or "
         "leave it out.",
     ),
     # values together

@@ -7,12 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jointid.common.errors import JointFileError, RecordError
-from jointid.config.loading import is_robot_file, load, parse_toml
-from jointid.config.robot_file import RobotFile, RobotFileTable, load_robot_file, save_robot_file
+from jointid.common.errors import JointFileError, MethodError, RecordError
+from jointid.config import dumps, load, load_to_learn, loads, robot_file, save
+from jointid.config.loading import parse_toml
+from jointid.config.robot_file import RobotFile, RobotFileTable
+from jointid.estimation.robots.idim import RobotIDIM
+from jointid.estimation.robots.torque_estimate import RobotDriveSideFit
 from jointid.models.controllers import PD
 from jointid.models.robots.robot import JointSpring
 from jointid.output.export.robot_model import robot_mjcf
+from jointid.planning.robots.motions import JointLimits
+from jointid.records.signals.filtering import Filtering
 from tests.models.robots.trees import as_mjcf, chain
 
 pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
@@ -64,8 +69,8 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_a_robot_and_its_record(folder: Path) -> None:
-    file = load_robot_file(folder / "robot.toml")
-    assert is_robot_file(folder / "robot.toml") and not is_robot_file(folder / "arm.xml")
+    file = load(folder / "robot.toml")
+    assert isinstance(file, RobotFile)
     first, second, _ = file.robot.joints
     assert (first.viscous, first.rotor_inertia) == (3.0, chain(3).joints[0].rotor_inertia)
     assert (second.rotor_inertia, second.spring) == (0.5, JointSpring(1e4, viscous=0.5))
@@ -82,9 +87,9 @@ def test_a_robot_and_its_record(folder: Path) -> None:
 
 
 def test_what_is_written_is_read_back(folder: Path) -> None:
-    file = load_robot_file(folder / "robot.toml", ["joints.3.offset=1.5"])
-    save_robot_file(file, folder / "again.toml")
-    again = load_robot_file(folder / "again.toml")
+    file = load(folder / "robot.toml", ["joints.3.offset=1.5"])
+    save(file, folder / "again.toml")
+    again = load(folder / "again.toml")
     assert again.robot.joints == file.robot.joints and again.joints == file.joints
     assert again.robot.joints[2].offset == 1.5 and again.feed_forward == "gravity"
 
@@ -113,7 +118,7 @@ def test_a_fault_of_one_joint_names_it(folder: Path) -> None:
     text = TEXT.replace("torque_constant = 2.0", "", 1).replace("derivative_gain = 1.0, ", "")
     with pytest.raises(JointFileError, match=r"joints\.2\.controller\.derivative_gain is missing"):
         RobotFile.of(parse_toml(text), folder / "robot.toml")
-    file = load_robot_file(folder / "robot.toml", ['record.channels.torque.column="none{axis}"'])
+    file = load(folder / "robot.toml", ['record.channels.torque.column="none{axis}"'])
     with pytest.raises(RecordError, match=r"joint1: .*none2"):
         file.records()
 
@@ -133,7 +138,7 @@ def test_every_key_of_its_own_is_on_the_page() -> None:
     page = (Path(__file__).resolve().parents[2] / "docs" / "robots.md").read_text(encoding="utf-8")
     tables = RobotFileTable.model_json_schema()["$defs"]
     for name in ("RobotTable", "RobotMethodTable", "RobotJointTable", "JointSpringTable"):
-        for key in tables[name]["properties"]:
+        for key in tables[name].get("anyOf", [tables[name]])[-1]["properties"]:
             assert f"`{key}`" in page, key
     for table in RobotFileTable.model_fields:
         assert f"[{table}]" in page, table
@@ -164,25 +169,25 @@ def test_every_key_of_its_own_is_on_the_page() -> None:
 def test_what_would_be_another_robot_is_refused(folder: Path, old: str, new: str, said: str) -> None:
     (folder / "robot.toml").write_text(TEXT.replace(old, new, 1), encoding="utf-8")
     with pytest.raises(JointFileError, match=said.replace("joint0, joint1, joint2: all", "all")):
-        load_robot_file(folder / "robot.toml")
+        load(folder / "robot.toml")
 
 
 @pytest.mark.parametrize("roll", ["3.1415926", "0.5"])
 def test_an_export_of_a_turned_base_is_not_turned_again(roll: str, folder: Path) -> None:
     text = TEXT.replace("base = [0.0, 1.5707963267948966, 0.0]", f"base = [{roll}, 0.0, 0.0]")
     (folder / "robot.toml").write_text(text, encoding="utf-8")
-    robot = load_robot_file(folder / "robot.toml").robot
+    robot = load(folder / "robot.toml").robot
     (folder / "arm.xml").write_text(robot_mjcf(robot)[0], encoding="utf-8")
     with pytest.raises(JointFileError, match=r"robot\.base turns the model, whose own gravity is turned already"):
-        load_robot_file(folder / "robot.toml")
+        load(folder / "robot.toml")
     (folder / "robot.toml").write_text(TEXT.replace("base = [0.0, 1.5707963267948966, 0.0]", ""), encoding="utf-8")
-    assert load_robot_file(folder / "robot.toml").robot.gravity == pytest.approx(robot.gravity, abs=1e-6)
+    assert load(folder / "robot.toml").robot.gravity == pytest.approx(robot.gravity, abs=1e-6)
 
 
 def test_a_base_that_hangs_by_rounded_numbers_hangs(folder: Path) -> None:
     text = TEXT.replace("base = [0.0, 1.5707963267948966, 0.0]", "base = [3.1416, 0.0, 0.0]")
     (folder / "robot.toml").write_text(text, encoding="utf-8")
-    x, y, z = load_robot_file(folder / "robot.toml").robot.gravity
+    x, y, z = load(folder / "robot.toml").robot.gravity
     assert (x, y) == (0.0, 0.0) and z == pytest.approx(9.81, rel=1e-9)
 
 
@@ -203,9 +208,100 @@ def test_friction_backwards_and_a_start_in_motion_are_of_the_loop(folder: Path) 
 def test_a_feed_forward_that_was_logged_is_there(folder: Path) -> None:
     (folder / "robot.toml").write_text(TEXT.replace('"gravity"', '"logged"'), encoding="utf-8")
     with pytest.raises(RecordError, match="not every joint has an injected channel; declare one for each"):
-        load_robot_file(folder / "robot.toml").driven(logged=False)
+        load(folder / "robot.toml").driving()
 
 
 def test_other_commands_say_that_it_is_a_robot_file(folder: Path) -> None:
-    with pytest.raises(JointFileError, match="This is a robot file, as it has the table"):
-        load(folder / "robot.toml")
+    with pytest.raises(MethodError, match=r"Learning a controller takes a joint file; .*is a robot file, as it has"):
+        load_to_learn(folder / "robot.toml")
+
+
+def test_a_joint_takes_the_keys_of_a_joint_file(folder: Path) -> None:
+    text = TEXT.replace(
+        "viscous = 3.0\n",
+        """kind = "revolute"
+friction = "asymmetric"
+parameters = { viscous_forwards = { start = 3.0 }, viscous_backwards = { start = 2.0 } }
+""",
+    ).replace(
+        "spring = { stiffness = 1e4, viscous = 0.5 }\nt",
+        'model = "flexible"\nspring = "linear"\nparameters = { stiffness = { start = 1e4 }, load_viscous = 0.5 }\nt',
+    )
+    (folder / "robot.toml").write_text(text, encoding="utf-8")
+    file = load(folder / "robot.toml")
+    first, second, _ = file.robot.joints
+    assert (first.viscous, first.viscous_backwards) == (3.0, 2.0) and first.asymmetric
+    assert second.spring == JointSpring(1e4, viscous=0.5) and second.rotor_inertia == 0.5
+    assert [one.joint.friction.name for one in file.joints] == ["asymmetric", "symmetric", "symmetric"]
+    with pytest.raises(MethodError, match=r"joints\.2\.parameters\.load_viscous has a value or bounds to keep"):
+        file.identify(file.record())
+
+
+@pytest.mark.parametrize(
+    ("said", "lack"),
+    [
+        (
+            'friction = "drifting"',
+            r'joints\.1\.friction is "drifting", which no robot is simulated with; expected "sym',
+        ),
+        ('model = "flexible"\nspring = "cubic"', r'joints\.1\.spring is "cubic", which no robot is simulated with'),
+        ('model = "flexible"', r"joints\.1\.spring\.stiffness is missing; expected a positive number"),
+        ('friction = "stribeck"', r"joints\.1\.stribeck_speed is missing"),
+        ('gravity = { load = "link" }', r"joints\.1\.gravity is that of the masses"),
+        ("ripple = { period = 0.1 }", r"joints\.1\.ripple is not simulated with a robot"),
+        (
+            'model = "flexible"\nspring = { stiffness = 9.0 }\nparameters = { load_inertia = 1 }',
+            "parameters.load_inertia",
+        ),
+    ],
+)
+def test_what_a_robot_has_not_loads_and_is_said_by_every_verb(folder: Path, said: str, lack: str) -> None:
+    (folder / "robot.toml").write_text(TEXT.replace("viscous = 3.0", said), encoding="utf-8")
+    file = load(folder / "robot.toml")
+    assert len(file.record()) == len(file.joints) == 3
+    for verb in (lambda: file.identify(file.record()), lambda: file.robot):
+        with pytest.raises(MethodError, match=lack):
+            verb()
+
+
+@pytest.mark.parametrize(
+    ("said", "fault"),
+    [
+        ('kind = "prismatic"', r'joints\.1\.kind is "prismatic", but the model says "revolute"'),
+        ('friction = "dahl"', r'joints\.1\.friction: Friction "dahl" is not known'),
+        ("parameters = { inertai = 3 }", "joint0: parameters.inertai is not known for a rigid joint"),
+        ("parameters = { inertia = { start = 3, lower = 4 } }", r"joint0: parameters\.inertia\.start is 3"),
+        ("spring = { damping = 1.0 }", r"joints\.1\.spring\.stiffness is missing; expected a positive number"),
+        ("limits = { lower = 1.0, upper = -1.0 }", r"joints\.1\.limits: The upper position is above the lower"),
+    ],
+)
+def test_a_joint_is_checked_as_in_a_joint_file(folder: Path, said: str, fault: str) -> None:
+    with pytest.raises(JointFileError, match=fault):
+        loads(TEXT.replace("viscous = 3.0", said), folder)
+
+
+def test_the_record_is_read_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    read, paths = robot_file.read_table, list[Path]()
+    monkeypatch.setattr(robot_file, "read_table", lambda path, **options: paths.append(path) or read(path, **options))
+    file = load(folder / "robot.toml")
+    assert len(file.record()) == 3 and paths == [folder / "log.csv"]
+
+
+def test_a_method_and_a_friction_are_chosen_as_of_a_joint_file(folder: Path) -> None:
+    text = TEXT.replace("[record]", "[method]\nlog_delay = 0.001\n[record]")
+    (folder / "robot.toml").write_text(text, encoding="utf-8")
+    kept = load(folder / "robot.toml", method="drive_side")
+    assert kept.method == RobotDriveSideFit(log_delay=0.001)
+    file = load(folder / "robot.toml", method="idim", friction="asymmetric", filtering="published")
+    assert file.method == RobotIDIM() and all(one.asymmetric for one in file.robot.joints)
+    assert file.filtering == Filtering.published()
+    again = loads(dumps(file), folder)
+    assert again.robot.joints == file.robot.joints
+
+
+def test_a_limit_that_a_plan_does_not_keep_is_said_where_a_test_is_planned(folder: Path) -> None:
+    limits = "limits = { lower = -1.0, upper = 1.0, speed = 2.0 }"
+    assert loads(TEXT.replace("viscous = 3.0", limits), folder).limits[0] == JointLimits(-1.0, 1.0, 2.0)
+    file = loads(TEXT.replace("viscous = 3.0", "limits = { jerk = 5.0 }"), folder)
+    with pytest.raises(MethodError, match=r"joints\.1\.limits\.jerk is not kept by the plan of a robot's motion"):
+        file.limits  # noqa: B018

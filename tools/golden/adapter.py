@@ -33,6 +33,7 @@ from jointid.campaigns.export import export_rows
 from jointid.campaigns.folder import Results
 from jointid.campaigns.report import CampaignReport
 from jointid.campaigns.run_case import run_case
+from jointid.config import load_joint
 from jointid.diagnostics.report_data import collect_report_data as collect
 from jointid.models.disturbances import Drift
 from jointid.models.linear import frequency_response
@@ -417,7 +418,7 @@ def simulate(folder: Path, joint: Path, record: Path, identified: Path | None = 
         "numbers": [
             number(answer[key]) for key in ("samples", "sample_time", "events", "at_limit_percent", "peak_torque")
         ],
-        "record": recorded(ji.load(joint).record(out)),
+        "record": recorded(load_joint(joint).record(out)),
     }
 
 
@@ -462,7 +463,7 @@ def report(folder: Path, joint: Path, record: Path, *, profiles: bool = True) ->
     assert found is not None
     answer = json.loads(found.group(1))
     if profiles:  # of every parameter: a report leaves out those whose criterion is a parabola
-        file = ji.load(joint)
+        file = load_joint(joint)
         logged = file.record(record)
         made = file.identify(logged, checks=False)
         free = [p.name for p in made.params.rows if p.of_joint and p.free]
@@ -1002,7 +1003,7 @@ def _within(path: Path) -> Any:
 
 def load(joint: Path, record: Path, **overridden: Any) -> tuple[Any, Any]:
     """Return a joint file, overridden, and its record."""
-    file = ji.load(joint, **overridden)
+    file = load_joint(joint, **overridden)
     return file, file.record(record)
 
 
@@ -1362,7 +1363,7 @@ def matrices(found: Any, period: float | None = None, side: Any = None) -> Json:
 
 def read_export(identified: Path, joint_path: Path) -> Any:
     """Return an answer read back for export."""
-    return read_estimated(identified, ji.load(joint_path).joint)
+    return read_estimated(identified, load_joint(joint_path).joint)
 
 
 def dossier(found: Any, record: Any) -> Json:

@@ -13,11 +13,10 @@ from pathlib import Path
 import numpy as np
 from pydantic import ValidationError
 
-from jointid import DIDIM
+from jointid import DIDIM, JointFile
 from jointid.campaigns.campaign_tables import BootstrapTable, CampaignTable, MultistartTable
 from jointid.campaigns.cases import Case, Redrawn, Simulated, Started
 from jointid.campaigns.fleet import FleetRecords, Logged, named_record
-from jointid.campaigns.robot_cases import is_robot, load_any
 from jointid.common.errors import JointFileError
 from jointid.common.text import listed as in_a_row
 from jointid.config import loads
@@ -80,10 +79,10 @@ class Campaign:
         asked = self.table.monte_carlo
         assert asked is not None
         text = read_text(self.folder / asked.joint)
-        if is_robot(text):
+        file = loads(text, (self.folder / asked.joint).parent)
+        if not isinstance(file, JointFile):
             logged = self._named_record(asked.joint, asked.record)
             return logged.joint_file, logged, tuple((name, float(value)) for name, value in asked.values.items())
-        file = loads(text)
         known = {p.name: file.parameters.get(p.name, p).start for p in file.joint.parameters} | asked.values
         unknown = [name for name in asked.values if name not in {p.name for p in file.joint.parameters}]
         missing = [name for name, value in known.items() if value is None]
@@ -101,7 +100,7 @@ class Campaign:
     def _of_resamples(self, changes: tuple[str, ...], asked: BootstrapTable) -> Iterator[Case]:
         logged = self._named_record(asked.joint, asked.record)
         text = logged.joint_file
-        if is_robot(text):
+        if not isinstance(loads(text), JointFile):
             raise JointFileError(f"[bootstrap] draws the error of a joint's record; {asked.joint} is a robot file: use "
                                  "[fleet] or [monte_carlo].")  # fmt: skip
         for number in range(asked.runs):
@@ -111,16 +110,17 @@ class Campaign:
     def _of_starts(self, changes: tuple[str, ...], asked: MultistartTable) -> Iterator[Case]:
         logged = self._named_record(asked.joint, asked.record)
         text = logged.joint_file
-        if is_robot(text):
+        file = loads(text, changes=changes)
+        if not isinstance(file, JointFile):
             raise JointFileError(f"[multistart] draws starts of a joint file; {asked.joint} is a robot file, whose "
                                  "search begins by itself: use [fleet] or [monte_carlo].")  # fmt: skip
-        given = {name: p.start for name, p in loads(text, changes=changes).parameters.items() if p.free and p.start}
+        given = {name: p.start for name, p in file.parameters.items() if p.free and p.start}
         if not given:
             raise JointFileError(
                 f"[multistart] draws starts around those of the joint file, and {asked.joint} gives no free parameter "
                 "one other than 0; give some, as parameters.stiffness.start."
             )
-        if isinstance(loads(text, changes=changes).method, DIDIM):  # which has starts of its own
+        if isinstance(file.method, DIDIM):  # which has starts of its own
             changes = (*changes, 'method.start="given"')
         for number in range(asked.runs):
             draw = np.random.default_rng([asked.seed + number])
@@ -149,5 +149,5 @@ def load_campaign(path: Path) -> Campaign:
     if both := [key for key in campaign.table.sweep if key in own]:
         raise JointFileError(f"{in_a_row(both)} is set by [sweep] and by the fleet's table; leave one of them out.")
     for changes in campaign._combinations:
-        load_any(first.joint_file, (*first.settings, *changes))
+        loads(first.joint_file, changes=(*first.settings, *changes))
     return campaign

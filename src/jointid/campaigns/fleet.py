@@ -16,10 +16,11 @@ import numpy as np
 from jointid.campaigns.addresses import is_remote, list_addresses, stamp_of
 from jointid.campaigns.campaign_tables import PLACEHOLDER, PLACEHOLDERS, FleetTable, unknown_placeholders
 from jointid.campaigns.fleet_table import FleetRow, RowFaults, read_fleet_table
-from jointid.campaigns.robot_cases import embed_model, load_any, record_of
+from jointid.campaigns.robot_cases import embed_model, record_of
 from jointid.common.errors import JointFileError, RecordError
 from jointid.common.text import counted
 from jointid.common.text import listed as in_a_row
+from jointid.config import loads
 from jointid.config.loading import read_text
 
 _NAMED = 5  # files or joints that a sentence names
@@ -252,7 +253,7 @@ def _number(text: str) -> float | None:
 @lru_cache(maxsize=1024)
 def _faults(text: str, settings: tuple[str, ...]) -> tuple[str, ...]:
     try:
-        load_any(text, settings)
+        loads(text, changes=settings)
     except JointFileError as error:
         return error.faults
     return ()

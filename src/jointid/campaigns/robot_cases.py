@@ -8,18 +8,16 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tomli_w
 
-from jointid import JointFile
 from jointid.campaigns.cases import Case, Found, Outcome, Simulated, finite
 from jointid.common.errors import JointFileError, MethodError
 from jointid.config import loads
-from jointid.config.loading import apply_changes, parse_toml
+from jointid.config.loading import parse_toml
 from jointid.config.robot_file import RobotFile
 from jointid.estimation.result.answer import Trust
 from jointid.estimation.robots.idim import KNOWN, RobotEstimate, RobotIDIM
@@ -30,50 +28,35 @@ from jointid.simulation.robots import robot_records, simulate_robot
 from jointid.simulation.simulated import require_success
 
 
-def is_robot(text: str) -> bool:
-    """Test for a robot file; False for invalid TOML."""
-    try:
-        return "robot" in parse_toml(text)
-    except JointFileError:
-        return False
-
-
 def embed_model(text: str, folder: Path) -> str:
     """Return the text of a file for a case, with absolute path and digest of a robot's model."""
-    if not is_robot(text):
+    try:
+        tables = parse_toml(text)
+    except JointFileError:
+        return text  # whose fault loading it says
+    if "robot" not in tables:
         return text
-    tables = parse_toml(text)
     model = tables["robot"].get("model") if isinstance(tables["robot"], dict) else None
     if not isinstance(model, str) or not (folder / model).is_file():
-        return text  # whose fault loading it says
+        return text  # likewise
     path = (folder / model).absolute()
     tables["robot"]["model"] = str(path)
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     return f"# the model's SHA-256: {digest}\n{tomli_w.dumps(tables)}"
 
 
-def load_any(text: str, changes: Sequence[str] = ()) -> JointFile | RobotFile:
-    """Load a joint file or a robot file."""
-    return _robot_file(text, tuple(changes)) if is_robot(text) else loads(text, changes=changes)
-
-
-@lru_cache(maxsize=8)
-def _robot_file(text: str, changes: tuple[str, ...]) -> RobotFile:
-    return RobotFile.of(apply_changes(parse_toml(text), changes))
-
-
 def record_of(text: str, changes: Sequence[str] = ()) -> str | None:
     """Path of the record that a joint file or a robot file names."""
-    file = load_any(text, changes)
-    source = file.joints[0].source if isinstance(file, RobotFile) else file.source
+    source = loads(text, changes=changes).source
     return None if source.file is None else str(source.file)
 
 
-def identify_robot_case(case: Case, path: Path) -> dict[str, Any]:
+def identify_robot_case(case: Case, file: RobotFile, path: Path) -> dict[str, Any]:
     """Identify a robot; return the entries of a row with its parameters.
 
     Args:
         case: whose joint file is a robot file.
+        file: the robot file with the changes of the case.
         path: of its record.
     """
     if case.varied is not None and not isinstance(case.varied, Simulated):
@@ -81,11 +64,7 @@ def identify_robot_case(case: Case, path: Path) -> dict[str, Any]:
             f"A robot's runs are logged or simulated; received one that is {case.varied.kind}: use [fleet] or "
             "[monte_carlo]."
         )
-    file = _robot_file(case.joint_file, (*case.settings, *case.changes))
-    if case.varied is not None:
-        records = _simulate(file, file.driven(path, logged=False), case.varied)
-    else:
-        records = file.to_identify(path)
+    records = file.record(path) if case.varied is None else _simulate(file, file.driving(path), case.varied)
     estimate = file.identify(records)
     if isinstance(estimate, RobotEstimate):
         settled, made = estimate.converged, 1

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from jointid import Estimate, JointFile, Record, __version__, simulated_record
+from jointid import Estimate, JointFile, Record, RobotFile, __version__, simulated_record
 from jointid.campaigns.addresses import digest, fetch
 from jointid.campaigns.cases import Case, Found, Outcome, Redrawn, Row, Simulated, Started, finite
-from jointid.campaigns.robot_cases import identify_robot_case, is_robot
+from jointid.campaigns.robot_cases import identify_robot_case
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError, RecordError
-from jointid.config import loads
+from jointid.config import loads, require_joint
 from jointid.uncertainty.covariance import bandwidth
 from jointid.uncertainty.identifiability import Kind, Known
 from jointid.uncertainty.resampling import BANDWIDTHS
@@ -67,14 +67,14 @@ def versions() -> dict[str, str]:
 
 
 @lru_cache(maxsize=64)
-def _joint_file(text: str, changes: tuple[str, ...]) -> JointFile:
+def _file(text: str, changes: tuple[str, ...]) -> JointFile | RobotFile:
     return loads(text, changes=changes)
 
 
 @lru_cache(maxsize=8)
 def _explain(text: str, changes: tuple[str, ...], path: Path, record_sha256: str) -> tuple[FloatArray, FloatArray]:
     """Explained torque and residual of a record's identification, (samples,) each."""
-    file = _joint_file(text, changes)
+    file = require_joint(_file(text, changes), "A bootstrap")
     record = file.record(path)
     fit = file.identify(record, checks=False).fit
     if fit.compared != "torque" or record.torque is None or fit.predicted.size != len(record.torque):
@@ -87,11 +87,11 @@ def _explain(text: str, changes: tuple[str, ...], path: Path, record_sha256: str
 
 def _identify(case: Case, path: Path, record_sha256: str) -> dict[str, Any]:
     """Entries of a row from an estimate."""
-    if is_robot(case.joint_file):
-        return identify_robot_case(case, path)
     starts = case.varied.starts if isinstance(case.varied, Started) else ()
     changes = [f"parameters.{name}.start={value!r}" for name, value in starts]
-    file = _joint_file(case.joint_file, (*case.settings, *case.changes, *changes))
+    file = _file(case.joint_file, (*case.settings, *case.changes, *changes))
+    if not isinstance(file, JointFile):
+        return identify_robot_case(case, file, path)
     if file.runs:
         raise MethodError(
             f"The joint file of {case.joint} lists several [[records]], and a campaign identifies from one at a time; "

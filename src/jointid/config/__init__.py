@@ -1,4 +1,4 @@
-"""The joint file (TOML): what is identified, from which record, and how; checked completely before anything runs."""
+"""The joint file and the robot file (TOML): what is identified, from which record, and how."""
 
 from jointid.config.contents import JointFile
 from jointid.config.loading import (
@@ -6,8 +6,10 @@ from jointid.config.loading import (
     dumps,
     learned_text,
     load,
+    load_joint,
     load_to_learn,
     loads,
+    require_joint,
     save,
     save_with_controller,
     with_paths,
@@ -19,5 +21,6 @@ from jointid.config.schema_record import Run, Source, Together
 
 __all__ = [
     "JointFile", "Run", "Source", "Together", "controller_text", "dumps", "json_schema", "learned_text", "load",
-    "load_to_learn", "loads", "save", "save_with_controller", "with_paths", "with_record", "with_table",
+    "load_joint", "load_to_learn", "loads", "require_joint", "save", "save_with_controller", "with_paths",
+    "with_record", "with_table",
 ]  # fmt: skip

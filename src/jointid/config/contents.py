@@ -38,7 +38,8 @@ from jointid.records.checks import check_record
 from jointid.records.chunks import Log
 from jointid.records.columns import Column, known_units
 from jointid.records.drives import Drive
-from jointid.records.reading import read
+from jointid.records.formats import Table, read_table
+from jointid.records.reading import RecordReader
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.records.writing import columns_to_write, write_columns
@@ -228,7 +229,16 @@ class JointFile:
                 torque at the controller's limit.
         """
         path = self.record_path(path)
-        record = read(path, self._columns, **self._reading, **self._clock, **self.source.options)
+        return self.record_of(read_table(path, **self.source.options), Path(path).stem)
+
+    def record_of(self, table: Table, name: str) -> Record:
+        """Return the record that a table of columns holds; see `record`.
+
+        Args:
+            table: as the file of the record has it.
+            name: of the record.
+        """
+        record = self._reader(self._columns).build_record(table, name)
         controller, torque = self.controller, record.torque
         limit = controller.law(torque.sample_time).limit if controller is not None and torque is not None else None
         gear = self.joint.transmission
@@ -249,11 +259,19 @@ class JointFile:
         Raises:
             RecordError: there is no such file, or it has no reference.
         """
+        path = self.record_path(path)
+        return self.driving_of(read_table(path, **self.source.options), Path(path).stem)
+
+    def driving_of(self, table: Table, name: str) -> Record:
+        """Return what drives a simulation from a table of columns; see `driving`."""
         seen = ("torque", "motor_position", "load_position")
         columns = {name: replace(c, optional=True) if name in seen else c for name, c in self._columns.items()}
-        record = read(self.record_path(path), columns, **self._reading, **self._clock, **self.source.options)
+        record = self._reader(columns).build_record(table, name)
         record.require(("reference",), "a simulation")
         return record
+
+    def _reader(self, columns: Mapping[str, Column]) -> RecordReader:
+        return RecordReader(columns, **self._reading, **self._clock)
 
     def identify(
         self,
@@ -342,6 +360,11 @@ class JointFile:
         if self.source.file is None:
             raise RecordError(f"{self.path} names no record; add file to [record], or name one by --record.")
         return self.path.parent / self.source.file
+
+    def inputs(self, record: Path | None = None) -> tuple[Path, ...]:
+        """Return the files that are read: the records that the file names, unless another one takes their place."""
+        named = [run.file for run in self.runs] if self.runs else [self.source.file]
+        return tuple(self.path.parent / name for name in named if name) if record is None else (record,)
 
     @property
     def _columns(self) -> dict[str, Column]:

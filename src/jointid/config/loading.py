@@ -10,12 +10,12 @@ import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import tomli_w
 
 from jointid.common import messages
-from jointid.common.errors import JointFileError, RecordError
+from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.common.files import write_whole
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.settings import settings_of
@@ -30,6 +30,9 @@ from jointid.config.toml_text import deepest_key, split_sections
 from jointid.models.controllers import CONTROLLER_UNITS, LAWS, Controller, numbers_of, unit_of_number
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import Joint
+
+if TYPE_CHECKING:
+    from jointid.config.robot_file import RobotFile
 
 _PLACE = re.compile(r"(?P<reason>.*) \(at (line (?P<line>\d+), column (?P<column>\d+)|end of document)\)", re.DOTALL)
 
@@ -51,8 +54,8 @@ def load(
     method: str | None = None,
     filtering: str | None = None,
     friction: str | None = None,
-) -> JointFile:
-    """Load a joint file, checked completely.
+) -> JointFile | RobotFile:
+    """Load a joint file, or a robot file, which has the table [robot]; it is checked completely.
 
     Args:
         path: of the TOML file, in UTF-8.
@@ -60,14 +63,57 @@ def load(
         method: its name, whatever the file and the changes say; another one than the file's comes with its default
             settings.
         filtering: a preset, likewise.
-        friction: the name of a law, likewise.
+        friction: the name of a law, likewise, of a robot for every joint.
 
     Raises:
-        JointFileError: the file cannot be read, is no TOML, or has faults; `faults` has a sentence for each.
+        JointFileError: the file, or the model of a robot that it names, cannot be read, is no TOML, or has faults;
+            `faults` has a sentence for each.
+        ExtraError: MuJoCo, which reads the model of a robot, is not installed.
     """
     path = Path(path)
     choices = {"method": method, "filtering": filtering, "friction": friction}
-    return _joint_file(parse_toml(read_text(path)), path, changes, **choices)
+    return _file(parse_toml(read_text(path)), path, changes, **choices)
+
+
+def load_joint(
+    path: str | os.PathLike[str], changes: Iterable[str] = (), *, what: str = "This work", **choices: str | None
+) -> JointFile:
+    """Load a joint file for work that is not done with a robot.
+
+    Args:
+        path: as of `load`.
+        changes: as of `load`.
+        what: the work, the beginning of the sentence.
+        choices: `method`, `filtering` and `friction`, as of `load`.
+
+    Raises:
+        JointFileError: see `load`.
+        MethodError: it is a robot file.
+    """
+    path = Path(path)
+    tables = parse_toml(read_text(path))
+    if "robot" in tables:
+        raise _of_robot(path, what)
+    return require_joint(_file(tables, path, changes, **choices), what)
+
+
+def require_joint(file: JointFile | RobotFile, what: str) -> JointFile:
+    """Return a file that is a joint's.
+
+    Args:
+        file: as `load` returns it.
+        what: the work that is not done with a robot, the beginning of the sentence.
+
+    Raises:
+        MethodError: it is a robot file.
+    """
+    if isinstance(file, JointFile):
+        return file
+    raise _of_robot(file.path, what)
+
+
+def _of_robot(path: Path, what: str) -> MethodError:
+    return MethodError(f"{what} takes a joint file; {path} is a robot file, as it has the table [robot].")
 
 
 def read_text(path: Path) -> str:
@@ -94,14 +140,6 @@ def read_text(path: Path) -> str:
         raise JointFileError(f"{path} is not text in UTF-8 (byte {error.start}); save it as UTF-8.") from error
 
 
-def is_robot_file(path: str | os.PathLike[str]) -> bool:
-    """True if a TOML file has the table [robot]; a file that cannot be read is none."""
-    try:
-        return "robot" in parse_toml(read_text(Path(path)))
-    except JointFileError:
-        return False
-
-
 def load_to_learn(path: str | os.PathLike[str], changes: Iterable[str] = ()) -> JointFile:
     """Load a joint file whose controller is to be learned: it need not have one, nor its gains.
 
@@ -118,15 +156,15 @@ def load_to_learn(path: str | os.PathLike[str], changes: Iterable[str] = ()) -> 
     raw = parse_toml(read_text(path))
     tables = apply_changes(raw, changes)
     said = table_at(tables, "controller")
-    if not isinstance(tables.get("controller", {}), dict):
-        return _joint_file(raw, path, changes)
+    if "robot" in tables or not isinstance(tables.get("controller", {}), dict):
+        return require_joint(_file(raw, path, changes), "Learning a controller")
     law = said.get("law", "cascade")
     kind: Any = LAWS.get(law) if isinstance(law, str) else None  # mypy does not take a type for something with a hash
     required = [one for one in settings_of(kind) if one.required] if kind else []
     known = with_gains_meant(keys_of_controller(tables))
     stand_ins = [f"controller.{one.name}=1.0" for one in required if one.type is float and one.name not in known]
     law_said = ["controller.law=cascade"] if law == "cascade" else []
-    file = _joint_file(raw, path, [*law_said, *stand_ins, *changes])
+    file = JointFile.of(apply_changes(raw, [*law_said, *stand_ins, *changes]), path)
     return replace(file, said=known.intersection(file.said))
 
 
@@ -138,59 +176,74 @@ def loads(
     method: str | None = None,
     filtering: str | None = None,
     friction: str | None = None,
-) -> JointFile:
-    """Load a joint file from its text; see `load`.
+) -> JointFile | RobotFile:
+    """Load a joint file, or a robot file, from its text; see `load`.
 
     Args:
         text: TOML.
-        folder: from which the path of the record is taken.
+        folder: from which the paths of the record and of a robot's model are taken.
         changes: as of `load`.
         method: as of `load`.
         filtering: as of `load`.
         friction: as of `load`.
     """
     choices = {"method": method, "filtering": filtering, "friction": friction}
-    return _joint_file(parse_toml(text), Path(folder) / "joint.toml", changes, **choices)
+    return _file(parse_toml(text), Path(folder) / "joint.toml", changes, **choices)
 
 
-def _joint_file(
+def _file(
     tables: Mapping[str, Any],
     path: Path,
     changes: Iterable[str] = (),
     method: str | None = None,
     filtering: str | None = None,
     friction: str | None = None,
-) -> JointFile:
-    """Return the joint file of its tables with changes; see `load`."""
-    if "robot" in tables:
-        raise JointFileError(
-            "This is a robot file, as it has the table [robot]; simulate, identify, validate, diagnose, design, report "
-            "and export take one, all else takes a joint file."
-        )
+) -> JointFile | RobotFile:
+    """Return the file that tables with changes say; see `load`."""
     changes = list(changes)
     changed = apply_changes(tables, changes)
-    if method is not None:
-        # A change may bring the controller by which the file's own method is known, but not that method's name.
-        file, _ = FileTable.read(changed | {"method": tables.get("method", {})})
-        if method != choose_method(file, file.method.name, file.model or "rigid"):
-            tables = {**tables, "method": {"name": method}}
+    is_robot = "robot" in changed
+    # A change may bring the controller by which the file's own method is known, but not that method's name.
+    if method is not None and method != _method_name(changed | {"method": tables.get("method", {})}):
+        tables = {**tables, "method": {"name": method}}
     if filtering is not None:
         tables = {**tables, "filtering": {"preset": filtering}}
     changed = apply_changes(tables, changes)
-    choices = {("method", "name"): method, ("filtering", "preset"): filtering, ("joint", "friction"): friction}
-    for key, choice in choices.items():
+    joints = changed.get("joints")
+    count = len(joints) if isinstance(joints, list) else 0
+    laws: list[tuple[str, ...]] = (
+        [("joints", str(k + 1), "friction") for k in range(count)] if is_robot else [("joint", "friction")]
+    )
+    chosen = [(("method", "name"), method), (("filtering", "preset"), filtering), *((key, friction) for key in laws)]
+    for key, choice in chosen:
         if choice is not None:
             _put(changed, list(key), choice)
+    if is_robot:
+        from jointid.config.robot_file import RobotFile
+
+        return RobotFile.of(changed, path)
     return JointFile.of(changed, path)
 
 
-def dumps(file: JointFile) -> str:
-    """Return a joint file as TOML; `loads` gives it back.
+def _method_name(tables: Mapping[str, Any]) -> str | None:
+    """Return the method that a file names, or that it has where it names none."""
+    if "robot" in tables:
+        from jointid.config.robot_file import read_robot_tables
+
+        return read_robot_tables(tables).method_name
+    file, _ = FileTable.read(tables)
+    return choose_method(file, file.method.name, file.model or "rigid")
+
+
+def dumps(file: JointFile | RobotFile) -> str:
+    """Return a joint file or a robot file as TOML; `loads` gives it back.
 
     Raises:
         JointFileError: a joint file cannot say this, or would be refused; `faults` has a sentence for each reason.
     """
     tables = file.tables()
+    if not isinstance(file, JointFile):
+        return tomli_w.dumps(tables)
     read_back = JointFile.of(tables)
     if read_back.joint.torque_unit != file.joint.torque_unit:
         raise JointFileError(
@@ -200,8 +253,8 @@ def dumps(file: JointFile) -> str:
     return tomli_w.dumps(tables)
 
 
-def save(file: JointFile, path: str | os.PathLike[str]) -> None:
-    """Write a joint file as TOML in UTF-8; a file that is there is replaced.
+def save(file: JointFile | RobotFile, path: str | os.PathLike[str]) -> None:
+    """Write a joint file or a robot file as TOML in UTF-8; a file that is there is replaced.
 
     Raises:
         JointFileError: the file cannot be written, or see `dumps`.

@@ -1,8 +1,8 @@
 """The robot file (TOML): the robot's model, its joints with their drives, and the record of all of them.
 
-Every joint becomes a joint file of its own, of the tables that all share and of its own ones, so that channels, units,
-transmissions and controllers mean, and are checked, as there. In the name of a column ``{joint}`` stands for the
-joint's name, ``{axis}`` for its place in the file from 1, ``{index}`` for one less.
+Each of [[joints]] is the table of a joint, with the further tables of a joint file below it. Together with the tables
+that all joints share it is checked as a joint file. In the name of a column ``{joint}`` stands for the joint's name,
+``{axis}`` for its place in the file from 1, ``{index}`` for one less.
 """
 
 from __future__ import annotations
@@ -10,27 +10,36 @@ from __future__ import annotations
 import copy
 import math
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeAlias
 
 import numpy as np
-import tomli_w
 from pydantic import Field, ValidationError
 
 from jointid.common import messages
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointFileError, JointidError, MethodError, RecordError
-from jointid.common.files import write_whole
 from jointid.common.messages import Progress, Says, silent
 from jointid.common.settings import settings_of
+from jointid.common.units import Kind
 from jointid.config.contents import JointFile
-from jointid.config.loading import apply_changes, parse_toml, read_text
 from jointid.config.robot_model import in_order, load_robot
-from jointid.config.schema import CONSTANT, ControllerTable, FilteringTable, TransmissionTable
-from jointid.config.schema_record import ChannelsTable, DriveTable, RecordTable
-from jointid.config.table import Number, Positive, Table, Text, faults_of, keys_from, with_unit
+from jointid.config.schema import (
+    ControllerTable,
+    FileTable,
+    FilteringTable,
+    GravityTable,
+    JointTable,
+    LimitsTable,
+    MethodTable,
+    ParameterTable,
+    RippleTable,
+    TransmissionTable,
+)
+from jointid.config.schema_record import ChannelsTable, ChannelTable, DriveTable, RecordTable, Source
+from jointid.config.table import Number, Positive, Table, Text, accept_by, fault_at, faults_of, keys_from, refusal
 from jointid.estimation.robots.identify import fit_robot
 from jointid.estimation.robots.idim import RobotEstimate, RobotIDIM
 from jointid.estimation.robots.torque_estimate import (
@@ -39,7 +48,10 @@ from jointid.estimation.robots.torque_estimate import (
     RobotTorqueEstimate,
 )
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
+from jointid.models.springs import SPRINGS, spring_named
 from jointid.planning.robots.motions import JointLimits
+from jointid.records.formats import Table as RecordedTable
+from jointid.records.formats import read_table
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.records.writing import write_columns
@@ -48,17 +60,6 @@ from jointid.simulation.robots import RobotLoop, add_feed_forward
 
 _UPRIGHT = 1e-3  # rad, that a base is off the upright and yet upright
 _TURNS = 2 * math.pi  # rad
-
-_OF_JOINT = (
-    "rotor_inertia",
-    "viscous",
-    "coulomb",
-    "offset",
-    "viscous_backwards",
-    "coulomb_backwards",
-    "stribeck_force",
-    "stribeck_speed",
-)
 
 FeedForward: TypeAlias = Literal["none", "gravity", "inverse-model", "logged"]
 Angles = Annotated[list[Number], Field(min_length=3, max_length=3), Says("a list of three numbers")]
@@ -83,28 +84,61 @@ class RobotTable(Table):
             yield "base", f" is {self.base}, beyond a turn; expected roll, pitch and yaw in rad: convert the degrees."
 
 
-@keys_from(JointSpring)
+@keys_from(JointSpring, without=("stiffness",))
 class JointSpringTable(Table):
-    """joints.spring: between motor and link, and the friction beyond it."""
+    """joints.spring: between motor and link, and the friction beyond it; a bare word is the spring's law."""
+
+    shorthand = "law"
+
+    law: Annotated[Text, accept_by(spring_named)] = Field(
+        "linear", description="the spring's law", json_schema_extra={"enum": list(SPRINGS)}
+    )
+    stiffness: Positive | None = Field(
+        None, description="of the spring, where a search begins, unless joints.parameters says it [N m/rad or N/m]"
+    )
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield that numbers stand there without a stiffness."""
+        if self.stiffness is None and self.model_fields_set - {"law"}:
+            yield "stiffness", self.lacks("stiffness")
 
 
-@keys_from(JointLimits)
-class JointLimitsTable(Table):
+@keys_from(JointLimits, without=("speed", "acceleration", "torque"))
+class JointLimitsTable(LimitsTable):
     """joints.limits: what the joint may do in a test that is planned, behind its gear."""
 
+    def limits(self) -> JointLimits:
+        """Return what the plan of a robot's motion keeps."""
+        given = self.settings()
+        return JointLimits(**{one.name: given.get(one.name) for one in settings_of(JointLimits)})
 
-@keys_from(RobotJoint, types={"spring": (JointSpringTable, None), "coupling": (NumbersByName, dict)})
-class RobotJointTable(Table):
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Yield that there is no room between the limits."""
+        if refused := refusal(self.limits):
+            yield "", refused
+
+
+@keys_from(RobotJoint, without=("spring",), types={"coupling": (NumbersByName, dict)})
+class RobotJointTable(JointTable):
     """[[joints]]: one joint, in the order in which they are reported; what is left out is as the model says it."""
 
     decided_by: ClassVar = {"controller": "law"}
 
     name: Text = Field(description="of the joint in the model")
-    torque_constant: with_unit(Positive, CONSTANT) | None = Field(  # type: ignore[valid-type]
-        None, description=f"of the motor, as joint.torque_constant of a joint file; per A [{CONSTANT}]"
+    kind: Kind | None = Field(None, description="how the joint moves, as the model says it")  # type: ignore[assignment]
+    model: Literal["rigid", "flexible"] | None = Field(  # type: ignore[assignment]
+        None, description="as joint.model of a joint file; without it flexible where there is a spring"
+    )
+    spring: JointSpringTable | None = Field(  # type: ignore[assignment]
+        None, description="between motor and link; without it the joint is rigid"
     )
     transmission: TransmissionTable | None = Field(None, description="its gear, as [transmission] of a joint file")
+    gravity: GravityTable | None = Field(None, description="as [gravity] of a joint file")
+    ripple: RippleTable | None = Field(None, description="as [ripple] of a joint file")
     controller: ControllerTable | None = Field(None, description="its law, as [controller] of a joint file")
+    parameters: dict[str, ParameterTable] = Field(
+        default_factory=dict, description="what is known of its parameters, as [parameters] of a joint file"
+    )
     channels: ChannelsTable | None = Field(None, description="its channels, where they are not as [record.channels]")
     limits: JointLimitsTable | None = Field(None, description="what it may do in a test that is planned")
 
@@ -112,12 +146,18 @@ class RobotJointTable(Table):
         """Yield nothing: what a joint may not be is seen beside what the model says of it."""
         yield from ()
 
-    def joint(self, joint: RobotJoint) -> RobotJoint:
-        """Return a joint of the model with what the table says of it."""
-        given = self.settings("name", "torque_constant", "transmission", "controller", "channels", "limits")
+    @property
+    def flexible(self) -> bool:
+        """Whether the joint has a spring."""
+        return self.spring is not None if self.model is None else self.model == "flexible"
+
+    def table(self, kind: Kind) -> JointTable:
+        """Return [joint] of a joint file that says the same."""
+        said: dict[str, Any] = {"kind": kind, "model": "flexible" if self.flexible else "rigid"}
         if self.spring is not None:
-            given["spring"] = self.spring.build()
-        return replace(joint, **given)
+            said["spring"] = self.spring.law
+        own = self.given(*said, "spring")
+        return JointTable.model_construct(**said, **{n: getattr(self, n) for n in own if n in JointTable.model_fields})
 
 
 RobotMethod: TypeAlias = RobotIDIM | RobotDIDIM | RobotDriveSideFit
@@ -135,17 +175,21 @@ class RobotMethodTable(Table):
         "motor_position, and drive_side where a joint has a spring, too",
     )
 
-    def method(self, measured: bool, flexible: bool) -> RobotMethod:
-        """Return the method that is named, or, of records with motor positions or without, the one they are for.
+    def chosen(self, measured: bool, flexible: bool) -> str:
+        """Return the method that is named, or, of records with motor positions or without, the one they are for."""
+        return self.name or ("didim" if not measured else "drive_side" if flexible else "idim")
+
+    def method(self, name: str) -> RobotMethod:
+        """Return the method of that name with these settings.
 
         Raises:
             JointFileError: a key is of another method.
         """
-        name = self.name or ("didim" if not measured else "drive_side" if flexible else "idim")
         given, own = self.settings("name"), {one.name for one in settings_of(_METHODS[name])}
         for key in given:
             if key not in own:
-                raise JointFileError(f"method.{key} is a setting of another method than {name}; leave it out.")
+                rest = f" is a setting of another method than {name}; leave it out."
+                raise JointFileError(fault_at(("method", key), rest, "unknown"))
         method: RobotMethod = _METHODS[name](**given)
         return method
 
@@ -162,30 +206,77 @@ class RobotFileTable(Table):
         description="the joints"
     )
 
+    @property
+    def method_name(self) -> str:
+        """Name of the method that is named, or that the channels are for."""
+        # A joint without a controller leaves one method only.
+        measured = self.record.channels.motor_position is not None or any(
+            one.controller is None or (one.channels is not None and one.channels.motor_position is not None)
+            for one in self.joints
+        )
+        return self.method.chosen(measured, any(one.flexible for one in self.joints))
+
+    def table(self, number: int, kind: Kind) -> FileTable:
+        """Return the joint file of one joint: the tables that all share, channels by its name and place, its own.
+
+        Args:
+            number: of the joint, from 0.
+            kind: of the joint.
+        """
+        own = self.joints[number]
+        channels = self.record.channels.given() | ({} if own.channels is None else own.channels.given())
+        named = {channel: _named(table, own.name, number) for channel, table in channels.items()}
+        record = self.record.model_copy(update={"channels": ChannelsTable().model_copy(update=named)})
+        axis = {} if self.drive.profile is None or "axis" in self.drive.model_fields_set else {"axis": number + 1}
+        # What a joint of a robot is identified by is not its own method, but says which channels must be there.
+        method = "didim" if self.method_name == "didim" else "drive_side" if own.flexible else "idim"
+        return FileTable.model_construct(
+            joint=own.table(kind),
+            record=record,
+            drive=self.drive.model_copy(update=axis),
+            method=MethodTable.model_construct(name=method),
+            **{name: getattr(own, name) for name in _OF_JOINT_FILE if name in own.model_fields_set},
+        )
+
+
+_OF_JOINT_FILE = ("transmission", "gravity", "ripple", "controller", "parameters")
+"""Tables of a joint file that are below [[joints]] in a robot file."""
+
+
+def _named(table: ChannelTable, name: str, number: int) -> ChannelTable:
+    """Return a channel with the joint's own name and place where its texts have a stand-in."""
+    own = {"{joint}": name, "{axis}": str(number + 1), "{index}": str(number)}
+    texts = {key: value for key, value in table.given().items() if isinstance(value, str)}
+    for stand_in, meant in own.items():
+        texts = {key: text.replace(stand_in, meant) for key, text in texts.items()}
+    return table.model_copy(update=texts)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotFile:
     """A robot file: the robot, and what is recorded of each of its joints.
 
     Attributes:
-        robot: the model, with what the file says of its joints; gravity as the base stands.
+        model: the robot, with what the file says of its joints; gravity as the base stands.
         joints: the joint file of each joint: channels, transmission, controller.
         filtering: how signals are filtered.
         method: how the robot is identified: by IDIM, by DIDIM from torques and references, or on the drive side.
         feed_forward: what the drives are given beside the controllers' torque.
-        limits: what each joint may do in a test that is planned.
+        stated_limits: what each joint may do in a test that is planned, as its table says.
         in_motion: whether the records begin while the robot moves.
+        unmodelled: sentences on what the joints have and the model of a robot has not, which every verb refuses.
         path: of the robot file.
         raw: its tables.
     """
 
-    robot: Robot
+    model: Robot
     joints: tuple[JointFile, ...]
     filtering: Filtering
     method: RobotMethod
     feed_forward: FeedForward
-    limits: tuple[JointLimits, ...]
+    stated_limits: tuple[JointLimitsTable, ...]
     in_motion: bool
+    unmodelled: tuple[str, ...]
     path: Path
     raw: Mapping[str, Any] = field(repr=False)
 
@@ -200,29 +291,57 @@ class RobotFile:
         Raises:
             JointFileError: with one sentence for each fault, of the file or of the model that it names.
         """
-        raw, faults = RobotFileTable.corrected(tables)
+        said = read_robot_tables(tables)
+        bare, method = _robot(said, path.parent), said.method.method(said.method_name)
+        files = _joint_files(said, bare, path)
+        each = list(zip(said.joints, bare.joints, files, strict=True))
+        unmodelled = [f"joints.{number + 1}{rest}" for number, one in enumerate(each) for rest in _unmodelled(*one)]
         try:
-            said = RobotFileTable.model_validate(raw)
-        except ValidationError as error:
-            raise JointFileError([*faults, *faults_of(error)]) from None
-        if faults:
-            raise JointFileError(faults)
-        robot = _robot(said, path.parent)
-        method = said.method.method(_has_positions(raw), any(robot.flexible))
+            robot = bare if unmodelled else replace(bare, joints=tuple(_joint(*one) for one in each))
+        except JointidError as error:
+            raise JointFileError(f"joints: {error}") from error
         return cls(
             robot,
-            _joint_files(raw, robot, path, "didim" if isinstance(method, RobotDIDIM) else "idim"),
+            files,
             said.filtering.build(),
             method,
             said.robot.feed_forward,
-            tuple(JointLimits() if one.limits is None else one.limits.build() for one in said.joints),
+            tuple(one.limits or JointLimitsTable() for one in said.joints),
             said.robot.in_motion,
+            tuple(unmodelled),
             path,
-            raw,
+            tables,
         )
 
+    @property
+    def robot(self) -> Robot:
+        """The robot.
+
+        Raises:
+            MethodError: a joint has a law, or a number, that the model of a robot has not.
+        """
+        if self.unmodelled:
+            raise MethodError("\n".join(self.unmodelled))
+        return self.model
+
+    @property
+    def limits(self) -> tuple[JointLimits, ...]:
+        """Limits of each joint in a test that is planned.
+
+        Raises:
+            MethodError: a limit is given that the plan of a robot's motion does not keep.
+        """
+        kept = {one.name for one in settings_of(JointLimits)}
+        for number, table in enumerate(self.stated_limits):
+            for name in table.model_fields_set - kept:
+                raise MethodError(
+                    f"joints.{number + 1}.limits.{name} is not kept by the plan of a robot's motion; expected "
+                    f"{', '.join(sorted(kept))}: leave it out."
+                )
+        return tuple(table.limits() for table in self.stated_limits)
+
     def records(self, path: str | os.PathLike[str] | None = None) -> tuple[Record, ...]:
-        """Read the record of every joint.
+        """Read the record of every joint, from one reading of the file.
 
         Args:
             path: of the record, instead of the one that the file names.
@@ -230,20 +349,36 @@ class RobotFile:
         Raises:
             RecordError: the file does not hold what the robot file says; each sentence names its joint.
         """
-        return self._of_each(lambda file: file.record(path))
+        return self._of_each(path, JointFile.record_of)
 
-    def _of_each(self, read: Callable[[JointFile], Record]) -> tuple[Record, ...]:
+    def _of_each(
+        self, path: str | os.PathLike[str] | None, cut: Callable[[JointFile, RecordedTable, str], Record]
+    ) -> tuple[Record, ...]:
+        path = self.joints[0].record_path(path)
+        table = read_table(path, **self.joints[0].source.options)
         found, faults = list[Record](), dict[str, list[str]]()
         for file in self.joints:
             try:
-                found.append(read(file))
+                found.append(cut(file, table, Path(path).stem))
             except RecordError as error:
                 for fault in error.faults:
                     faults.setdefault(fault, []).append(str(file.name))
         if faults:
-            whole = len(self.joints)
-            raise RecordError([f if len(names) == whole else f"{', '.join(names)}: {f}" for f, names in faults.items()])
+            raise RecordError(_by_joints(faults, len(self.joints)))
         return tuple(found)
+
+    @property
+    def source(self) -> Source:
+        """The file of the record, and how it is read."""
+        return self.joints[0].source
+
+    def inputs(self, record: Path | None = None) -> tuple[Path, ...]:
+        """Return the files that are read: the model, and the record that the file names or that takes its place."""
+        return (self.path.parent / self.raw["robot"]["model"], *self.joints[0].inputs(record))
+
+    def record_path(self, path: str | os.PathLike[str] | None = None) -> str | os.PathLike[str]:
+        """Return the path of the record; see `JointFile.record_path`."""
+        return self.joints[0].record_path(path)
 
     @property
     def loop(self) -> RobotLoop:
@@ -261,18 +396,17 @@ class RobotFile:
         controllers = tuple(file.controller for file in self.joints if file.controller is not None)
         return RobotLoop(self.robot, controllers, self.in_motion)
 
-    def driven(self, path: str | os.PathLike[str] | None = None, *, logged: bool = True) -> tuple[Record, ...]:
-        """Read the records as `records` does, with the feed-forward that the file asks to compute.
+    def driving(self, path: str | os.PathLike[str] | None = None) -> tuple[Record, ...]:
+        """Read what drives a simulation: references, and the feed-forward that the file asks to compute.
 
         Args:
             path: of the record, instead of the one that the file names.
-            logged: whether torques must be there, as to identify from; a simulation needs references alone.
 
         Raises:
             RecordError: see `records`.
             MethodError: the feed-forward needs references of one rate.
         """
-        return self._fed_forward(self.records(path) if logged else self._of_each(lambda file: file.driving(path)))
+        return self._fed_forward(self._of_each(path, JointFile.driving_of))
 
     def _fed_forward(self, found: tuple[Record, ...]) -> tuple[Record, ...]:
         injected = [
@@ -292,8 +426,8 @@ class RobotFile:
             return add_feed_forward(self.loop, found, self.feed_forward)
         return found
 
-    def to_identify(self, path: str | os.PathLike[str] | None = None, *, judged: bool = False) -> tuple[Record, ...]:
-        """Read the records that `identify` takes: as `driven` does for a method that simulates, else as `records` does.
+    def record(self, path: str | os.PathLike[str] | None = None, *, judged: bool = False) -> tuple[Record, ...]:
+        """Read the records that `identify` takes, with a computed feed-forward for a method that simulates.
 
         Args:
             path: of the record, instead of the one that the file names.
@@ -301,31 +435,39 @@ class RobotFile:
                 and the feed-forward's, so a computed one is added where every joint has a controller and a reference.
 
         Raises:
-            RecordError, MethodError: see `driven`.
+            RecordError, MethodError: see `records`, `driving`.
         """
-        if self._simulates:
-            return self.driven(path)
         found = self.records(path)
         controlled = all(file.controller is not None for file in self.joints)
         whole = controlled and all(record.reference is not None for record in found)
-        return self._fed_forward(found) if judged and whole else found
+        return self._fed_forward(found) if self._simulates or (judged and whole) else found
 
-    def identify(
-        self, records: Sequence[Record], *, progress: Progress = silent
-    ) -> RobotEstimate | RobotTorqueEstimate:
+    def identify(self, records: Sequence[Record], progress: Progress = silent) -> RobotEstimate | RobotTorqueEstimate:
         """Identify the robot by the method and the filtering of the file.
 
         Args:
-            records: of each joint, as `to_identify` reads them.
+            records: of each joint, as `record` reads them.
             progress: is told how a search goes.
 
         Raises:
             RecordError, MethodError: see `jointid.identify`.
         """
+        self._require_free()
         closing: Robot | RobotLoop | RobotDriveSide = self.loop if self._simulates else self.robot
         if isinstance(self.method, RobotDriveSideFit):
             closing = RobotDriveSide(self.robot)
         return fit_robot(records, closing, self.method, filtering=self.filtering, progress=progress)
+
+    def _require_free(self) -> None:
+        """Raise a `MethodError` if a parameter of a joint has a value or bounds to keep."""
+        for number, file in enumerate(self.joints):
+            known = {parameter.name: parameter for parameter in file.joint.parameters}
+            for name, stated in file.parameters.items():
+                if stated != replace(known[name], start=stated.start):
+                    raise MethodError(
+                        f"joints.{number + 1}.parameters.{name} has a value or bounds to keep, which the methods of a "
+                        "robot do not; expected a start alone: give it, or, of idim, method.fixed."
+                    )
 
     @property
     def _simulates(self) -> bool:
@@ -350,36 +492,26 @@ class RobotFile:
     def tables(self) -> dict[str, Any]:
         """Return the tables that say the same, with the numbers of this robot's joints."""
         tables = copy.deepcopy(dict(self.raw))
-        for table, joint in zip(tables["joints"], self.robot.joints, strict=True):
-            for name in _OF_JOINT:
-                table[name] = getattr(joint, name)
-                if table[name] is None:
-                    del table[name]
+        for table, joint in zip(tables["joints"], self.model.joints, strict=True):
+            stated = {name: getattr(joint, name) for name in _NUMBERS}
+            table.update({name: number for name, number in stated.items() if number is not None})
         return tables
 
 
-def load_robot_file(path: str | os.PathLike[str], changes: Iterable[str] = ()) -> RobotFile:
-    """Load a robot file, checked completely.
-
-    Args:
-        path: of the TOML file, in UTF-8.
-        changes: keys to set before it is checked, each as ``filtering.cutoff=5``.
+def read_robot_tables(tables: Mapping[str, Any]) -> RobotFileTable:
+    """Return the tables of a robot file, each right in itself.
 
     Raises:
-        JointFileError: the file or the model that it names cannot be read, or has faults.
-        ExtraError: MuJoCo, which reads the model, is not installed.
+        JointFileError: with one sentence for each fault.
     """
-    path = Path(path)
-    return RobotFile.of(apply_changes(parse_toml(read_text(path)), changes), path)
-
-
-def save_robot_file(file: RobotFile, path: str | os.PathLike[str]) -> None:
-    """Write a robot file; a file that is there is replaced.
-
-    Raises:
-        RecordError: it cannot be written.
-    """
-    write_whole(path, tomli_w.dumps(file.tables()))
+    raw, faults = RobotFileTable.corrected(tables)
+    try:
+        said = RobotFileTable.model_validate(raw)
+    except ValidationError as error:
+        raise JointFileError([*faults, *faults_of(error)]) from None
+    if faults:
+        raise JointFileError(faults)
+    return said
 
 
 def _robot(said: RobotFileTable, folder: Path) -> Robot:
@@ -411,14 +543,10 @@ def _robot(said: RobotFileTable, folder: Path) -> Robot:
             "an export of a robot on a turned base; expected one of both: leave base out, or set the model's gravity "
             "to 0 0 -9.81."
         )
-    try:
-        joints = tuple(table.joint(joint) for table, joint in zip(said.joints, ordered.joints, strict=True))
-        turned = _base(said.robot.base).T @ ordered.gravity
-        # A base that is written as 3.1416 hangs upside down: a trace of gravity sideways would be told by no record.
-        turned = np.where(np.abs(turned) < _UPRIGHT * np.linalg.norm(turned), 0.0, turned)
-        return replace(ordered, joints=joints, gravity=turned, name=said.robot.name or ordered.name)
-    except JointidError as error:
-        raise JointFileError(f"joints: {error}") from error
+    turned = _base(said.robot.base).T @ ordered.gravity
+    # A base that is written as 3.1416 hangs upside down: a trace of gravity sideways would be told by no record.
+    turned = np.where(np.abs(turned) < _UPRIGHT * np.linalg.norm(turned), 0.0, turned)
+    return replace(ordered, gravity=turned, name=said.robot.name or ordered.name)
 
 
 def _three(values: FloatArray) -> str:
@@ -433,14 +561,17 @@ def _base(angles: list[float]) -> FloatArray:
     return np.asarray(np.array([[c, -z, 0], [z, c, 0], [0, 0, 1]]) @ pitch @ roll)
 
 
-def _joint_files(raw: Mapping[str, Any], robot: Robot, path: Path, method: str) -> tuple[JointFile, ...]:
+def _joint_files(said: RobotFileTable, robot: Robot, path: Path) -> tuple[JointFile, ...]:
     files, faults = list[JointFile](), dict[str, list[str]]()
-    for place, (table, link) in enumerate(zip(raw["joints"], robot.links, strict=True)):
+    for number, (own, link) in enumerate(zip(said.joints, robot.links, strict=True)):
+        if own.kind not in (None, link.kind):
+            rest = f' is "{own.kind}", but the model says "{link.kind}": leave it out, or correct the model.'
+            raise JointFileError(fault_at(("joints", number, "kind"), rest))
         try:
-            files.append(JointFile.of(_tables_of_joint(raw, table, link.kind, place, method), path))
+            files.append(JointFile.of_table(said.table(number, link.kind), path))
         except JointFileError as error:
             for fault in error.faults:
-                faults.setdefault(fault, []).append(table["name"])
+                faults.setdefault(fault, []).append(own.name)
     for file in files:
         if file.joint.transmission is not None and file.joint.transmission.side == "motor":
             side = 'transmission.side is "motor"; all numbers of a robot are behind its gears: leave side out.'
@@ -448,9 +579,69 @@ def _joint_files(raw: Mapping[str, Any], robot: Robot, path: Path, method: str) 
     for name, joints in _shared_columns(files).items():
         faults.setdefault(f"all read {name}; give each joint a column of its own, as with {{axis}}.", []).extend(joints)
     if faults:
-        shared = {fault: len(names) == len(robot) for fault, names in faults.items()}
-        raise JointFileError([one if shared[one] else f"{', '.join(names)}: {one}" for one, names in faults.items()])
+        raise JointFileError(_by_joints(faults, len(robot)))
     return tuple(files)
+
+
+def _by_joints(faults: Mapping[str, Sequence[str]], count: int) -> list[str]:
+    """Return sentences, each after the names of its joints where it is not of all."""
+    return [f if len(names) == count else f"{', '.join(names)}: {f}" for f, names in faults.items()]
+
+
+_NUMBERS = [one.name for one in settings_of(RobotJoint) if one.name not in ("spring", "coupling")]
+_AS_MOTOR = {"inertia": "rotor_inertia", "viscous_forwards": "viscous", "coulomb_forwards": "coulomb"}
+"""Parameters of a joint that have another name as a number of a robot's motor."""
+
+_OF_SPRING = {name: name.removeprefix("load_") for name in ("stiffness", "damping", "load_viscous", "load_coulomb")}
+"""Parameters of a joint that are numbers of a robot's spring."""
+
+_FRICTIONS = ("symmetric", "asymmetric", "stribeck", "asymmetric-stribeck")
+"""Laws of friction that a robot is simulated with."""
+
+
+def _starts(file: JointFile) -> tuple[dict[str, float], dict[str, float], list[str]]:
+    """Return starts of a joint file's parameters: of the motor, of the spring, and names of what a robot has not."""
+    motor, spring, others = dict[str, float](), dict[str, float](), list[str]()
+    for name, parameter in file.parameters.items():
+        own = name.removeprefix("motor_")
+        own = _AS_MOTOR.get(own, own)
+        if own not in _NUMBERS and own not in _OF_SPRING:
+            others.append(name)
+        elif parameter.start is not None:
+            (spring if own in _OF_SPRING else motor)[_OF_SPRING.get(own, own)] = float(parameter.start)
+    return motor, spring, others
+
+
+def _joint(own: RobotJointTable, joint: RobotJoint, file: JointFile) -> RobotJoint:
+    """Return a joint of the model with the numbers and the laws that a robot file says of it."""
+    motor, spring, _ = _starts(file)
+    given = {name: value for name, value in own.settings().items() if name in (*_NUMBERS, "coupling")}
+    found = replace(joint, **given | motor)
+    if file.joint.friction.name.startswith("asymmetric") and not found.asymmetric:
+        found = replace(found, viscous_backwards=found.viscous)
+    stated = {} if own.spring is None else own.spring.settings("law")
+    return replace(found, spring=JointSpring(**stated | spring)) if own.flexible else found
+
+
+def _unmodelled(own: RobotJointTable, joint: RobotJoint, file: JointFile) -> Iterator[str]:
+    """Yield the rest of a sentence on each law and number that the model of a robot has not."""
+    motor, beyond, others = _starts(file)
+    friction, spring = file.joint.friction.name, getattr(file.joint, "spring", None)
+    for name in others:
+        yield f".parameters.{name} is no number of a robot's joint; leave it out, or change the model of the robot."
+    if friction not in _FRICTIONS:
+        known = messages.either(_FRICTIONS)
+        yield f'.friction is "{friction}", which no robot is simulated with; expected {known}: choose one of them.'
+    elif friction.endswith("stribeck") and own.stribeck_speed is None and "stribeck_speed" not in motor:
+        yield ".stribeck_speed is missing; expected the speed below which friction rises: add it."
+    if spring is not None and not spring.linear:
+        yield f'.spring is "{spring.name}", which no robot is simulated with; expected "linear": choose that.'
+    elif spring is not None and "stiffness" not in beyond and (own.spring is None or own.spring.stiffness is None):
+        yield ".spring.stiffness is missing; expected a positive number (where a search begins): add it."
+    if file.joint.gravity is not None:
+        yield ".gravity is that of the masses of the robot's model; leave it out."
+    if file.joint.ripple is not None:
+        yield ".ripple is not simulated with a robot; leave it out."
 
 
 def _shared_columns(files: Sequence[JointFile]) -> dict[str, list[str]]:
@@ -461,37 +652,3 @@ def _shared_columns(files: Sequence[JointFile]) -> dict[str, list[str]]:
             if column.column and file.drive.traces is None:
                 found.setdefault(f'{channel} from "{column.column}"', []).append(str(file.name))
     return {name: joints for name, joints in found.items() if len(joints) > 1}
-
-
-def _has_positions(raw: Mapping[str, Any]) -> bool:
-    """True if a motor's position is a channel, or a joint has no controller, without which there is one method only."""
-    shared = "motor_position" in raw.get("record", {}).get("channels", {})
-    return shared or any("motor_position" in t.get("channels", {}) or "controller" not in t for t in raw["joints"])
-
-
-def _tables_of_joint(
-    raw: Mapping[str, Any], table: Mapping[str, Any], kind: str, place: int, method: str
-) -> dict[str, Any]:
-    """Return the joint file of one joint: its channels by its name and place, and its own tables."""
-    record, drive = dict(raw.get("record", {})), dict(raw.get("drive", {}))
-    channels = {**record.get("channels", {}), **table.get("channels", {})}
-    record["channels"] = _named(channels, table["name"], place)
-    if "profile" in drive:
-        drive.setdefault("axis", place + 1)
-    own = {name: table[name] for name in ("transmission", "controller") if name in table}
-    joint = {"kind": kind, "name": table["name"]}
-    if "torque_constant" in table:
-        joint["torque_constant"] = table["torque_constant"]
-    # What a joint of a robot is identified by is not its own method, but says which channels must be there.
-    return {"joint": joint, "record": record, "drive": drive, "method": {"name": method}} | own
-
-
-def _named(value: Any, name: str, place: int) -> Any:
-    """Return names of columns with the joint's own in place of what stands for it."""
-    if isinstance(value, dict):
-        return {key: _named(one, name, place) for key, one in value.items()}
-    if not isinstance(value, str):
-        return value
-    for pattern, meant in (("{joint}", name), ("{axis}", str(place + 1)), ("{index}", str(place))):
-        value = value.replace(pattern, meant)
-    return value

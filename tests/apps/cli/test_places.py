@@ -120,7 +120,7 @@ def test_the_sentence_names_both(place: Path) -> None:
     with pytest.raises(RecordError, match=r"^--json link.png is the file that --record names, which would be replaced"):
         Outputs({"--json": Path("link.png")}).spare("--record", Path("record.csv"))
     with pytest.raises(RecordError, match=r"^--json record.csv is the file that joint.toml names"):
-        Outputs({"--json": Path("record.csv")}).spare_records(Path("joint.toml"), load("joint.toml"))
+        Outputs({"--json": Path("record.csv")}).spare("joint.toml", *load("joint.toml").inputs())
     (place / "bag").mkdir()
     (place / "bag" / "bag.mcap").write_bytes(b"")
     with pytest.raises(RecordError, match="is the file that SOURCE names"):

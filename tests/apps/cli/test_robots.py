@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jointid.apps.cli.app import app
-from jointid.common.errors import MethodError
+from jointid.common.errors import JointidError, MethodError
 from jointid.config.robot_model import load_robot
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Robot
@@ -19,6 +19,7 @@ from tests.estimation.robots.twin import arm, records_of, with_payload
 
 pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
 
+EMPS = Path(__file__).resolve().parents[3] / "examples" / "emps" / "joint.toml"
 HEAD = """
 [robot]
 model = "arm.xml"
@@ -83,7 +84,7 @@ def test_diagnose(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert answer["schema"] == "jointid.robot_diagnosis/1" and answer["explained"] and answer["as_declared"] is None
     assert answer["joints"][1]["parameters"]["Fv2"]["known"] == "told"
     with pytest.raises(MethodError, match=r"joint\.toml is no robot file.*jointid diagnose --help lists them"):
-        run("diagnose", tmp_path / "joint.toml")
+        run("diagnose", EMPS)
 
 
 def test_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -125,13 +126,32 @@ def test_export(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 
 
 def test_options_of_a_joint_file_are_refused(folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(MethodError, match="--method is for a joint file"):
-        run("identify", folder / "robot.toml", "--method", "didim")
-    with pytest.raises(MethodError, match="--fixed is for a joint file"):
-        run("export", folder / "robot.toml", "--out", tmp_path / "a.xml", "--fixed")
-    (tmp_path / "joint.toml").write_text('[joint]\nkind = "revolute"\n', encoding="utf-8")
+    joint, page = folder / "robot.toml", tmp_path / "a.html"
+    for words, said in (
+        (("identify", joint, "--window", "2"), "A log in windows takes a joint file; .*is a robot file"),
+        (
+            ("identify", joint, "--record", "a.csv", "--record", "b.csv"),
+            "several records in one fit takes a joint file",
+        ),
+        (("identify", joint, "--figure", tmp_path / "a.png"), "as report --figures draws all joints of a robot"),
+        (("simulate", joint, "--estimate", tmp_path / "none.json"), "none.json cannot be"),
+        (
+            ("validate", joint, "--record", folder / "two.csv", "--figure", tmp_path / "a.png"),
+            "--figure is for a joint",
+        ),
+        (
+            ("export", joint, "--out", tmp_path / "a.xml", "--fixed"),
+            "bodies behind their gears.*--fixed is for a joint",
+        ),
+        (("report", joint, "--plan", "all", "--html", page), "jointid design plans the motion of a robot"),
+        (("examine", joint), "The look over a record takes a joint file"),
+        (("tune", joint), "Tuning takes a joint file"),
+        (("diagnose", "methods", joint), "This command takes a joint file"),
+    ):
+        with pytest.raises(JointidError, match=said):
+            run(*words)
     with pytest.raises(MethodError, match="expected --estimate FILE"):
-        run("export", tmp_path / "joint.toml", "--out", tmp_path / "a.xml")
+        run("export", EMPS, "--out", tmp_path / "a.xml")
 
 
 def test_payload(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

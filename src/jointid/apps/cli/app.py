@@ -27,9 +27,9 @@ from jointid.apps.cli.console import clear_bars, tell
 from jointid.apps.cli.data import convert, inspect
 from jointid.apps.cli.diagnose import advise, friction, intervals, loop, methods, robot, springs
 from jointid.apps.cli.identify import examine, identify, learn_controller, tune
+from jointid.apps.cli.payload import payload
 from jointid.apps.cli.plan import design
 from jointid.apps.cli.results import compare, export, report, validate
-from jointid.apps.cli.robots import payload
 from jointid.apps.cli.serve import serve
 from jointid.apps.cli.simulate import demo, reproduce, simulate
 from jointid.common.errors import JointidError, RecordError

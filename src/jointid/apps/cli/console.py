@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypeVar
 
 from cyclopts import Parameter
 
@@ -21,7 +21,7 @@ from jointid.common.text import printable
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from jointid import Estimate, Record
+    from jointid import Estimate, Record, RobotFile
     from jointid.apps.cli.bars import Bars
     from jointid.config import JointFile
 
@@ -30,6 +30,8 @@ Quiet: TypeAlias = Annotated[bool, Parameter(name=["--quiet", "-q"], negative=()
 Several: TypeAlias = Annotated[list[str] | None, Parameter(negative=())]
 Changes: TypeAlias = Annotated[tuple[str, ...], Parameter(name="--set", negative=())]
 """Keys of the joint file that are changed before it is checked; every setting can be reached."""
+
+F = TypeVar("F", "JointFile", "RobotFile", "JointFile | RobotFile")
 
 FilteringName = Literal["default", "published", "as-printed"]
 
@@ -56,8 +58,8 @@ class Inputs:
         """The listener to progress."""
         return listen(self.quiet)
 
-    def load(self, joint: Path, outputs: Outputs = NOTHING, **choices: str | None) -> JointFile:
-        """Load the joint file with its changes; see `jointid.config.load`.
+    def load(self, joint: Path, outputs: Outputs = NOTHING, **choices: str | None) -> JointFile | RobotFile:
+        """Load the joint file or robot file with its changes; see `jointid.config.load`.
 
         Raises:
             JointFileError: it cannot be loaded.
@@ -65,11 +67,25 @@ class Inputs:
         """
         from jointid.config import load
 
+        return self._spared(joint, outputs, lambda: load(joint, self.changes, **choices))
+
+    def load_joint(
+        self, joint: Path, outputs: Outputs = NOTHING, *, what: str = "This command", **choices: str | None
+    ) -> JointFile:
+        """Load the joint file with its changes.
+
+        Raises:
+            MethodError: it is a robot file, and `what` is for a joint.
+        """
+        from jointid.config import load_joint
+
+        return self._spared(joint, outputs, lambda: load_joint(joint, self.changes, what=what, **choices))
+
+    def _spared(self, joint: Path, outputs: Outputs, load: Callable[[], F]) -> F:
         outputs.spare("JOINT", joint)
         outputs.spare("--record", self.record)
-        file = load(joint, self.changes, **choices)
-        if self.record is None:
-            outputs.spare_records(joint, file)
+        file = load()
+        outputs.spare(str(joint), *file.inputs(self.record))
         return file
 
     def identify(self, file: JointFile, *, checks: bool = True) -> tuple[Record, Estimate]:
@@ -89,7 +105,7 @@ class Inputs:
 
     def identify_by_didim(self, joint: Path, outputs: Outputs = NOTHING) -> tuple[Record, Estimate]:
         """Identify the joint by didim whatever its file says, without checks, and return the record, too."""
-        return self.identify(self.load(joint, outputs, method="didim"), checks=False)
+        return self.identify(self.load_joint(joint, outputs, method="didim"), checks=False)
 
 
 @Parameter(name="*")

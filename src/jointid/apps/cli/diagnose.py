@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from jointid.apps.cli import robots
 from jointid.apps.cli.console import (
     DEFAULTS,
     FilteringName,
@@ -32,7 +31,18 @@ def robot(joint: Path, /, *, options: Options = DEFAULTS) -> None:
         joint: a robot file, which has the table [robot].
         options: those that most commands have.
     """
-    robots.diagnose_robot_file(joint, options)
+    from jointid import MethodError, RobotFile, diagnose_robot
+
+    file = options.load(joint, options.outputs)
+    if not isinstance(file, RobotFile):
+        raise MethodError(
+            f"{joint} is no robot file, which has the table [robot]; of a joint file one question is asked: jointid "
+            "diagnose --help lists them."
+        )
+    records = file.record(options.record, judged=True)
+    estimate = file.identify(records, options.progress)
+    controllers = [one.controller for one in file.joints]
+    deliver(diagnose_robot(estimate, records, controllers, feed_forward=file.feed_forward), options.json)
 
 
 def methods(joint: Path, /, *, options: Options = DEFAULTS, filtering: FilteringName | None = None) -> None:
@@ -43,7 +53,7 @@ def methods(joint: Path, /, *, options: Options = DEFAULTS, filtering: Filtering
         options: those that most commands have.
         filtering: of every method, as for identify.
     """
-    _compare(options.load(joint, options.outputs, filtering=filtering), "methods", options)
+    _compare(options.load_joint(joint, options.outputs, filtering=filtering), "methods", options)
 
 
 def springs(joint: Path, /, *, options: Options = DEFAULTS, filtering: FilteringName | None = None) -> None:
@@ -56,7 +66,7 @@ def springs(joint: Path, /, *, options: Options = DEFAULTS, filtering: Filtering
         options: those that most commands have.
         filtering: of every fit, as for identify.
     """
-    _compare(options.load(joint, options.outputs, filtering=filtering, method="didim"), "springs", options)
+    _compare(options.load_joint(joint, options.outputs, filtering=filtering, method="didim"), "springs", options)
 
 
 def friction(joint: Path, /, *, options: Options = DEFAULTS, filtering: FilteringName | None = None) -> None:
@@ -69,7 +79,7 @@ def friction(joint: Path, /, *, options: Options = DEFAULTS, filtering: Filterin
         options: those that most commands have.
         filtering: of every fit, as for identify.
     """
-    _compare(options.load(joint, options.outputs, filtering=filtering, method="didim"), "frictions", options)
+    _compare(options.load_joint(joint, options.outputs, filtering=filtering, method="didim"), "frictions", options)
 
 
 def _compare(file: JointFile, among: Literal["methods", "springs", "frictions"], options: Options) -> None:
@@ -110,7 +120,7 @@ def intervals(
 
     if not of and not bootstrap:
         raise MethodError("There is nothing to do without --of or --bootstrap; give --of stiffness, say.")
-    file = options.load(joint, method="didim")
+    file = options.load_joint(joint, method="didim")
     if file.loop is not None:
         require_quantities(of or (), file.loop)
     logged, estimate = options.identify(file, checks=False)
@@ -128,7 +138,7 @@ def loop(joint: Path, /, *, options: Options = DEFAULTS) -> None:
     """
     from jointid import check_loop
 
-    file = options.load(joint, options.outputs, method="didim")
+    file = options.load_joint(joint, options.outputs, method="didim")
     record, estimate = options.identify(file, checks=False)
     deliver(check_loop(estimate, record, shown=file.declared_numbers), options.json)
 

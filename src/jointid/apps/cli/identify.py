@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from jointid.apps.cli import robots
 from jointid.apps.cli.console import (
     DEFAULTS,
     Changes,
@@ -16,7 +15,6 @@ from jointid.apps.cli.console import (
     Options,
     Quiet,
     deliver,
-    listen,
     ready,
     show,
 )
@@ -27,7 +25,7 @@ from jointid.common.text import wrapped
 from jointid.estimation.methods.registry import MethodName
 
 if TYPE_CHECKING:
-    from jointid import Estimate, Windowing
+    from jointid import Estimate, RobotEstimate, RobotTorqueEstimate, Windowing
     from jointid.common.messages import Progress
     from jointid.config import JointFile
 
@@ -49,7 +47,7 @@ def examine(joint: Path, /, *, options: Options = DEFAULTS) -> int:
     from jointid import RecordError, examine
     from jointid.diagnostics.examine_record import unreadable
 
-    file = options.load(joint, options.outputs)
+    file = options.load_joint(joint, options.outputs, what="The look over a record")
     path = Path(file.record_path(options.record))
     try:
         record = file.record(options.record)
@@ -109,27 +107,31 @@ def identify(
         details: print every verdict with all its reasons, the method's tests, effort and settings.
         quiet: say nothing of the progress.
     """
-    from jointid import Windowing, figures
+    from jointid import Estimate, JointFile, Windowing, figures
+    from jointid.config import require_joint
 
     outputs = Outputs({"--json": json}, {"--figure": figure})
     records = record or []
-    if robots.is_robot(joint):
-        robots.refuse(
-            window=window, settling=settling, method=method, filtering=filtering, friction=friction, figure=figure
-        )
-        robots.identify_robot_file(joint, records, changes, outputs, json, details, listen(quiet))
-        return
     outputs.spare("--record", *records)
     options = Options(record=records[0] if records else None, changes=changes, json=json, quiet=quiet)
     file = options.load(joint, outputs, method=method, filtering=filtering, friction=friction)
+    if figure is not None:
+        require_joint(file, "--figure of identify, as report --figures draws all joints of a robot,")
     logged = None
+    estimate: Estimate | RobotEstimate | RobotTorqueEstimate
     if window is not None or settling is not None:
-        estimate = _from_log(file, records, Windowing(window or Windowing().length, settling), options.progress)
-    elif len(records) > 1 or (file.runs and not records):
-        estimate = _from_several(file, records, options.progress)
-    else:
+        windows = Windowing(window or Windowing().length, settling)
+        estimate = _from_log(require_joint(file, "A log in windows"), records, windows, options.progress)
+    elif len(records) > 1 or (isinstance(file, JointFile) and file.runs and not records):
+        several = require_joint(file, "An identification from several records in one fit")
+        estimate = _from_several(several, records, options.progress)
+    elif isinstance(file, JointFile):
         logged, estimate = options.identify(file)
+    else:
+        estimate = file.identify(file.record(options.record), options.progress)
     deliver(estimate, json, (figure, figures.torque), details=details)
+    if not isinstance(estimate, Estimate):
+        return
     if logged is not None and estimate.checks.bounds:
         from jointid import advise
 
@@ -200,7 +202,7 @@ def learn_controller(joint: Path, /, *, options: Options = DEFAULTS, write: Path
     outputs.spare("--record", options.record)
     file = load_to_learn(joint, options.changes)
     if options.record is None:
-        outputs.spare_records(joint, file)
+        outputs.spare(str(joint), *file.inputs())
     learned = file.learn_controller(file.record(options.record), options.progress)
     learned = learned.beside(file.drive_numbers(learned.controller))
     deliver(learned, options.json)
@@ -244,7 +246,9 @@ def tune(
     from jointid import tune as run
 
     settings = Tuning(gain_margin, phase_margin, modulus, confidence, notch, false_alarm, power)
-    file = options.load(joint, Outputs({"--json": options.json}, {"--figure": figure}), method="didim")
+    file = options.load_joint(
+        joint, Outputs({"--json": options.json}, {"--figure": figure}), what="Tuning", method="didim"
+    )
     _, estimate = options.identify(file)
     tuned = run(estimate, settings, drive=file.drive, shown=file.declared_numbers, progress=options.progress)
     deliver(tuned, options.json, (figure, figures.draw))

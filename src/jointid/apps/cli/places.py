@@ -6,14 +6,9 @@ import os
 from collections.abc import Iterable, Mapping
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from jointid.common.errors import RecordError
 from jointid.common.files import require_room
-
-if TYPE_CHECKING:
-    from jointid.config import JointFile
-
 
 _OF_FOLDERS = (".html", ".md", ".png", ".svg", ".csv", ".mat")
 
@@ -73,11 +68,6 @@ class Outputs:
                         f"{option} {folder} is the folder of the file that {what} names, {path.name}, which might be "
                         "replaced; name another folder."
                     )
-
-    def spare_records(self, joint: Path, file: JointFile) -> None:
-        """Refuse to write over the records that a joint file names; see `spare`."""
-        named = [file.source.file] if not file.runs else [run.file for run in file.runs]
-        self.spare(str(joint), *(joint.parent / name for name in named if name))
 
 
 def _given(paths: Mapping[str, Path | None] | None) -> dict[str, Path]:

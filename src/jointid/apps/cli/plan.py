@@ -9,16 +9,18 @@ from typing import TYPE_CHECKING, Any
 
 from cyclopts import Parameter
 
-from jointid.apps.cli import robots
-from jointid.apps.cli.console import DEFAULTS, Options, deliver, show
+from jointid.apps.cli.console import DEFAULTS, Options, deliver, make_folder, show
 from jointid.apps.cli.places import Outputs
 from jointid.common.errors import MethodError, RecordError
+from jointid.common.files import write_whole
 
 if TYPE_CHECKING:
-    from jointid import AxisLimits, Record
+    from jointid import AxisLimits, Record, RobotFile
     from jointid.common.arrays import FloatArray
     from jointid.config import JointFile
     from jointid.planning.design import Design
+
+_SAMPLE_TIME, _DURATION = 1e-3, 10.0  # s, of a robot's test where no file and no record says them
 
 
 @Parameter(name="*")
@@ -180,19 +182,24 @@ def design(
             its file reads references, and the page.
         figure: also save reference, torque and spectrum as PNG, SVG or PDF.
     """
-    from jointid import figures
+    from jointid import JointFile, figures
     from jointid.planning.design import plan_from_estimate
 
     outputs = Outputs({"--json": options.json}, {"--figure": figure}, {"--out": out})
-    if robots.is_robot(joint):
-        robots.refuse(**{name.replace("_", "-"): getattr(limits, name) for name in limits.__slots__})
-        robots.refuse(**{name.replace("_", "-"): getattr(rough, name) for name in rough.__slots__})
-        robots.refuse(goal=goal != "all")
-        robots.design_robot_file(joint, options, duration, seconds, motion, out, figure, outputs)
-        return
     outputs.spare("--motion", motion)
     outputs.spare("--estimate", rough.estimate)
-    file = options.load(joint, outputs, method="didim")
+    file = options.load(joint, outputs)
+    if not isinstance(file, JointFile):
+        given = [name for one in (limits, rough) for name in one.__slots__ if getattr(one, name)]
+        if given or goal != "all":
+            options_given = [f"--{name.replace('_', '-')}" for name in given] + ["--goal"] * (goal != "all")
+            raise MethodError(
+                f"A robot's test tells all parameters within the limits of each of its [[joints]]; "
+                f"{', '.join(options_given)} is for a joint file: leave it out."
+            )
+        _design_robot(file, options, duration, seconds, motion, out, figure)
+        return
+    file = options.load_joint(joint, outputs, method="didim")
     asked: dict[str, Any] = {
         "goal": goal,
         "limits": limits.beside(file.limits),
@@ -210,6 +217,43 @@ def design(
     if out is not None:
         paths = found.write(out)
         show(f"\nWritten to {out}: {', '.join(path.name for path in paths)}")
+
+
+def _design_robot(
+    file: RobotFile, options: Options, duration: float | None, seconds: float, motion: Path | None, out: Path | None,
+    figure: Path | None,
+) -> None:  # fmt: skip
+    """Plan the motion that tells most of a robot, beside that of a first record where there is one."""
+    import numpy as np
+
+    from jointid import RobotIDIM, design_robot_test, figures
+    from jointid.planning.robots.first_record import first_record
+
+    first = own = None
+    sample_time = file.source.sample_time or _SAMPLE_TIME
+    if motion is not None:
+        given = [one.reference for one in file.driving(motion) if one.reference is not None]
+        own = np.column_stack([one.values for one in given]) @ np.linalg.inv(file.robot.coupling).T
+        sample_time = given[0].sample_time
+        duration = len(own) * sample_time
+    elif options.record is not None or not all(one.complete for one in file.limits):
+        records = file.record(options.record)
+        first = first_record(file.identify(records, options.progress), records)
+        sample_time = first.sample_time
+    found = design_robot_test(
+        file.robot, file.limits, duration=duration or (_DURATION if first is None else first.duration),
+        sample_time=sample_time, loop=None if isinstance(file.method, RobotIDIM) else file.loop,
+        # Of a motion that was never played nothing is logged: such a robot is foretold without.
+        feed_forward="none" if file.feed_forward == "logged" else file.feed_forward,
+        noise=None if first is None else first.noise, present=None if first is None else first.motion, motion=own,
+        filtering=file.filtering, seconds=seconds, progress=options.progress,
+    )  # fmt: skip
+    deliver(found, options.json, (figure, figures.draw))
+    if out is not None:
+        make_folder(out, "--out")
+        file.write(found.records(), out / "motion.csv")
+        write_whole(out / "design.md", found.document().markdown())
+        show(f"\nWritten to {out}: motion.csv, design.md")
 
 
 def _read(motion: Path, file: JointFile) -> Record:

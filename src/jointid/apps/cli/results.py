@@ -7,7 +7,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from jointid.apps.cli import robots
 from jointid.apps.cli.console import (
     DEFAULTS,
     Changes,
@@ -20,11 +19,20 @@ from jointid.apps.cli.console import (
 )
 from jointid.apps.cli.places import Outputs
 from jointid.common.errors import JointidError, MethodError
+from jointid.common.files import write_whole
 from jointid.common.parallel import Aside
 from jointid.estimation.methods.registry import MethodName
 
 if TYPE_CHECKING:
-    from jointid.config import JointFile
+    from jointid import (
+        JointFile,
+        Report,
+        RobotEstimate,
+        RobotFile,
+        RobotReport,
+        RobotTorqueEstimate,
+        RobotValidation,
+    )
 
 Language = Literal["joint-file", "state-space", "matlab", "mjcf", "urdf", "modelica"]
 
@@ -63,7 +71,7 @@ def report(
     """
     from numpy.linalg import LinAlgError
 
-    from jointid import Report
+    from jointid import JointFile, Report
     from jointid.output.report import repetition, tune_to_limit
     from jointid.output.report.page import require_extra
     from jointid.output.report.pages import require_page
@@ -74,28 +82,24 @@ def report(
     if page is not None:
         require_page(page)
         require_extra(plots=True)
-    if robots.is_robot(joint):
-        robots.refuse(
-            method=method,
-            filtering=filtering,
-            friction=friction,
-            no_profiles=no_profiles,
-            no_tuning=no_tuning,
-            plan=plan,
-        )
-        robots.report_robot_file(joint, options, page, markdown, figures, held_out, outputs)
+    outputs.spare("--held-out", held_out)
+    choices = {"method": method, "filtering": filtering, "friction": friction}
+    file = options.load(joint, outputs, **choices)
+    html_name = "report.html" if page is None else page.name
+    if not isinstance(file, JointFile):
+        if plan is not None:
+            raise MethodError("--plan is for a joint file; jointid design plans the motion of a robot: leave it out.")
+        _report_robot(_robot_report(file, options, choices, held_out, html_name), options.json, page, markdown, figures)
         return
     if held_out is not None:
         raise MethodError(
             "--held-out is for a robot file; of a joint file jointid validate holds an estimate against another record."
         )
-    choices = {"method": method, "filtering": filtering, "friction": friction}
-    file = options.load(joint, outputs, **choices)
     source = Path(file.record_path(options.record))
     asked = {**choices, "plan": plan}
     if plan is not None:
         _require_goal(file, plan)
-    again = repetition(joint, source, asked, options.changes, "report.html" if page is None else page.name)
+    again = repetition(joint, source, asked, options.changes, html_name)
     record, estimate = options.identify(file)
     tuning = None if no_tuning else Aside(partial(tune_to_limit, estimate, file.drive, file.declared_numbers))
     told = Report.of(
@@ -114,12 +118,56 @@ def report(
         except (JointidError, LinAlgError) as error:
             told.data.absent["design"] = str(error)
             show(f"Without a next test: {error}")
-    written = [] if page is None else [told.save(page)]
-    written += [] if markdown is None else [told.save_markdown(markdown)[0]]
-    written += [] if figures is None else [*told.save_figures(figures)]
-    written += [] if options.json is None else [options.json]
+    written = _save(told, page, markdown, figures) + ([] if options.json is None else [options.json])
     deliver(told.estimate, options.json)
     show("\nWritten: " + ", ".join(map(str, written)))
+
+
+def _report_robot(
+    told: RobotReport, json: Path | None, page: Path | None, markdown: Path | None, figures: Path | None
+) -> None:
+    written = _save(told, page, markdown, figures)
+    deliver(told.validation or told.estimate)
+    if json is not None:
+        write_whole(json, told.answer())
+        written.append(json)
+    show("\nWritten: " + ", ".join(map(str, written)))
+
+
+def _save(told: Report | RobotReport, page: Path | None, markdown: Path | None, figures: Path | None) -> list[Path]:
+    """Write a report where it was asked for, and return the files."""
+    written = [] if page is None else [told.save(page)]
+    written += [] if markdown is None else [told.save_markdown(markdown)[0]]
+    return written + ([] if figures is None else [*told.save_figures(figures)])
+
+
+def _robot_report(
+    file: RobotFile, options: Options, choices: dict[str, str | None], held_out: Path | None, html: str
+) -> RobotReport:
+    """Identify a robot, and report it, held against another record where one is given."""
+    from jointid import RobotReport
+    from jointid.output.report import repetition
+
+    records = file.record(options.record, judged=True)
+    estimate = file.identify(records, options.progress)
+    asked = {**choices, "held_out": held_out and held_out.name}
+    return RobotReport.of(
+        estimate,
+        records,
+        [one.controller for one in file.joints],
+        None if held_out is None else _held_out(file, estimate, held_out),
+        feed_forward=file.feed_forward,
+        repetition=repetition(file.path, Path(file.record_path(options.record)), asked, options.changes, html, "robot"),
+    )
+
+
+def _held_out(file: RobotFile, estimate: RobotEstimate | RobotTorqueEstimate, other: Path) -> RobotValidation:
+    """Hold the estimate of a robot against another record than its own."""
+    from jointid import RobotEstimate, validate_robot, validate_robot_torques
+
+    if isinstance(estimate, RobotEstimate):
+        return validate_robot(estimate, file.records(other))
+    return validate_robot_torques(estimate, file.record(other))
 
 
 def _require_goal(file: JointFile, plan: str) -> None:
@@ -157,21 +205,29 @@ def validate(
         figure: also save measured, simulated and error torque as PNG, SVG or PDF.
         residuals: also save the error against velocity and position, and its autocorrelation, likewise.
     """
-    from jointid import figures
+    from jointid import JointFile, figures
     from jointid import validate as run
     from jointid.output import json as answers
 
     outputs = Outputs({"--json": options.json}, {"--figure": figure, "--residuals": residuals})
-    if robots.is_robot(joint):
-        robots.refuse(estimate=estimate, figure=figure, residuals=residuals)
-        robots.validate_robot_file(joint, options, outputs)
+    outputs.spare("--estimate", estimate)
+    friction = None if estimate is None else answers.read_friction(estimate)
+    file = options.load(joint, outputs, friction=friction)
+    if not isinstance(file, JointFile):
+        _require_none(
+            "A robot is identified from the record that its file names, and its torques are drawn by report --figures",
+            {"--estimate": estimate, "--figure": figure, "--residuals": residuals},
+        )
+        if options.record is None:
+            raise MethodError(
+                "A robot's estimate is held against a record that it has not seen; expected --record OTHER, beside the "
+                "record that the robot file names."
+            )
+        deliver(_held_out(file, file.identify(file.record(), options.progress), options.record), options.json)
         return
     estimate = _needed(estimate)
-    outputs.spare("--estimate", estimate)
-    friction = answers.read_friction(estimate)
-    file = options.load(joint, outputs, friction=friction)
     identified = answers.read_identified(estimate, file.joint, file.loop)
-    record = options.load(joint, friction=friction, method=identified.method).record(options.record)
+    record = options.load_joint(joint, friction=friction, method=identified.method).record(options.record)
     ready(options.progress)
     deliver(run(identified, record), options.json, (figure, figures.torque), (residuals, figures.residual))
 
@@ -227,28 +283,69 @@ def export(
         delay: of a state space, in s, from a sample of the torque to its effect; without it as identified.
         timestep: of MJCF, in s.
     """
+    from jointid import JointFile
     from jointid.output import json as answers
     from jointid.output.export import export as run
     from jointid.output.export import find_language, read_estimated
 
-    if robots.is_robot(joint):
-        robots.refuse(
-            estimate=estimate, format=format, side=side, fixed=fixed, period=period, delay=delay, timestep=timestep
-        )
-        robots.export_robot_file(joint, changes, out)
-        return
-    estimate, outputs = _needed(estimate), Outputs({"--out": out})
+    outputs = Outputs({"--out": out})
     outputs.spare("--estimate", estimate)
+    friction = None if estimate is None else answers.read_friction(estimate)
+    file = Options(changes=changes).load(joint, outputs, friction=friction)
+    if not isinstance(file, JointFile):
+        _require_none(
+            "A robot is identified from the record that its file names, and written as bodies behind their gears, as "
+            "the ending of the file says",
+            {
+                "--estimate": estimate, "--format": format, "--side": side, "--fixed": fixed, "--period": period,
+                "--delay": delay, "--timestep": timestep,
+            },
+        )  # fmt: skip
+        _export_robot(file, out)
+        return
+    estimate = _needed(estimate)
     given = {"values": "fixed" if fixed else None, "period": period, "delay": delay, "timestep": timestep}
     settings: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
     language = find_language(format or out.suffix.lower()).name
-    file = Options(changes=changes).load(joint, outputs, friction=answers.read_friction(estimate))
     if language == "joint-file":
         settings |= {"file": file, "folder": out.parent}
     exported = run(read_estimated(estimate, file.joint, file.name), language, side=side, **settings)
     exported.save(out)
     show(exported)
     show(f"Written: {out}")
+
+
+def _export_robot(file: RobotFile, out: Path) -> None:
+    """Identify a robot, and write bodies that fit, as URDF or MJCF."""
+    from jointid import RobotEstimate, consistent_robot
+    from jointid.output.export.robot_model import write_robot
+
+    estimate = file.identify(file.record())
+    if not (estimate.converged if isinstance(estimate, RobotEstimate) else estimate.fit.converged):
+        raise MethodError(
+            "The search did not settle, so there is nothing to export; identify the robot to see what it leaves, or "
+            "allow more by method.iterations, of springs method.evaluations."
+        )
+    found = consistent_robot(estimate)
+    text, lost = write_robot(found.robot, out)
+    write_whole(out, text)
+    show(
+        f"Bodies near those of the model that fit the estimate to {found.misfit:.2g} of its deviations, rms; the mass "
+        f"matrix is positive in 1000 random poses, {found.least_inertia:.3g} at the least."
+    )
+    for one in lost:
+        show(f"Left out: {one}.")
+    show(f"Written: {out}")
+
+
+def _require_none(why: str, options: dict[str, object]) -> None:
+    """Refuse options that a robot has no use for.
+
+    Raises:
+        MethodError: one of them was given.
+    """
+    if given := [option for option, value in options.items() if value]:
+        raise MethodError(f"{why}; {', '.join(given)} is for a joint file: leave it out.")
 
 
 def _needed(estimate: Path | None) -> Path:

@@ -6,13 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from jointid.apps.cli import robots
 from jointid.apps.cli.console import DEFAULTS, Flag, Options, Quiet, fresh_folder, listen, ready, show
 from jointid.apps.cli.places import Outputs
 from jointid.common.errors import MethodError, RecordError
 
 if TYPE_CHECKING:
-    from jointid import Estimate
+    from jointid import Estimate, JointFile, RobotFile
 
 Loop = Literal["L19", "L30"]
 Noise = Literal["disturbance", "white", "none"]
@@ -45,7 +44,7 @@ def demo(folder: Path = Path("jointid-demo"), /, *, seed: int = 1, quiet: Quiet 
         write_whole(joint, JOINT_FILE)
     write(axis.record, folder / "record.csv")
     listener("identifying it from motor force and reference alone")
-    file = options.load(joint)
+    file = options.load_joint(joint)
     _, estimate = options.identify(file)
     answers.write(answers.to_dict(estimate), folder / "estimate.json")
     figures.save(figures.torque(estimate), folder / "torque.png")
@@ -131,14 +130,18 @@ def simulate(
         _simulate_twin(twin, added_mass, noise, seed, out, options)
     elif joint is None:
         raise MethodError("A simulation needs a joint file; name one, or give --twin L19 for the paper's axis.")
-    elif robots.is_robot(joint):
-        robots.refuse(estimate=estimate)
-        robots.simulate_robot_file(joint, options, out, outputs)
     else:
-        _simulate_joint(joint, estimate, out, options, outputs)
+        from jointid import JointFile
+        from jointid.output.json import read_friction
+
+        file = options.load(joint, outputs, friction=None if estimate is None else read_friction(estimate))
+        if isinstance(file, JointFile):
+            _simulate_joint(file, estimate, out, options)
+        else:
+            _simulate_robot(file, estimate, out, options)
 
 
-def _simulate_joint(joint: Path, estimate: Path | None, out: Path | None, options: Options, outputs: Outputs) -> None:
+def _simulate_joint(file: JointFile, estimate: Path | None, out: Path | None, options: Options) -> None:
     from jointid import prepare
     from jointid import simulate as run
     from jointid.common.transmission import transmission_lines
@@ -146,8 +149,6 @@ def _simulate_joint(joint: Path, estimate: Path | None, out: Path | None, option
     from jointid.output import json as answers
     from jointid.simulation.simulated import require_success
 
-    friction = None if estimate is None else answers.read_friction(estimate)
-    file = options.load(joint, outputs, friction=friction)
     if file.loop is None:
         raise MethodError("A simulation needs the controller; add a [controller] table to the joint file.")
     # What is written begins with its first sample, from where a position loop's offset will be counted.
@@ -175,6 +176,37 @@ def _simulate_joint(joint: Path, estimate: Path | None, out: Path | None, option
     if options.json is not None:
         answer = answers.simulation_answer(simulation, file.joint, values, logged)
         answers.write(answer, options.json)
+
+
+def _simulate_robot(file: RobotFile, estimate: Path | None, out: Path | None, options: Options) -> None:
+    from jointid import robot_records, simulate_robot
+    from jointid.output.json import documents, write
+    from jointid.simulation.robots import strays
+    from jointid.simulation.simulated import require_success
+
+    if estimate is not None:
+        raise MethodError("--estimate is read for a joint; a robot is simulated as its file says: leave it out.")
+    loop, records, robot = file.loop, file.driving(options.record), file.robot
+    found = require_success(simulate_robot(loop, records), f"The simulation of {robot.name}")
+    peaks = ", ".join(
+        f"{name} {peak:.4g} {robot.torque_unit(k)}"
+        for k, (name, peak) in enumerate(zip(robot.names, abs(found.torque).max(axis=0), strict=True))
+    )
+    show(
+        f"{len(found.torque)} samples of {found.sample_time:g} s, {found.events} reversals, stops and starts; peak "
+        f"torques: {peaks}"
+    )
+    astray = strays(records, found)
+    for k, off in astray.items():
+        show(
+            f"{robot.names[k]} does not follow its reference: it gets {off:.3g} {robot.position_unit(k)} off it; check "
+            "its controller's gains and limit, and its signs."
+        )
+    if out is not None:
+        file.write(robot_records(loop, records, found), out)
+        show(f"Written: {out}")
+    if options.json is not None:
+        write(documents.robot_simulation_answer(robot, found, astray), options.json)
 
 
 def _simulate_twin(loop: Loop, added_mass: bool, noise: Noise, seed: int, out: Path, options: Options) -> None:

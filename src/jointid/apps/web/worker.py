@@ -100,14 +100,14 @@ def identify(folder: Path) -> None:
 
     The answer is written as soon as it is known and checked, and the page shows it; the report follows.
     """
-    from jointid.config import load
+    from jointid.config import load_joint
     from jointid.diagnostics.find_causes import explain_failure
     from jointid.simulation.warm_up import warm_up
 
     work = _read_work(folder)
     if work["learn"]:
         learn(folder, work)
-    file = load(folder / "joint.toml")
+    file = load_joint(folder / "joint.toml")
     _tell("reading the record")
     record = file.record(folder / work["file"])
     _tell("preparing the simulation")
@@ -154,10 +154,10 @@ def _write_answer(folder: Path, estimate: Estimate) -> None:
 
 def learn(folder: Path, work: dict[str, Any]) -> None:
     """Learn the controller, and put it into the joint file in place of the stand-in."""
-    from jointid.config import load, save_with_controller
+    from jointid.config import load_joint, save_with_controller
 
     _tell("learning the controller")
-    file = load(folder / "joint.toml")
+    file = load_joint(folder / "joint.toml")
     learned = file.learn_controller(file.record(folder / work["file"]), _tell)
     save_with_controller(file, learned.controller, folder / "joint.toml")
     write_whole(folder / "learned.txt", f"{learned}\n")
@@ -166,13 +166,13 @@ def learn(folder: Path, work: dict[str, Any]) -> None:
 def plan(folder: Path) -> None:
     """Plan the next test of an axis that was identified, for the goal of `work.json`: tables, a figure, `plan.json`."""
     from jointid.common.document import Facts, Table
-    from jointid.config import load
+    from jointid.config import load_joint
     from jointid.output.figures.matplotlib_backend import png
     from jointid.planning.design import plan_from_estimate
     from jointid.simulation.warm_up import warm_up
 
     work = _read_work(folder)
-    file = load(folder / "joint.toml")
+    file = load_joint(folder / "joint.toml")
     record = file.record(folder / work["file"])
     warm_up()
     _tell("identifying again")
