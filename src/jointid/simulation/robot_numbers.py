@@ -99,7 +99,8 @@ class RobotNumbers:
         """True if rotors have an inertia, rising friction has a speed, none is negative, and all are numbers."""
         finite = all(bool(np.all(np.isfinite(values))) for values in self.arrays)
         turning, held = self.masses[self.rotors.size :, 0], self.springs[self.flexible, 0]
-        signed = [MassNumbers.OFFSET, MassNumbers.VISCOUS_DRIFT, MassNumbers.COULOMB_DRIFT]
+        # Of a rigid joint the inertia of the rotor may be negative: motion tells its sum with the link alone.
+        signed = [MassNumbers.INERTIA, MassNumbers.OFFSET, MassNumbers.VISCOUS_DRIFT, MassNumbers.COULOMB_DRIFT]
         positive = np.delete(self.springs, SPRING_NUMBERS.index("cubic_stiffness"), axis=1)
         least = min(float(np.min(np.delete(self.masses, signed, axis=1))), float(np.min(positive)))
         risen = self.masses[:, 7][self.masses[:, 6] > 0.0]
