@@ -15,7 +15,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from jointid.common.text import aligned
+from jointid.common.text import align
 from studies.comparing import LEVEL, compare, counted
 from studies.registry import STUDIES
 from studies.seeds import Judged, judge_tasks
@@ -60,7 +60,7 @@ def _seeds(text: str) -> range:
 
 def _list() -> int:
     rows = [(study.name, str(len(study.tasks())), f"{len(study.shares)}", study.shows) for study in STUDIES]
-    _say(aligned(("study", "tasks", "shares", "shows"), rows, (False, True, True, False)))
+    _say(align(("study", "tasks", "shares", "shows"), rows, (False, True, True, False)))
     return 0
 
 
@@ -87,7 +87,7 @@ def _show(study: Study, entry: Entry) -> None:
         held, of = counted(letters)
         rows.append((label, f"{held}", f"{of}", f"{100 * held / max(of, 1):.1f}"))
     header = (study.name, "holds in", "of", "%")
-    _say(f"{aligned(header, rows, (False, True, True, True))}\n{entry.seconds:.1f} s of the processor\n")
+    _say(f"{align(header, rows, (False, True, True, True))}\n{entry.seconds:.1f} s of the processor\n")
 
 
 def _check(chosen: Sequence[Study], draw: str) -> int:

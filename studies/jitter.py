@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.text import aligned, number
+from jointid.common.text import align, number
 from jointid.diagnostics.identify import identify
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
@@ -87,7 +87,7 @@ class Jitter:
             )
             for run in self.runs
         ]
-        return aligned(header, rows, (False, True, False, *[True] * 6))
+        return align(header, rows, (False, True, False, *[True] * 6))
 
 
 def jitter(shares: Sequence[float] = (0.0, 0.05, 0.3), seed: int = 1, out: Path | None = None) -> Jitter:

@@ -14,8 +14,8 @@ from typing import Literal
 
 import numpy as np
 
-from jointid.common.messages import silent
-from jointid.common.text import aligned, number
+from jointid.common.messages import ignore_progress
+from jointid.common.text import align, number
 from jointid.estimation.descent import descend
 from jointid.estimation.methods.stiffness_search import on_band
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
@@ -104,7 +104,7 @@ class Refusals:
             f"to {100 * PLAIN:.0f} %: {100 * self.refused_plain:.1f} %; given where it is invisible: "
             f"{100 * self.given_invisible:.1f} %"
         )
-        return f"{aligned(header, rows, (True,) * len(header))}\n\n{said}"
+        return f"{align(header, rows, (True,) * len(header))}\n\n{said}"
 
 
 def refusals(
@@ -137,7 +137,7 @@ def judge(seed: int, factor: float, noise: Noise) -> StiffnessRun:
     end = descend(problem, truth, _EXACTLY)
     x, J = end.x, -end.jacobian
     known = uncertainty(J, J, problem.residual(x), problem.cells(problem.simulate(x)), names)
-    spring = visible(problem, x, J, known, (2, 2), silent, (_SHARE,))
+    spring = visible(problem, x, J, known, (2, 2), ignore_progress, (_SHARE,))
     value, std = (float(x[at]), float(known.covariance.std[at])) if spring.shown else (None, None)
     bound = spring.bounds[0].stiffness if spring.bounds else None
     mode = frequency_of(axis.truth)

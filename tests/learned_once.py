@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from jointid.common.messages import Progress, silent
+from jointid.common.messages import Progress, ignore_progress
 from jointid.controller_id import learn
 from jointid.controller_id.fitting import Task
 
@@ -15,7 +15,7 @@ def search_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let a search end at once where one with the same gain, torque and channels was made in this test."""
     search, found = learn.search, dict[tuple[object, ...], Any]()
 
-    def searched(task: Task, progress: Progress = silent) -> Any:
+    def searched(task: Task, progress: Progress = ignore_progress) -> Any:
         channels = ((name, one.sample_time, one.values.tobytes()) for name, one in task.log.record.items())
         key = (task.gain, task.log.period, task.log.torque.tobytes(), task.log.kept.tobytes(), *channels)
         if key not in found:

@@ -114,9 +114,9 @@ def test_former_code_never_runs_under_a_new_stamp(tmp_path: Path) -> None:
 def test_a_compilation_that_fails_releases_its_lock() -> None:
     from numba import TypingError
 
-    from jointid.common.compiled import compiled
+    from jointid.common.compiled import compile_kernel
 
-    @compiled
+    @compile_kernel
     def impossible(x: Any) -> Any:
         return x.nothing
 
@@ -130,9 +130,9 @@ def test_threads_release_a_lock_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """A thread that finds the kernel compiled does not close the file that another thread is about to close."""
     import fcntl
 
-    from jointid.common.compiled import compiled
+    from jointid.common.compiled import compile_kernel
 
-    @compiled
+    @compile_kernel
     def doubled(x: float) -> float:
         return 2.0 * x
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.common.messages import silent
+from jointid.common.messages import ignore_progress
 from jointid.estimation.methods.endogeneity import (
     InstrumentedProblem,
     Judgement,
@@ -166,7 +166,7 @@ def test_white_noise_on_the_log_is_no_endogeneity() -> None:
         record = twin("L19", noise="white", seed=seed).record
         problem = problem_of(record, log_delay=0.0)
         solution = solve(problem, LevenbergMarquardt(1e-8), problem.vector(TABLE_2))
-        verdict = judged(record, problem, solution, "tested", silent)
+        verdict = judged(record, problem, solution, "tested", ignore_progress)
         assert verdict.x is None
         assert not verdict.warnings
         assert verdict.probability is not None
@@ -179,7 +179,7 @@ def test_a_disturbance_in_the_loop_is_noticed() -> None:
     record = twin("L30", seed=1).record
     problem = problem_of(record, log_delay=-1e-3)
     solution = solve(problem, LevenbergMarquardt(1e-8), problem.vector(TABLE_2))
-    verdict = judged(record, problem, solution, "tested", silent)
+    verdict = judged(record, problem, solution, "tested", ignore_progress)
     assert verdict.x is not None
     assert "Durbin-Wu-Hausman" in verdict.warnings[0]
     at = [p.name for p in problem.free].index("stiffness")
@@ -194,7 +194,7 @@ def test_a_disturbance_in_the_loop_is_noticed_and_mended() -> None:
         record = twin("L30", seed=seed).record
         problem = problem_of(record, log_delay=-1e-3)
         solution = solve(problem, LevenbergMarquardt(1e-8), problem.vector(TABLE_2))
-        verdict = judged(record, problem, solution, "tested", silent)
+        verdict = judged(record, problem, solution, "tested", ignore_progress)
         assert verdict.x is not None
         assert "Durbin-Wu-Hausman" in verdict.warnings[0]
         truth = problem.vector(TABLE_2)
@@ -231,7 +231,7 @@ def test_without_pulses_every_answer_says_that_it_is_biased_or_cannot_be_tested(
 def answered(record: Record) -> tuple[DriveSideProblem, Solution, Judgement]:
     problem = problem_of(record, log_delay=-1e-3)
     solution = solve(problem, LevenbergMarquardt(1e-8), problem.vector(TABLE_2))
-    return problem, solution, judged(record, problem, solution, "tested", silent)
+    return problem, solution, judged(record, problem, solution, "tested", ignore_progress)
 
 
 def coloured(pulses: bool, seed: int) -> Record:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError, RecordError
-from jointid.common.messages import silent
+from jointid.common.messages import ignore_progress
 from jointid.diagnostics.validation import validate
 from jointid.estimation.descent import History
 from jointid.estimation.methods import flexible, stiffness_search
@@ -196,7 +196,7 @@ def test_coulomb_friction_that_was_found_on_the_wrong_side_is_divided_anew() -> 
     problem = torque_problem(torque_only(axis), axis.loop, Filtering(), axis.loop.joint.parameters)
     whole = axis.truth["motor_coulomb"] + axis.truth["load_coulomb"]
     state = {"initial_position": 0.0, "initial_velocity": 0.0, "initial_torque": 0.0}
-    history = History(silent)
+    history = History(ignore_progress)
     for wrong in (0.15, 0.9):
         sides = {"motor_coulomb": wrong * whole, "load_coulomb": (1 - wrong) * whole}
         found = stiffness_search.divide_coulomb_friction(problem, problem.vector(state | axis.truth | sides), history)

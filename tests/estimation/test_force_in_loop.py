@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import lfilter
 
 import jointid as ji
-from jointid.common.messages import silent
+from jointid.common.messages import ignore_progress
 from jointid.estimation.descent import History, least_squares
 from jointid.estimation.methods.force_in_loop import allow_for_force, find_force
 from jointid.estimation.problems.base import INITIAL
@@ -57,7 +57,7 @@ def test_the_force_is_found_and_allowed_for(seed: int) -> None:
     at, truth = names.index("coulomb"), axis.truth["coulomb"]
     before = end.x[at] - truth
     assert before < -0.1 * truth  # too little friction, without the force
-    found = allow_for_force(problem, end.x, -end.jacobian, np.zeros(end.x.size), History(silent))
+    found = allow_for_force(problem, end.x, -end.jacobian, np.zeros(end.x.size), History(ignore_progress))
     assert found is not None
     there, force = found
     assert abs(there[at] - truth) < 0.25 * abs(before)
@@ -83,7 +83,7 @@ def test_an_axis_that_never_rests_is_not_moved(noise: str) -> None:
     x = problem.vector({**axis.truth, "initial_position": 0.0})
     error, slopes = problem.linearise(x)
     std = uncertainty(slopes, slopes, error, problem.cells(problem.simulate(x)), [p.name for p in problem.free])
-    assert allow_for_force(problem, x, -slopes, std.covariance.std, History(silent)) is None
+    assert allow_for_force(problem, x, -slopes, std.covariance.std, History(ignore_progress)) is None
 
 
 def test_intervals_hold_what_a_force_moves_where_a_gain_is_free_too() -> None:

@@ -13,13 +13,13 @@ import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.diagnostics.check_loop import LoopTests, check_loop, search_faults
-from jointid.diagnostics.check_loop import _solve as solve_as_ever
 from jointid.diagnostics.fault_tests import compute_signatures, fit_whitener, rank_tests, score_signatures
 from jointid.diagnostics.faults.fault import Fault as KnownFault
 from jointid.diagnostics.faults.fault import FaultSignature, FaultTest
 from jointid.diagnostics.faults.findings import Finding, LoopCheck, ParameterShift
 from jointid.diagnostics.faults.numbers import number_fault
 from jointid.diagnostics.faults.registry import FAULTS as KNOWN
+from jointid.estimation.descent import descend
 from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
@@ -28,6 +28,7 @@ from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.output.json import dumps, to_dict
 from jointid.paper.twin import twin
 from jointid.records.record import Record, Tap
+from jointid.solvers.solve import Solution
 from jointid.uncertainty.position_dependent_error import cells
 from jointid.uncertainty.verdict import Reason
 from studies.healthy import drive
@@ -305,12 +306,12 @@ def test_a_number_whose_part_of_the_law_vanishes_ends_no_check(monkeypatch: pyte
     made = problem(where, FAULTS["position_gain"], "disturbance", 1)
     x = solved(made, where)
 
-    def vanishes(problem: ClosedLoopProblem, start: FloatArray) -> FloatArray:
+    def vanishes(problem: ClosedLoopProblem, start: FloatArray, tolerance: float) -> Solution:
         if "position_gain" in {p.name for p in problem.free}:
             raise MethodError("The position_gain of this controller is 0, so it has no derivative.")
-        return solve_as_ever(problem, start)
+        return descend(problem, start, tolerance)
 
-    monkeypatch.setattr("jointid.diagnostics.check_loop._solve", vanishes)
+    monkeypatch.setattr("jointid.diagnostics.check_loop.descend", vanishes)
     check = search_faults(made, x, LoopTests(most=1))[0]
     assert check.findings[0].test.name == "position_gain"
     assert check.findings[0].value is None

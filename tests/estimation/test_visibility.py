@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.common.messages import silent
+from jointid.common.messages import ignore_progress
 from jointid.common.parameters import Parameter
 from jointid.diagnostics.validation import validate
 from jointid.estimation.problems.closed_loop import torque_problem
@@ -127,7 +127,7 @@ def test_a_load_that_its_friction_holds_tells_no_inertia() -> None:
     names = [p.name for p in problem.free]
     assert not J[:, names.index("load_inertia")].any()
     known = uncertainty(J, J, error, problem.cells(problem.simulate(x)), names)
-    found = visible(problem, x, J, known, (2, 2), silent, (0.5,))
+    found = visible(problem, x, J, known, (2, 2), ignore_progress, (0.5,))
     assert not found.shown
     assert "the load never moves" in found.verdict.said
 

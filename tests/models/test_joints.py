@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
-from jointid.common.parameters import Parameter, Quantity, adjusted
+from jointid.common.parameters import Parameter, Quantity, adjust_parameters
 from jointid.models.controllers import Cascade
 from jointid.models.friction import AsymmetricFriction, SymmetricFriction, friction_named
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
@@ -95,4 +95,4 @@ def test_a_friction_that_is_not_known_is_refused() -> None:
 
 def test_adjusting_a_parameter_that_is_not_there_lists_those_that_are() -> None:
     with pytest.raises(MethodError, match="No parameter is called stiffness; this model has inertia, viscous"):
-        adjusted(RigidJoint().parameters, {"stiffness": Parameter("stiffness", "K12", Quantity.STIFFNESS)})
+        adjust_parameters(RigidJoint().parameters, {"stiffness": Parameter("stiffness", "K12", Quantity.STIFFNESS)})

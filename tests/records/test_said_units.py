@@ -8,7 +8,7 @@ import pytest
 
 from jointid.common.errors import RecordError
 from jointid.common.text import ordinal
-from jointid.common.units import UnitError, parse_quantity, spelled
+from jointid.common.units import UnitError, normalise_unit, parse_quantity
 from jointid.config import loads
 from jointid.records.columns import Column, known_units
 from jointid.records.reading import read
@@ -20,7 +20,7 @@ from tests.joint_files import SMALLEST, faults
     [("inc", "counts"), ("U/min", "rpm"), ("1/min", "rpm"), ("°", "deg"), ("%", "%"), ("mNm", "mNm"), ("mm/s", "mm/s")],
 )
 def test_an_ordinary_unit_is_known(said: str, unit: str) -> None:
-    assert spelled(said) == unit
+    assert normalise_unit(said) == unit
     known = (*known_units("reference", "revolute"), *known_units("reference_velocity", "revolute"), "%", "mNm", "mm/s")
     assert Column("q", unit=said).stated_unit(known) == unit
     assert Column(f"q [{said}]").stated_unit(known) == unit

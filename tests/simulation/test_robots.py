@@ -209,7 +209,7 @@ def test_a_torque_begins_to_act_a_delay_after_its_controller_s_instant() -> None
     clock = prepare_robot(RobotLoop(twin.robot, laws), twin.records(0.1)).clock
     at = clock.sample_time * np.arange(clock.samples)
     begins = np.cumsum(clock.lengths) - clock.lengths
-    for begun, period, delay in zip(clock.begun, periods, delays, strict=True):
+    for begun, period, delay in zip(clock.torque_index, periods, delays, strict=True):
         step, part = np.divmod(begun, clock.lengths.size)
         expected = np.floor(at / period + 1e-6) * period + delay
         acts = step * np.sum(clock.lengths) + begins[part]

@@ -18,7 +18,7 @@ from jointid.campaigns.campaign_tables import BootstrapTable, CampaignTable, Mul
 from jointid.campaigns.cases import Case, Redrawn, Simulated, Started
 from jointid.campaigns.fleet import FleetRecords, Logged, named_record
 from jointid.common.errors import JointFileError
-from jointid.common.text import listed as in_a_row
+from jointid.common.text import join as in_a_row
 from jointid.config import loads
 from jointid.config.loading import parse_toml, read_text
 from jointid.config.table import faults_of

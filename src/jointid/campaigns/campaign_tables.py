@@ -10,8 +10,8 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field
 
 from jointid.common.messages import Says, either
-from jointid.common.settings import declare, documented, setting
-from jointid.common.text import listed
+from jointid.common.settings import add_settings_to_docstring, declare, setting
+from jointid.common.text import join
 from jointid.config.table import Table, Text, dotted, keys_from
 
 KINDS = ("fleet", "monte_carlo", "bootstrap", "multistart")
@@ -21,7 +21,7 @@ PLACEHOLDERS = {"joint": r"[^/]+", "day": r"\d{4}-?\d{2}-?\d{2}"}
 PLACEHOLDER = re.compile(r"\{(\w*)\}|(\*)|(\?)")
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class Fleet:
     """Joints and their records."""
@@ -39,7 +39,7 @@ class Fleet:
     )
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class MonteCarlo:
     """Simulated runs of one joint with noise."""
@@ -62,7 +62,7 @@ class MonteCarlo:
     )
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class Bootstrap:
     """Runs of one record with its residual resampled in blocks of time.
@@ -79,7 +79,7 @@ class Bootstrap:
     seed: int = setting(1, "of the first run; the others follow", at_least=0)
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class Multistart:
     """Searches of one record from random starts around the joint file's."""
@@ -141,7 +141,7 @@ class CampaignTable(Table):
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield a missing or ambiguous task, and invalid sweep values."""
         if sum(getattr(self, kind) is not None for kind in KINDS) != 1:
-            yield "", f"A campaign has one of the tables {listed([f'[{kind}]' for kind in KINDS])}; write one of them."
+            yield "", f"A campaign has one of the tables {join([f'[{kind}]' for kind in KINDS])}; write one of them."
         for key, values in self.sweep.items():
             if not values or not all(isinstance(value, str | int | float) for value in values):
                 yield "sweep", f": {key} is no list of values; expected one or more texts, numbers, true or false."

@@ -18,8 +18,8 @@ from jointid.campaigns.campaign_tables import PLACEHOLDER, PLACEHOLDERS, FleetTa
 from jointid.campaigns.fleet_table import FleetRow, RowFaults, read_fleet_table
 from jointid.campaigns.robot_cases import embed_model, record_of
 from jointid.common.errors import JointFileError, RecordError
-from jointid.common.text import counted
-from jointid.common.text import listed as in_a_row
+from jointid.common.text import join as in_a_row
+from jointid.common.text import pluralise
 from jointid.config import loads
 from jointid.config.loading import read_text
 
@@ -74,7 +74,7 @@ class FleetRecords:
                 f"and are left out: {_some(self._undated)}."
             )
         if without:
-            said.append(f"{counted(len(without), 'joint')} of the table have no record yet: {_some(without)}.")
+            said.append(f"{pluralise(len(without), 'joint')} of the table have no record yet: {_some(without)}.")
         return " ".join(said)
 
     @property
@@ -135,7 +135,7 @@ class FleetRecords:
             made += found
         faults.raise_any()
         if not made:
-            raise JointFileError(f"{path} names {counted(len(rows), 'row')}, and no record is there; correct the "
+            raise JointFileError(f"{path} names {pluralise(len(rows), 'row')}, and no record is there; correct the "
                                  "paths, which are taken from its folder.")  # fmt: skip
         return made
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from jointid.common.errors import JointFileError, extra
 from jointid.common.messages import either, format_value
-from jointid.common.text import counted, listed
+from jointid.common.text import join, pluralise
 from jointid.config.loading import apply_changes
 
 _LARGEST, _MOST_CELLS = 2**26, 5_000_000  # bytes, and cells, of 100,000 joints and fifty columns
@@ -61,7 +61,7 @@ class RowFaults:
         said = [f"{self._path.name}, {_rows(numbers)}: {one}" for one, numbers in found]
         if said:
             more = len(said) - _SENTENCES
-            rest = [f"{self._path.name} has {counted(more, 'fault')} more; mend these first."] if more > 0 else []
+            rest = [f"{self._path.name} has {pluralise(more, 'fault')} more; mend these first."] if more > 0 else []
             raise JointFileError([*said[:_SENTENCES], *rest])
 
 
@@ -80,7 +80,9 @@ def read_fleet_table(path: Path) -> tuple[tuple[FleetRow, ...], RowFaults]:
     faults, made = RowFaults(path), list[FleetRow]()
     for number, cells in rows:
         if len(cells) != len(header):
-            sentence = f"it has {counted(len(cells), 'cell')}, and the header has {len(header)}; add or leave out some."
+            sentence = (
+                f"it has {pluralise(len(cells), 'cell')}, and the header has {len(header)}; add or leave out some."
+            )
             faults.add(number, [sentence])
             continue
         said = dict(zip(header, cells, strict=True))
@@ -93,7 +95,7 @@ def read_fleet_table(path: Path) -> tuple[tuple[FleetRow, ...], RowFaults]:
 
 def _rows(numbers: Sequence[int]) -> str:
     named = [*map(str, numbers[:_NAMED]), *([f"{len(numbers) - _NAMED} more"] if len(numbers) > _NAMED else [])]
-    return f"row{'s' if len(numbers) > 1 else ''} {listed(named)}"
+    return f"row{'s' if len(numbers) > 1 else ''} {join(named)}"
 
 
 def _faults(said: Mapping[str, str]) -> Iterator[str]:
@@ -127,7 +129,7 @@ def _check_header(path: Path, header: Sequence[str]) -> None:
     faults = [f"{path} has {count} columns {name}; leave one of them out." for name, count in Counter(header).items()
               if count > 1]  # fmt: skip
     if "name" not in header:
-        faults.append(f"{path} has no column name, but {listed(header[:_NAMED])}; expected the joints' names: add it.")
+        faults.append(f"{path} has no column name, but {join(header[:_NAMED])}; expected the joints' names: add it.")
     for key in filter(_is_setting, header):
         try:
             apply_changes({}, [f"{key}=0"])

@@ -29,7 +29,7 @@ from jointid.campaigns.truths import AgainstTruth, against_truth, summarise_trut
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Facts, Heading, Listing, Paragraph, Table
 from jointid.common.errors import MethodError
-from jointid.common.text import counted, listed, number, signed
+from jointid.common.text import format_signed, join, number, pluralise
 
 _SHOWN = 10  # rows of a table without details
 _UNLIKE = 5.0  # robust deviations from the other joints
@@ -105,11 +105,11 @@ class CampaignReport(Documented):
         joints = list(dict.fromkeys(one.series.joint for one in self.drifted))
         if joints:
             more = [*joints[:_SHOWN], *([f"{len(joints) - _SHOWN} more"] if len(joints) > _SHOWN else [])]
-            return f"{counted(len(joints), 'joint')} drifted: {listed(more)}."
+            return f"{pluralise(len(joints), 'joint')} drifted: {join(more)}."
         if not self.changes:
             return "Drift was not tested: no joint has eight runs."
         watched = len({one.series.joint for one in self.changes})
-        return f"No stiffness and no friction drifted by more than its scatter ({counted(watched, 'joint')} watched)."
+        return f"No stiffness and no friction drifted by more than its scatter ({pluralise(watched, 'joint')} watched)."
 
     def document(self, *, details: bool = False) -> Document:
         """The report; with details all rows of every table."""
@@ -143,7 +143,7 @@ class CampaignReport(Documented):
             yield Heading("Largest changes within scatter")
             yield Table(header, tuple(map(_drift_row, others)), "", (0, 1, 4, 5))
         yield Paragraph(
-            f"{counted(len(self.changes), 'quantity', 'quantities')} of joints were watched; the chance that any is "
+            f"{pluralise(len(self.changes), 'quantity', 'quantities')} of joints were watched; the chance that any is "
             f"named without drift is {number(100 * self.false_alarm, 2)} % at most, if the runs of a joint scatter "
             "independently of one another."
         )
@@ -166,7 +166,7 @@ class CampaignReport(Documented):
 
     def _outlier_blocks(self, most: int | None) -> Iterator[Block]:
         runs = [
-            (one.joint, one.quantity, one.labels[k], signed(100 * (value / level - 1), 3), number(abs(off), 2))
+            (one.joint, one.quantity, one.labels[k], format_signed(100 * (value / level - 1), 3), number(abs(off), 2))
             for one in self.series
             for level in [float(np.median(one.values))]
             for k, (value, off) in enumerate(zip(one.values, one.outlying, strict=True))
@@ -197,8 +197,8 @@ def report_of(folder: Path, false_alarm: float = FALSE_ALARM) -> CampaignReport:
 def _drift_row(one: Change) -> tuple[str, ...]:
     scale = 100 / abs(one.before) if one.before else float("inf")
     return (
-        _name_series(one.series), one.series.quantity, signed(one.change_percent, 3), number(2 * scale * one.std, 2),
-        one.kind, one.since, number(one.p_value, 2),
+        _name_series(one.series), one.series.quantity, format_signed(one.change_percent, 3),
+        number(2 * scale * one.std, 2), one.kind, one.since, number(one.p_value, 2),
     )  # fmt: skip
 
 

@@ -17,8 +17,8 @@ from jointid.campaigns.engines import Engine, Workers, on_one_core
 from jointid.campaigns.run_case import run_case
 from jointid.campaigns.store import Results
 from jointid.common.errors import JointidError, RecordError
-from jointid.common.messages import Progress, Work, silent
-from jointid.common.text import counted
+from jointid.common.messages import Progress, Work, ignore_progress
+from jointid.common.text import pluralise
 
 _DEATHS = 2  # of workers, after which a case is set aside
 _IDLE_DEATHS = 10  # of workers in a row that had no case, after which it is no use to start others
@@ -44,7 +44,7 @@ class Ran:
         """Return it in a sentence."""
         ends = ", ".join(f"{count} {outcome}" for outcome, count in self.made.items() if count)
         before = f", {self.found} of them before" if self.found else ""
-        return f"{counted(self.cases, 'case')} done{before}{f': {ends}' if ends else ''}."
+        return f"{pluralise(self.cases, 'case')} done{before}{f': {ends}' if ends else ''}."
 
 
 def run_cases(
@@ -55,7 +55,7 @@ def run_cases(
     name: str = "",
     has: Callable[[str], bool] = lambda _: True,
     carry: Carry = run_case,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> Ran:
     """Execute the cases of a campaign without a result.
 
@@ -94,7 +94,7 @@ def run_cases(
                     )
                 if affected:
                     progress(
-                        f"a worker died; {counted(len(affected), 'case')} that it may have died of "
+                        f"a worker died; {pluralise(len(affected), 'case')} that it may have died of "
                         f"{'is' if len(affected) == 1 else 'are'} tried again, one at a time"
                     )
                 for case in (one for one in affected if not results.has_result(one.content_hash)):

@@ -17,7 +17,7 @@ import numpy as np
 from jointid.campaigns.cases import Outcome, Row
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Heading, Table
-from jointid.common.text import counted, listed, number, signed
+from jointid.common.text import format_signed, join, number, pluralise
 
 _FEWEST = 3  # runs that have a scatter
 _LEVEL = 0.95  # of its interval
@@ -102,13 +102,13 @@ def repeats_of(rows: Sequence[Row]) -> Iterator[Repeated]:
 def summarise_repeats(found: Sequence[Repeated], runs: int, what: str) -> tuple[str, bool | None]:
     """State whether runs scatter as stated; None if unknown."""
     if not found:
-        return f"{counted(runs, f'{what} run')} with an answer; three are needed to say how they scatter.", None
+        return f"{pluralise(runs, f'{what} run')} with an answer; three are needed to say how they scatter.", None
     wrong = [one for one in found if one.verdict != "as stated"]
     if not wrong:
-        return f"{counted(runs, f'{what} run')} scatter as their stated deviations say.", True
+        return f"{pluralise(runs, f'{what} run')} scatter as their stated deviations say.", True
     said = [f"{one.name} ({number(one.ratio, 2)} times as stated)" for one in wrong[:_NAMED]]
     more = [f"{len(wrong) - _NAMED} more"] if len(wrong) > _NAMED else []
-    return f"{counted(runs, f'{what} run')} scatter otherwise than stated in {listed([*said, *more])}.", False
+    return f"{pluralise(runs, f'{what} run')} scatter otherwise than stated in {join([*said, *more])}.", False
 
 
 def repeat_blocks(found: Sequence[Repeated], most: int | None) -> Iterator[Block]:
@@ -119,7 +119,7 @@ def repeat_blocks(found: Sequence[Repeated], most: int | None) -> Iterator[Block
                    one.interval), one.verdict) for one in found)  # fmt: skip
         yield Table(("quantity", "runs", "ratio", "95 %", "verdict"), tuple(scatter), "", (0, 3, 4))
     outlying = [
-        (one.name, f"seed {seed}", number(value), signed(off, 2))
+        (one.name, f"seed {seed}", number(value), format_signed(off, 2))
         for one in found
         for seed, value, off in one.outlying
     ]  # fmt: skip
@@ -190,7 +190,7 @@ def summarise_ends(groups: Sequence[Sequence[SearchEnd]]) -> tuple[str, bool | N
         return "No search has come to an answer.", None
     alike = sum(len(ends[0].searches) for ends in groups)
     total = sum(len(end.searches) for ends in groups for end in ends)
-    said = f"{alike} of {counted(total, 'search', 'searches')} ended at the best fit"
+    said = f"{alike} of {pluralise(total, 'search', 'searches')} ended at the best fit"
     return (f"{said}." if alike == total else f"{said}, the others elsewhere."), alike == total
 
 
@@ -270,6 +270,6 @@ def _effects(what: str, before: dict[_Run, Row], after: dict[_Run, Row]) -> Iter
         deviations = [change / std for change, _, std in moved if std]
         if moved:
             yield (
-                what, name, signed(float(np.median(percent)), 3) if percent else "-",
-                signed(float(np.median(deviations)), 2) if deviations else "-", str(len(moved)),
+                what, name, format_signed(float(np.median(percent)), 3) if percent else "-",
+                format_signed(float(np.median(deviations)), 2) if deviations else "-", str(len(moved)),
             )  # fmt: skip

@@ -19,7 +19,7 @@ import numpy as np
 from jointid.campaigns.run_groups import Repeated
 from jointid.common.document import Block, Heading, Paragraph, Table
 from jointid.common.errors import RecordError
-from jointid.common.text import counted, listed, number, signed
+from jointid.common.text import format_signed, join, number, pluralise
 
 _SIGMAS = 2.0
 _STATED = math.erf(_SIGMAS / math.sqrt(2))
@@ -65,7 +65,7 @@ class AgainstTruth:
     def verdict(self) -> str:
         """Whether errors agree with the stated deviations."""
         faults = [said for said, so in (("biased", self.biased), ("held too seldom", self.too_seldom)) if so]
-        return listed(faults) if faults else "as stated"
+        return join(faults) if faults else "as stated"
 
 
 def against_truth(found: Sequence[Repeated]) -> tuple[AgainstTruth, ...]:
@@ -92,12 +92,14 @@ def _beside(one: Repeated, truth: float, chance: float) -> AgainstTruth:
 def summarise_truth(found: Sequence[AgainstTruth]) -> tuple[str, bool]:
     """State whether the intervals cover the truth."""
     seldom = [f"{one.name} ({100 * one.share:.0f} %)" for one in found if one.too_seldom]
-    biased = [f"{one.name} ({signed(one.bias / one.stated, 2)} stated deviations)" for one in found if one.biased]
+    biased = [
+        f"{one.name} ({format_signed(one.bias / one.stated, 2)} stated deviations)" for one in found if one.biased
+    ]
     said = []
     if seldom:
-        said.append(f"Two stated deviations hold the truth less often than they say in {listed(seldom)}.")
+        said.append(f"Two stated deviations hold the truth less often than they say in {join(seldom)}.")
     if biased:
-        said.append(f"Biased: {listed(biased)}.")
+        said.append(f"Biased: {join(biased)}.")
     return " ".join(said) or "Two stated deviations hold the truth as often as they say, and no bias is sure.", not said
 
 
@@ -109,8 +111,9 @@ def truth_blocks(found: Sequence[AgainstTruth]) -> Iterator[Block]:
     header = ("quantity", "truth", "bias", "+-", "scatter", "held %", "95 %", "verdict")
     rows = (
         (
-            one.name, number(one.truth), signed(one.bias, 2), number(2 * one.bias_std, 2), number(one.scatter, 2),
-            number(100 * one.share, 3), f"{100 * one.low:.0f} to {100 * one.high:.0f}", one.verdict,
+            one.name, number(one.truth), format_signed(one.bias, 2), number(2 * one.bias_std, 2),
+            number(one.scatter, 2), number(100 * one.share, 3), f"{100 * one.low:.0f} to {100 * one.high:.0f}",
+            one.verdict,
         )
         for one in found
     )  # fmt: skip
@@ -118,7 +121,7 @@ def truth_blocks(found: Sequence[AgainstTruth]) -> Iterator[Block]:
     yield Paragraph(
         "The bias is known to +-, two of its standard deviations; units are those of the distribution. "
         f"Held: the share of the runs whose two stated deviations have the truth in them, {100 * _STATED:.1f} % "
-        f"if they are right. The chance that any of {counted(len(found), 'quantity', 'quantities')} is called biased "
+        f"if they are right. The chance that any of {pluralise(len(found), 'quantity', 'quantities')} is called biased "
         f"without being so is {100 * _CHANCE:.0f} % at most, and that one is called held too seldom the same."
     )
 

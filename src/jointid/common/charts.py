@@ -148,12 +148,12 @@ class Charted(ABC):
         return jointid.figures.draw(self)
 
 
-def said(correlation: float) -> str:
+def format_correlation(correlation: float) -> str:
     """Format a correlation with two decimals, without a negative zero."""
     return f"{round(correlation, 2) + 0.0:.2f}"
 
 
-def thin(x: FloatArray, *signals: FloatArray, most: int) -> tuple[FloatArray, ...]:
+def decimate(x: FloatArray, *signals: FloatArray, most: int) -> tuple[FloatArray, ...]:
     """Decimate signals to about `most` points, keeping peaks and gaps.
 
     Each stretch keeps the samples where a signal is least or largest, and its first NaN.

@@ -26,7 +26,7 @@ _NOTHING = 1e-200  # what falls below it is 0: near the smallest numbers many ma
 _BLOCK = 16  # kept samples between two checks for one
 
 
-def compiled(function: F) -> F:
+def compile_kernel(function: F) -> F:
     """Compile with Numba: cached on disk, without the GIL, with fused multiply-add.
 
     Without a writable cache folder, each process compiles the kernel.
@@ -61,7 +61,7 @@ def has_cache(kernel: object) -> bool:
     return not isinstance(held, KernelCache) or held.holds_any()
 
 
-def inlined(function: F) -> F:
+def inline_kernel(function: F) -> F:
     """Compile as part of every caller; Python cannot call the function.
 
     A real call passes an array as seven values and counts references; Python wrappers take a fifth of the compile time.
@@ -108,19 +108,19 @@ def _njit(function: F, **options: bool) -> F:
     return cast("F", kernel)
 
 
-@inlined
+@inline_kernel
 def assign(to: FloatArray, values: FloatArray) -> None:
     """Copy a vector; slice assignment takes a second longer to compile."""
     for i in range(values.size):
         to[i] = values[i]
 
 
-@inlined
+@inline_kernel
 def _four(values: FloatArray) -> Four:
     return values[0], values[1], values[2], values[3]
 
 
-@compiled
+@compile_kernel
 def carry(powers: FloatArray, said: FloatArray, step: int) -> None:
     """Propagate the modes of a filter from each kept sample to the next.
 
@@ -151,7 +151,7 @@ def carry(powers: FloatArray, said: FloatArray, step: int) -> None:
             said[j, at, 4], said[j, at, 5], said[j, at, 6], said[j, at, 7] = t0, t1, t2, t3
 
 
-@compiled
+@compile_kernel
 def respond(
     starts: NDArray[np.int64],
     sources: NDArray[np.int64],
@@ -211,7 +211,7 @@ def respond(
 _ROWS = 64  # of a block: with some hundred columns it stays in the cache
 
 
-@compiled
+@compile_kernel
 def triangle_of(columns: FloatArray, R: FloatArray) -> None:
     """Compute R of ``columns = Q R`` by Householder reflections; overwrites `columns`.
 

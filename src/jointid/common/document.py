@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from jointid.common.errors import extra
 from jointid.common.files import write_whole
-from jointid.common.text import aligned, encodable, short, wrapped
+from jointid.common.text import align, encodable, short, wrap
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -146,7 +146,7 @@ class Document:
         Args:
             width: maximum line length; long words and code exceed it.
         """
-        text, gap = wrapped(self.title, width), "\n" if self.blocks and isinstance(self.blocks[0], Facts) else "\n\n"
+        text, gap = wrap(self.title, width), "\n" if self.blocks and isinstance(self.blocks[0], Facts) else "\n\n"
         for block in self.blocks:
             text += gap + _block_text(block, width)
             gap = "\n" if isinstance(block, Heading) else "\n\n"
@@ -238,26 +238,26 @@ def common_facts(resampled: object | None, transmission: object | None) -> tuple
 
 def _block_text(block: Block, width: int) -> str:
     if isinstance(block, Heading | Paragraph | Picture):
-        return wrapped(block.text, width)
+        return wrap(block.text, width)
     if isinstance(block, Listing):
-        return "\n".join(wrapped(item, width, below=2) for item in block.items)
+        return "\n".join(wrap(item, width, below=2) for item in block.items)
     if isinstance(block, Facts):
         names = max([_LEAST, *(len(name) for name, _ in block.pairs)])
-        return "\n".join(wrapped(value, width, f"{name.ljust(names)} ") for name, value in block.pairs)
+        return "\n".join(wrap(value, width, f"{name.ljust(names)} ") for name, value in block.pairs)
     if isinstance(block, Verdicts):
         return "\n".join(_verdict_text(*row, width) for row in block.rows)
     if isinstance(block, Code):
         return f"{block.caption}\n{block.text}" if block.caption else block.text
-    return "\n".join([*([wrapped(block.caption, width)] if block.caption else []), _table_text(block, width)])
+    return "\n".join([*([wrap(block.caption, width)] if block.caption else []), _table_text(block, width)])
 
 
 def _verdict_text(asked: str, good: bool | None, reasons: Sequence[str], width: int) -> str:
     head = f"{asked:{_ASKED}} {_MARKS[good]:4} "
     if not reasons:
-        return wrapped("", width, head)
+        return wrap("", width, head)
     first, *others = reasons
-    below = (wrapped(other, width - 1, " " * len(head)) for other in others)  # a comma takes one
-    return ",\n".join((wrapped(first, width - 1, head), *below))
+    below = (wrap(other, width - 1, " " * len(head)) for other in others)  # a comma takes one
+    return ",\n".join((wrap(first, width - 1, head), *below))
 
 
 def _table_text(block: Table, width: int) -> str:
@@ -276,7 +276,7 @@ def _table_text(block: Table, width: int) -> str:
         header, *rows = ([row[i] for i in part] for row in table)
         if part is not parts[0]:
             rows = [row for row in rows if any(row[1:])]
-        shown.append(aligned(header, rows, [i not in block.words for i in part]))
+        shown.append(align(header, rows, [i not in block.words for i in part]))
     return "\n\n".join(shown)
 
 

@@ -90,7 +90,7 @@ def unit_of(quantity: Quantity, kind: Kind, torque_unit: str) -> str:
     }[quantity]
 
 
-def adjusted(parameters: Iterable[Parameter], changes: Mapping[str, Parameter]) -> tuple[Parameter, ...]:
+def adjust_parameters(parameters: Iterable[Parameter], changes: Mapping[str, Parameter]) -> tuple[Parameter, ...]:
     """Replace the parameters named in `changes`."""
     wrong = [name for name, change in changes.items() if not isinstance(change, Parameter)]
     if wrong:
@@ -132,11 +132,11 @@ class Bounds:
         """Test which parameters are within `gap` of a bound."""
         return np.asarray((x <= self.lower + gap) | (x >= self.upper - gap))
 
-    def blocked(self, x: FloatArray, step: FloatArray) -> NDArray[np.bool_]:
+    def find_blocking(self, x: FloatArray, step: FloatArray) -> NDArray[np.bool_]:
         """Test which parameters are at a bound and step outwards."""
         return np.asarray(((x <= self.lower) & (step < 0)) | ((x >= self.upper) & (step > 0)))
 
-    def around(self, x: FloatArray) -> Bounds:
+    def shift_to(self, x: FloatArray) -> Bounds:
         """Bounds on a step from a point."""
         return Bounds(self.lower - x, self.upper - x)
 

@@ -134,7 +134,7 @@ class Declared:
             return None
         if self.choices:
             return messages.no_choice(value, self.choices)
-        return messages.unexpected(value, self.says, optional=not self.required)
+        return messages.describe_unexpected(value, self.says, optional=not self.required)
 
     def _allows(self, value: Any) -> bool:
         if value is None:
@@ -209,7 +209,7 @@ def check_settings(owner: Any, error: type[JointidError] = MethodError, called: 
             one.setting.accept(value)
 
 
-def documented(owner: type[T]) -> type[T]:
+def add_settings_to_docstring(owner: type[T]) -> type[T]:
     """Append the settings to a dataclass's docstring, as attributes."""
     lines = [
         f"    {one.name}: {text}."

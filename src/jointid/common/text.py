@@ -18,7 +18,7 @@ def printable(text: str) -> str:
 
 def short(text: str, longest: int = 40) -> str:
     """Abbreviate a piece of a file to one short line."""
-    said = shown(text[: longest + 1])
+    said = show(text[: longest + 1])
     return said if len(text) <= longest else f"{said[: longest - 3]}..."
 
 
@@ -34,12 +34,12 @@ def number(value: float | None, digits: int = 5) -> str:
     return f"{value:.{digits - 1}e}"
 
 
-def signed(value: float, digits: int = 5) -> str:
+def format_signed(value: float, digits: int = 5) -> str:
     """Format a number with sign and significant digits: +1230, -0.0420."""
     return f"{'-' if value < 0 else '+'}{number(abs(value), digits)}"
 
 
-def rounded(value: float, digits: int = 3) -> float:
+def round_to(value: float, digits: int = 3) -> float:
     """Round to significant digits."""
     return float(f"{value:.{digits - 1}e}")
 
@@ -59,7 +59,7 @@ def uniform(values: Sequence[float | None], otherwise: str = "-", digits: int = 
     """
     plain = all(value is None or value == 0.0 or 1e-3 <= abs(value) < 1e6 for value in values)
     return [
-        otherwise if value is None else number(rounded(value, digits), digits) if plain else f"{value:.{digits - 1}e}"
+        otherwise if value is None else number(round_to(value, digits), digits) if plain else f"{value:.{digits - 1}e}"
         for value in values
     ]
 
@@ -84,7 +84,7 @@ def interval(value: float, spread: float) -> str:
     return f"{number(value, min(max(digits, 2), 9))} ± {number(spread, 2)}"
 
 
-def wrapped(text: str, width: int, head: str = "", below: int | None = None) -> str:
+def wrap(text: str, width: int, head: str = "", below: int | None = None) -> str:
     """Wrap a text without breaking words.
 
     Args:
@@ -120,13 +120,13 @@ def sentence(text: str) -> str:
     return f"{text[:1].upper()}{text[1:]}{'' if text.endswith('.') else '.'}"
 
 
-def listed(words: Sequence[str]) -> str:
+def join(words: Sequence[str]) -> str:
     """Join words: "Fc", "Fc and Fv", "Fc, Fv and F12"."""
     *most, last = words
     return f"{', '.join(most)} and {last}" if most else last
 
 
-def aligned(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[bool]) -> str:
+def align(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[bool]) -> str:
     """Align rows under a header; columns marked in `right` to the right."""
     table = [list(header), *[list(row) for row in rows]]
     widths = [max(len(row[i]) for row in table) for i in range(len(header))]
@@ -137,11 +137,11 @@ def aligned(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequenc
     return "\n".join([lines[0], "-" * max(len(line) for line in lines), *lines[1:]])
 
 
-def shown(name: str) -> str:
+def show(name: str) -> str:
     """Return a printable name on one line; see `printable`."""
     return printable(name).replace("\n", "\\n")
 
 
-def counted(number: int, noun: str, plural: str = "") -> str:
+def pluralise(number: int, noun: str, plural: str = "") -> str:
     """Format a count: "1 sample", "2 samples"."""
     return f"{number} {noun if number == 1 else plural or f'{noun}s'}"

@@ -26,7 +26,7 @@ from typing import Literal, TypeAlias
 from jointid.common import units
 from jointid.common.errors import MethodError
 from jointid.common.parameters import TORQUE_UNIT, Quantity, unit_of
-from jointid.common.settings import check_settings, declare, documented, setting
+from jointid.common.settings import add_settings_to_docstring, check_settings, declare, setting
 
 Side: TypeAlias = Literal["motor", "load"]
 
@@ -54,7 +54,7 @@ _TURNED = (
 """Ends of the names of what changes its sign with the direction; all else is odd in the motion, or a size."""
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Transmission:
     """A gear, a belt or a screw without loss; given by its ratio or by its lead.

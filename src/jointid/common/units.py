@@ -108,7 +108,7 @@ _SPELLINGS = {
 }  # fmt: skip
 
 
-def spelled(name: str) -> str:
+def normalise_unit(name: str) -> str:
     """Normalise the spelling of a unit; unknown ones stay."""
     name = name.strip()
     return _SPELLINGS.get(name, _SPELLINGS.get(name.lower(), name))
@@ -174,7 +174,7 @@ class Quantity:
         Radians are optional, as in N m s for N m s/rad, except beside minutes, where turns may be meant.
         """
         wanted = parse_unit(expected)
-        entry = _UNITS.get(spelled(self.unit))
+        entry = _UNITS.get(normalise_unit(self.unit))
         one = None if entry is None else Compound(entry.factor, _BASES[entry.dimension])
         for read in ([] if one is None else [one]) + [parse_unit(self.unit)]:
             implied = {base: power for base, power in wanted.powers.items() if base != "rad"}
@@ -261,7 +261,7 @@ def _read_factor(tokens: list[re.Match[str]], text: str) -> Compound:
         *most, last = _TOGETHER[named].split()
         found = parse_unit(" ".join(most))
         return found.times(parse_unit(last), power)
-    entry = _UNITS.get(spelled(named))
+    entry = _UNITS.get(normalise_unit(named))
     if entry is None:
         raise UnitError(f'"{named}" is no unit that is known; {_known_instead(named)}')
     return Compound(1.0, {}).times(Compound(entry.factor, _BASES[entry.dimension]), power)

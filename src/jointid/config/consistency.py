@@ -200,7 +200,7 @@ def _no_change(controller: Controller, numbers: Mapping[str, float]) -> str | No
     known = (*numbers_of(controller), "period")
     for name in numbers:
         if name not in known:
-            return f".{messages.dot_path([name])}{messages.unknown(name, known)}"
+            return f".{messages.dot_path([name])}{messages.describe_unknown(name, known)}"
     return refusal(lambda: with_numbers(controller, numbers))
 
 

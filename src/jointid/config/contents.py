@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Self
 from jointid.common import units
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointFileError, MethodError, RecordError
-from jointid.common.messages import Progress, silent
+from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import TORQUE_UNIT, Parameter
 from jointid.common.units import Kind
 from jointid.config import serialise
@@ -276,7 +276,7 @@ class JointFile:
     def identify(
         self,
         record: Record,
-        progress: Progress = silent,
+        progress: Progress = ignore_progress,
         *,
         checks: bool = True,
         unchecked: Callable[[Estimate], None] | None = None,
@@ -301,7 +301,7 @@ class JointFile:
             progress=progress,
         )  # fmt: skip
 
-    def learn_controller(self, record: Record, progress: Progress = silent) -> LearnedController:
+    def learn_controller(self, record: Record, progress: Progress = ignore_progress) -> LearnedController:
         """Learn the controller, in its own units, which the torque constant or the gain of [controller] says.
 
         Args:

@@ -21,7 +21,7 @@ from pydantic import Field, ValidationError
 from jointid.common import messages
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointFileError, JointidError, MethodError, RecordError
-from jointid.common.messages import Progress, Says, silent
+from jointid.common.messages import Progress, Says, ignore_progress
 from jointid.common.settings import settings_of
 from jointid.common.units import Kind
 from jointid.config.contents import JointFile
@@ -442,7 +442,9 @@ class RobotFile:
         whole = controlled and all(record.reference is not None for record in found)
         return self._fed_forward(found) if self._simulates or (judged and whole) else found
 
-    def identify(self, records: Sequence[Record], progress: Progress = silent) -> RobotEstimate | RobotTorqueEstimate:
+    def identify(
+        self, records: Sequence[Record], progress: Progress = ignore_progress
+    ) -> RobotEstimate | RobotTorqueEstimate:
         """Identify the robot by the method and the filtering of the file.
 
         Args:
@@ -453,10 +455,10 @@ class RobotFile:
             RecordError, MethodError: see `jointid.identify`.
         """
         self._require_free()
-        closing: Robot | RobotLoop | RobotDriveSide = self.loop if self._simulates else self.robot
+        setup: Robot | RobotLoop | RobotDriveSide = self.loop if self._simulates else self.robot
         if isinstance(self.method, RobotDriveSideFit):
-            closing = RobotDriveSide(self.robot)
-        return fit_robot(records, closing, self.method, filtering=self.filtering, progress=progress)
+            setup = RobotDriveSide(self.robot)
+        return fit_robot(records, setup, self.method, filtering=self.filtering, progress=progress)
 
     def _require_free(self) -> None:
         """Raise a `MethodError` if a parameter of a joint has a value or bounds to keep."""
@@ -625,7 +627,7 @@ def _joint(own: RobotJointTable, joint: RobotJoint, file: JointFile) -> RobotJoi
 
 def _unmodelled(own: RobotJointTable, joint: RobotJoint, file: JointFile) -> Iterator[str]:
     """Yield the rest of a sentence on each law and number that the model of a robot has not."""
-    motor, beyond, others = _starts(file)
+    motor, excess, others = _starts(file)
     friction, spring = file.joint.friction.name, getattr(file.joint, "spring", None)
     for name in others:
         yield f".parameters.{name} is no number of a robot's joint; leave it out, or change the model of the robot."
@@ -636,7 +638,7 @@ def _unmodelled(own: RobotJointTable, joint: RobotJoint, file: JointFile) -> Ite
         yield ".stribeck_speed is missing; expected the speed below which friction rises: add it."
     if spring is not None and not spring.linear:
         yield f'.spring is "{spring.name}", which no robot is simulated with; expected "linear": choose that.'
-    elif spring is not None and "stiffness" not in beyond and (own.spring is None or own.spring.stiffness is None):
+    elif spring is not None and "stiffness" not in excess and (own.spring is None or own.spring.stiffness is None):
         yield ".spring.stiffness is missing; expected a positive number (where a search begins): add it."
     if file.joint.gravity is not None:
         yield ".gravity is that of the masses of the robot's model; leave it out."

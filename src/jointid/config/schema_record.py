@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from jointid.common.settings import declare, documented, setting, settings_of
+from jointid.common.settings import add_settings_to_docstring, declare, setting, settings_of
 from jointid.common.units import units_of
 from jointid.config.table import Flag, Table, Text, accept_by, keys_from, refusal
 from jointid.records.clock import CLOCK_TOLERANCE
@@ -26,7 +26,7 @@ OPTIONS = ("delimiter", "decimal", "header")
 Delimiter = Annotated[Text, accept_by(lambda mark: Csv(delimiter=mark))]
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class Source:
     """The file of the record, and how it is read; see `jointid.records.reading`."""
@@ -51,7 +51,7 @@ class Source:
     )
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class Run:
     """One of several records that are identified together."""
@@ -74,7 +74,7 @@ class Run:
     )
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class Together:
     """How several records are identified together."""

@@ -160,7 +160,7 @@ def _gauss_newton_step(J: FloatArray, white: FloatArray, x: FloatArray, limits: 
     for _ in range(x.size):
         change = np.zeros(x.size)
         change[free] = np.linalg.lstsq(normal[np.ix_(free, free)], right[free], rcond=1e-13)[0] / norms[free]
-        stuck = free & limits.blocked(x, change)
+        stuck = free & limits.find_blocking(x, change)
         if not np.any(stuck):
             break
         free &= ~stuck

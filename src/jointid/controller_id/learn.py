@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, silent
+from jointid.common.messages import Progress, ignore_progress
 from jointid.common.transmission import Transmission
 from jointid.controller_id.fitting import FittedLaw, Task, covariance, order_rates
 from jointid.controller_id.intervals import numbers_with_intervals
@@ -34,7 +34,7 @@ def learn_controller(
     gain: float = 1.0,
     transmission: Transmission | None = None,
     declared: Controller | None = None,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> LearnedController:
     """Learn the controller from a record that has its reference, the motor position and the torque.
 

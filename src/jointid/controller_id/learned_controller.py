@@ -20,7 +20,7 @@ from jointid.common.document import (
     data_frame,
 )
 from jointid.common.messages import Message
-from jointid.common.text import counted, number
+from jointid.common.text import number, pluralise
 from jointid.common.transmission import Transmission
 from jointid.controller_id.intervals import LearnedNumber
 from jointid.controller_id.limitations import LimitationCode
@@ -136,7 +136,7 @@ class LearnedController(Documented):
         """Explanation of intervals and controller units."""
         said, gain = "+- is 2 deviations", getattr(self.controller, "gain", 1.0)
         if self.alike:
-            others = counted(len(self.alike), "other law")
+            others = pluralise(len(self.alike), "other law")
             said += f"; it spans {others} that the record does not distinguish from this one"
         return f"{said}; [controller] has gain = {number(gain)} {self.torque_unit}" if gain != 1.0 else said
 
@@ -149,15 +149,17 @@ class LearnedController(Documented):
         if others:
             near = min(others, key=lambda one: one.apart)
             yield Paragraph(
-                f"{counted(len(others), 'other law')} {'was' if len(others) == 1 else 'were'} tried and ruled out; the "
-                f"nearest is {near.structure}, whose torque differs by {100 * near.apart:.2g} %."
+                f"{pluralise(len(others), 'other law')} {'was' if len(others) == 1 else 'were'} tried and ruled out; "
+                f"the nearest is {near.structure}, whose torque differs by {100 * near.apart:.2g} %."
             )
 
     @property
     def sentence(self) -> str:
         """The law, and how well it gives the torque."""
         others = len(self.alike)
-        open_ones = f" The record does not distinguish it from {counted(others, 'other structure')}." if others else ""
+        open_ones = (
+            f" The record does not distinguish it from {pluralise(others, 'other structure')}." if others else ""
+        )
         if self.another_law:
             return next(str(one) for one in self.limitations if one.code is LimitationCode.ANOTHER_LAW)
         return f"The controller is {self.structure}; it leaves {100 * self.share:.2g} % of the torque.{open_ones}"

@@ -10,7 +10,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
-from jointid.common.text import listed
+from jointid.common.text import join
 from jointid.controller_id.noise import PositionError, informative_frequencies, position_error
 from jointid.controller_id.structures import LATE, RATES, SLOWER
 from jointid.models.controllers import INJECTED, POSITION, Interpolation, SampledLaw, law_inputs, run
@@ -132,7 +132,7 @@ def prepare_loop_record(record: Record) -> LoopRecord:
     if missing:
         raise RecordError(
             f"A controller is learned from torque, reference and the measured motor position; {record.name} is read "
-            f"with {listed(list(record.channels))}, without {listed(missing)}: name the column of "
+            f"with {join(list(record.channels))}, without {join(missing)}: name the column of "
             f"{missing[0]} below [record.channels], or declare the law."
         )
     assert record.torque is not None and record.motor_position is not None and record.reference is not None

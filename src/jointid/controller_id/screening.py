@@ -8,7 +8,7 @@ from functools import partial
 from operator import attrgetter
 
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, follow, silent
+from jointid.common.messages import Progress, follow, ignore_progress
 from jointid.controller_id.ranking import score, unique_structures
 from jointid.controller_id.regression import CompressedFrame, Regression, RegressionFit, Weighting, initial_weighting
 from jointid.controller_id.search_time import FRAMES, LAWS
@@ -32,7 +32,7 @@ _DELAYS = 2  # of the log's, with which laws are tried
 _COST = attrgetter("cost")
 
 
-def screen_frames(regression: Regression, progress: Progress = silent) -> tuple[Weighting, list[int]]:
+def screen_frames(regression: Regression, progress: Progress = ignore_progress) -> tuple[Weighting, list[int]]:
     """Return the weighting for the comparison of laws, and the likeliest delays.
 
     The noise is that of the best frame with free gains. First all frames share one spectrum, since a law's own would
@@ -50,7 +50,11 @@ def screen_frames(regression: Regression, progress: Progress = silent) -> tuple[
 
 
 def rank_candidates(
-    regression: Regression, weighting: Weighting, late: Sequence[int], channel: bool, progress: Progress = silent
+    regression: Regression,
+    weighting: Weighting,
+    late: Sequence[int],
+    channel: bool,
+    progress: Progress = ignore_progress,
 ) -> list[NumberedStructure]:
     """Rank all laws in all frames, each at its best start."""
     started: list[NumberedStructure] = []

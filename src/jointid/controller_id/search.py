@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, Work, describe_time, follow, silent
+from jointid.common.messages import Progress, Work, describe_time, follow, ignore_progress
 from jointid.controller_id.fitting import FittedLaw, Task, fit
 from jointid.controller_id.noise import Noise
 from jointid.controller_id.ranking import (
@@ -120,7 +120,7 @@ class _SearchData:
         return Weighting(best.noise, self.task.response(best.structure, best.numbers))
 
 
-def search(task: Task, progress: Progress = silent) -> tuple[FittedLaw, tuple[Rival, ...], bool]:
+def search(task: Task, progress: Progress = ignore_progress) -> tuple[FittedLaw, tuple[Rival, ...], bool]:
     """Return the best structure, its close rivals and True.
 
     Candidates come from a segment and are judged on the whole record. An interrupt after the first fit returns the best

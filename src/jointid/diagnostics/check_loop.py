@@ -201,21 +201,21 @@ def search_faults(
         if first is None:
             first, faster = found, _test_faster_laws(state, found, settings, known, record)
         laws = others if findings else [*others, *faster]
-        told = max(
+        stated = max(
             (one for one in laws if one.explains(found.tests, settings.level)),
             key=lambda one: one.likelihood,
             default=None,
         )
-        if told is None and (not found.tests or found.tests[0].p_value > settings.level):
+        if stated is None and (not found.tests or found.tests[0].p_value > settings.level):
             break
         if not findings:  # a rigid joint's DIDIM ends near the least squares, not on them
             state = replace(state, x=descend(problem, state.x, _TOLERANCE).x)
-        if told is not None:
-            first_law = first_law or told
-            alike = [one for one in laws if one is not told and one.possible and one.as_likely([told])]
-            findings.append(_find_other_law(state, told, found, settings.level, known, alike))
-            named = (*state.named, *(part.name for one in (told, *alike) for part in one.refit.law.parts))
-            state = replace(state, problem=told.refit.problem, x=told.refit.x, named=named)
+        if stated is not None:
+            first_law = first_law or stated
+            alike = [one for one in laws if one is not stated and one.possible and one.as_likely([stated])]
+            findings.append(_find_other_law(state, stated, found, settings.level, known, alike))
+            named = (*state.named, *(part.name for one in (stated, *alike) for part in one.refit.law.parts))
+            state = replace(state, problem=stated.refit.problem, x=stated.refit.x, named=named)
             others = []
             continue
         after, others = _accept_fault(state, found), []
@@ -326,8 +326,8 @@ class _OtherLawTest:
 
     def rivals(self, found: _TestResults) -> bool:
         """Whether the record excludes it neither by itself nor by a fault that explains more."""
-        told = (one.strength**2 for one in found.tests if one.p_value <= _SIGNIFICANT)
-        return self.possible and self.likelihood >= max(told, default=0.0) - _RIVAL
+        stated = (one.strength**2 for one in found.tests if one.p_value <= _SIGNIFICANT)
+        return self.possible and self.likelihood >= max(stated, default=0.0) - _RIVAL
 
     def as_likely(self, others: Sequence[_OtherLawTest]) -> bool:
         """Whether none of others is far likelier."""
@@ -441,10 +441,10 @@ def _list_rates_left_open(
     found = next((one for one in findings if one.test.fault is PERIOD), None)
     if found is not None and _size_of_change(found)[0] > _INTERVAL:
         return []
-    told = [*faster, *([] if law is None else [law])]
+    stated = [*faster, *([] if law is None else [law])]
     return [
         one for one in faster
-        if one.rivals(first) and one.as_likely(told) and (found is None or 1 / one.refit.law.rate != found.value)
+        if one.rivals(first) and one.as_likely(stated) and (found is None or 1 / one.refit.law.rate != found.value)
     ]  # fmt: skip
 
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError
-from jointid.common.messages import Progress, silent
-from jointid.common.parameters import Parameter, adjusted
+from jointid.common.messages import Progress, ignore_progress
+from jointid.common.parameters import Parameter, adjust_parameters
 from jointid.diagnostics.compare_estimates import LEVEL, EstimateComparison, ReportedEstimate, compare_estimates
 from jointid.diagnostics.law_comparison import (
     RIGID,
@@ -82,7 +82,7 @@ def compare(
     parameters: Mapping[str, Parameter] | None = None,
     didim: DIDIM | FlexibleDIDIM | None = None,
     level: float = LEVEL,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> MethodComparison | LawComparison | EstimateComparison:
     """Identify a joint by every candidate that a record allows, or set two estimates side by side.
 
@@ -141,9 +141,9 @@ def _compare_laws(
     tolerance = stopping_tolerance(settings) if isinstance(settings, FlexibleDIDIM) else settings.tolerance
     joint, kind, simple = loop.joint, among.removesuffix("s"), _SIMPLE[among]
     history, given, chosen = History(progress), dict(parameters or {}), filtering or Filtering()
-    adjusted(joint.parameters, given)  # which refuses names that it does not have
+    adjust_parameters(joint.parameters, given)  # which refuses names that it does not have
     plain = _with_law(loop, kind, simple)
-    own = adjusted(plain.joint.parameters, _of_law(given, joint, plain.joint))
+    own = adjust_parameters(plain.joint.parameters, _of_law(given, joint, plain.joint))
     parts_of(torque_problem(record, plain, chosen, own), among)  # before the search, which takes its time
     solved = _solve(settings, Task(record, plain.joint, plain, own, chosen, progress), history)
     if settings.free:
@@ -162,7 +162,7 @@ def _compare_laws(
                 end = solved
             else:
                 other = _with_law(loop, kind, law)
-                wanted = adjusted(other.joint.parameters, _of_law(given, joint, other.joint))
+                wanted = adjust_parameters(other.joint.parameters, _of_law(given, joint, other.joint))
                 end = _search(solved, record, other, wanted, tolerance, history)
             fitted, squares = judge(end, name, of_law, parts, line)
             line = (fitted, squares) if law == simple else line

@@ -159,7 +159,7 @@ class EstimateComparison(Documented):
         header = ("quantity", "A", "B", "B - A", "2 sigma", "unit", "p", "")
         errors = " and ".join(f"{100 * one.error:.2f} %" for one in (self.before, self.after))
         sources = tuple(
-            (name, f"{told.label}, of {told.record}") for name, told in (("A", self.before), ("B", self.after))
+            (name, f"{stated.label}, of {stated.record}") for name, stated in (("A", self.before), ("B", self.after))
         )
         blocks = (
             Facts((*sources, ("torque error", errors))),

@@ -16,9 +16,9 @@ import numpy as np
 
 from jointid.common.document import Block, Document, Documented, Facts, Listing, Paragraph, Table, Verdicts
 from jointid.common.errors import FaultsError, JointidError
-from jointid.common.messages import Message, Progress, silent
+from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.parameters import Parameter
-from jointid.common.text import counted, number
+from jointid.common.text import number, pluralise
 from jointid.common.transmission import Transmission
 from jointid.diagnostics.experiment_design import advise
 from jointid.diagnostics.faults.motion import find_plain_cause, find_standstill
@@ -172,8 +172,8 @@ class Examination(Documented):
 
 def unreadable(error: FaultsError, record: str) -> Examination:
     """Return the examination of a file from which no record could be made."""
-    looked = tuple(Looked(Question.RECORD, False, (_clause(one),), Fault.UNREADABLE) for one in error.faults)
-    return Examination(record, "", looked)
+    checked = tuple(Looked(Question.RECORD, False, (_clause(one),), Fault.UNREADABLE) for one in error.faults)
+    return Examination(record, "", checked)
 
 
 def examine(
@@ -184,7 +184,7 @@ def examine(
     filtering: Filtering | None = None,
     parameters: Mapping[str, Parameter] | None = None,
     shown: Sequence[DriveNumber] = (),
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> Examination:
     """Say what a record is worth: clock, torque, motion, controller, and what of the joint it determines.
 
@@ -206,31 +206,31 @@ def examine(
         Nothing is wrong with twin L19.
     """
     loop = model if isinstance(model, ClosedLoop) else None
-    looked = [*_look_at_samples(record, loop)]
+    checked = [*_look_at_samples(record, loop)]
     law = None if loop is None else compare_law(record, loop)
     if law is not None:
-        looked.append(_look_at_law(law, record))
+        checked.append(_look_at_law(law, record))
     gear = _joint_of(model).transmission
     logged = record.sentence
     missing = [name for name in ("torque", *(() if loop is None else loop.channels)) if getattr(record, name) is None]
     if missing:
         names = " and ".join(dict.fromkeys(missing))
         said = f"the record has no {names}, without which this joint is not identified; log it"
-        looked.insert(0, Looked(Question.RECORD, False, (said,), Fault.UNREADABLE))
-    if any(one.fault in (*_ENOUGH, Fault.UNREADABLE) for one in looked):  # no joint would be right
-        return Examination(record.name, logged, tuple(looked), transmission=gear)
+        checked.insert(0, Looked(Question.RECORD, False, (said,), Fault.UNREADABLE))
+    if any(one.fault in (*_ENOUGH, Fault.UNREADABLE) for one in checked):  # no joint would be right
+        return Examination(record.name, logged, tuple(checked), transmission=gear)
     try:
         estimate = identify(
             record, model, method, filtering=filtering, parameters=parameters, shown=shown, progress=progress
         )
     except JointidError as error:
-        looked.append(_explain(error, record, loop, shown, progress))
-        return Examination(record.name, logged, tuple(looked), transmission=gear)
-    looked += _look_at_estimate(estimate)
-    healthy = all(one.good is not False for one in looked)
+        checked.append(_explain(error, record, loop, shown, progress))
+        return Examination(record.name, logged, tuple(checked), transmission=gear)
+    checked += _look_at_estimate(estimate)
+    healthy = all(one.good is not False for one in checked)
     changes = _advise(estimate, record, progress) if healthy else ()
     determined = tuple(_determine(estimate)) if healthy else ()
-    return Examination(record.name, logged, tuple(looked), determined, changes, gear)
+    return Examination(record.name, logged, tuple(checked), determined, changes, gear)
 
 
 def _joint_of(model: ClosedLoop | DriveSide | OpenLoop | Joint) -> Joint:
@@ -297,7 +297,7 @@ def _look_at_motion(record: Record, loop: ClosedLoop | None) -> Looked:
     unit = reference.unit
     said = (
         f"{number(float(np.ptp(reference.values)), 3)} {unit} of travel, up to {number(fastest, 3)} {unit}/s, "
-        f"{counted(turns, 'reversal')}, {number(100 * (1 - float(np.mean(moving))), 2)} % of the time at rest"
+        f"{pluralise(turns, 'reversal')}, {number(100 * (1 - float(np.mean(moving))), 2)} % of the time at rest"
     )
     hunting = [*hunting_warnings(record)]
     return Looked(Question.MOTION, not hunting, (*hunting, said), Fault.MOTION_POOR if hunting else None)

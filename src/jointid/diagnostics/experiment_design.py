@@ -32,7 +32,7 @@ from dataclasses import dataclass, replace
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Block, Document, Documented, Facts, Listing, Paragraph, Table, common_facts
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, Work, follow, silent
+from jointid.common.messages import Progress, Work, follow, ignore_progress
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import number
 from jointid.common.transmission import Transmission, transmission_lines
@@ -153,7 +153,7 @@ def advise(
     encoder_step: float | None = None,
     noise: Noise | None = None,
     pulse: tuple[float, float] | None = None,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> Advice | StiffnessTestDesign:
     """Predict what encoders, pulses or a faster motion would add to an estimate.
 
@@ -340,7 +340,7 @@ def design_stiffness_test(
     encoder_step: float | None = None,
     noise: Noise | None = None,
     pulse: tuple[float, float] | None = None,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> StiffnessTestDesign:
     """Predict the modes that pulses or a load encoder would identify where a record does not; see `advise`."""
     problem, _ = rebuild_declared_problem(estimate, record)

@@ -23,7 +23,7 @@ import numpy as np
 
 from jointid.common.document import Document, Documented, Listing, Table
 from jointid.common.errors import FaultsError, JointidError, RecordError
-from jointid.common.messages import Message, Progress, silent
+from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.text import number
 from jointid.diagnostics.faults.fault import Explanation, Fault, FaultTest, Hypothesis, Measure
 from jointid.diagnostics.faults.forces import find_steps
@@ -143,7 +143,7 @@ def find_causes(
     estimate: Estimate | None = None,
     *,
     shown: Sequence[DriveNumber] = (),
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> Causes:
     """Find what explains a record that does not fit the declared drive.
 
@@ -254,7 +254,7 @@ def explain_misfit(
     estimate: Estimate,
     record: Record,
     faults: Sequence[FaultTest] | None,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
     shown: Sequence[DriveNumber] = (),
     left: float | None = None,
 ) -> Causes | None:
@@ -313,7 +313,7 @@ def explain_failure(
     error: JointidError,
     record: Record,
     loop: ClosedLoop | None,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
     shown: Sequence[DriveNumber] = (),
 ) -> JointidError:
     """Return the error of an identification that failed, with the cause in its place, or before it, where one is found.

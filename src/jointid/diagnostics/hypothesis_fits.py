@@ -175,9 +175,9 @@ def _freed(fit: Fit) -> Fit:
     return replace(fit, problem=problem, x=problem.vector(fit.values | {name: start}))
 
 
-def _race(begun: Sequence[list[Fit]], loss: float) -> list[Fit]:
+def _race(started: Sequence[list[Fit]], loss: float) -> list[Fit]:
     """Return where each hypothesis ends that is not given up on the way, the best first."""
-    first = [list(filter(None, in_threads(lambda fit: descend(fit, FIRST), starts))) for starts in begun]
+    first = [list(filter(None, in_threads(lambda fit: descend(fit, FIRST), starts))) for starts in started]
     least = min((fit.error for fits in first for fit in fits), default=math.inf)
     bound = max(_BEHIND * least, least + loss)
     ends = []

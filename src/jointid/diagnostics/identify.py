@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import overload
 
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, silent
+from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import Parameter
 from jointid.diagnostics.run_checks import run_checks
 from jointid.estimation.identify import fit as fit_records
@@ -44,7 +44,7 @@ def identify(
     shown: Sequence[DriveNumber] = (),
     torque_constant: str = "",
     unchecked: Callable[[Estimate], None] | None = None,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> Estimate: ...
 
 
@@ -55,7 +55,7 @@ def identify(
     method: RobotMethod | None = None,
     *,
     filtering: Filtering | None = None,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> RobotEstimate | RobotTorqueEstimate: ...
 
 
@@ -72,7 +72,7 @@ def identify(
     shown: Sequence[DriveNumber] = (),
     torque_constant: str = "",
     unchecked: Callable[[Estimate], None] | None = None,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> Estimate | RobotEstimate | RobotTorqueEstimate:
     """Identify a joint, or a robot, from what its drives logged.
 

@@ -16,7 +16,7 @@ from functools import partial
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented, Facts, Heading, Listing, common_facts
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, follow, silent
+from jointid.common.messages import Progress, follow, ignore_progress
 from jointid.common.transmission import Transmission
 from jointid.estimation.problems.base import surrounding
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
@@ -73,7 +73,7 @@ def intervals(
     curved_only: bool = False,
     profiling: Profiling | None = None,
     bootstrapping: Bootstrapping | None = None,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> Intervals:
     """Return profiles and bootstraps of an estimate by DIDIM.
 

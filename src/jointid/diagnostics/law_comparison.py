@@ -24,7 +24,7 @@ from jointid.common.document import Document, Documented, Facts, Table, common_f
 from jointid.common.errors import MethodError
 from jointid.common.messages import Message
 from jointid.common.parameters import Parameter, Quantity
-from jointid.common.text import listed, number
+from jointid.common.text import join, number
 from jointid.common.transmission import Transmission
 from jointid.diagnostics.held_out import FEWEST, PARTS, TIMES, cut, mean_logarithm, squares_of
 from jointid.estimation.descent import Solved, least_squares
@@ -148,7 +148,7 @@ class LawComparison(Documented):
     def _beside(self) -> str:
         """Return which laws could not be identified, and which one to declare, as the end of a sentence."""
         lost = [one.name for one in self.laws if one.refusal]
-        words = f"; {listed(lost)} could not be identified" if lost else ""
+        words = f"; {join(lost)} could not be identified" if lost else ""
         if self.shown.name != self.declared:
             words += f'; set joint.{self.kind} = "{self.shown.name}" to identify it'
         return words
@@ -281,7 +281,7 @@ def judge(
     names = [p.name for p in problem.free]
     known = uncertainty(-slopes, -slopes, error, problem.cells(problem.simulate(x)), names, problem.torque_unit)
     shown = column_norms(slopes) > 0.0  # not of a piece that the record never reaches
-    std = {n: float(sigma) for n, sigma, told in zip(names, known.covariance.std, shown, strict=True) if told}
+    std = {n: float(sigma) for n, sigma, stated in zip(names, known.covariance.std, shown, strict=True) if stated}
     values, units = problem.values(x), problem.units
     untold = {p.name for p in problem.free} - set(std)
     words = {p.name: _interval(p, values[p.name], std.get(p.name), units[p.name], p.name in untold) for p in of_law}
@@ -297,13 +297,15 @@ def judge(
     )
     if simple is not None and problem.joint.stepped and _explains_no_more(found, simple[0]):
         return replace(found, kept=simple[0].kept), simple[1]
-    begun = problem.keeping({name: values[name] for name in INITIAL if name in values})  # only the first part shows it
-    solver = replace(least_squares(begun, _ROUGHLY), evaluations=_EVALUATIONS)
+    started = problem.keeping(
+        {name: values[name] for name in INITIAL if name in values}
+    )  # only the first part shows it
+    solver = replace(least_squares(started, _ROUGHLY), evaluations=_EVALUATIONS)
 
     def predicted(time: int) -> FloatArray:
         kept = parts % TIMES == time
-        end = solve(_Part(begun, ~kept), solver, begun.vector(values))
-        return np.where(kept, begun.residual(end.x), 0.0)
+        end = solve(_Part(started, ~kept), solver, started.vector(values))
+        return np.where(kept, started.residual(end.x), 0.0)
 
     apart = np.sum(in_threads(predicted, range(TIMES)), axis=0)
     found = replace(found, kept=float(np.linalg.norm(apart)) / size)
@@ -334,8 +336,8 @@ def rank(found: Sequence[tuple[JudgedLaw, FloatArray | None]]) -> tuple[JudgedLa
     """
     known = [squares for _, squares in found if squares is not None]
     best = min(known, key=lambda one: float(np.mean(np.log(one))))
-    told = []
+    stated = []
     for law, squares in found:
         worse, error = (0.0, 0.0) if squares is None else mean_logarithm(squares, best)
-        told.append(replace(law, worse=worse, error=error))
-    return tuple(told)
+        stated.append(replace(law, worse=worse, error=error))
+    return tuple(stated)

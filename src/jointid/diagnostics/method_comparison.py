@@ -17,9 +17,9 @@ import numpy as np
 
 from jointid.common.document import Document, Documented, Facts, Listing, Table, common_facts, data_frame
 from jointid.common.errors import JointidError
-from jointid.common.messages import Progress, follow, silent
+from jointid.common.messages import Progress, follow, ignore_progress
 from jointid.common.parameters import Parameter
-from jointid.common.text import counted, number
+from jointid.common.text import number, pluralise
 from jointid.diagnostics.identify import identify
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.flexible import FlexibleDIDIM
@@ -80,7 +80,7 @@ class MethodComparison(Documented):
         ran = f"{len(self.estimates)} of {len(self.methods)} methods ran"
         if len(self.estimates) < 2:
             return f"{ran}."
-        differ = counted(len(self.disagreements), "disagreement") if self.disagreements else "no disagreement"
+        differ = pluralise(len(self.disagreements), "disagreement") if self.disagreements else "no disagreement"
         return f"{ran}, with {differ} beyond their intervals."
 
     def to_dataframe(self) -> DataFrame:
@@ -131,7 +131,7 @@ def compare_methods(
     filtering: Filtering | None = None,
     parameters: Mapping[str, Parameter] | None = None,
     didim: DIDIM | FlexibleDIDIM | None = None,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> MethodComparison:
     """Identify a joint by every method that the record and the model allow.
 

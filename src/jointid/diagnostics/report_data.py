@@ -17,7 +17,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError, RecordError
-from jointid.common.messages import Message, Progress, Work, silent
+from jointid.common.messages import Message, Progress, Work, ignore_progress
 from jointid.common.parameters import POSITION_UNIT
 from jointid.diagnostics.experiment_design import StiffnessTestDesign, design_stiffness_test
 from jointid.diagnostics.faults.findings import LoopCheck
@@ -144,7 +144,7 @@ def collect_report_data(
     checks: Sequence[Validation] = (),
     *,
     profiles: Sequence[str] | None = None,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> ReportData:
     """Collect the results that a report on an estimate presents.
 

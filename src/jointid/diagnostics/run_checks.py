@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from jointid.common.errors import JointidError
-from jointid.common.messages import Progress, silent
+from jointid.common.messages import Progress, ignore_progress
 from jointid.diagnostics.check_loop import SearchState, search_faults
 from jointid.diagnostics.faults.motion import find_too_short
 from jointid.diagnostics.find_causes import explain_misfit
@@ -21,7 +21,7 @@ from jointid.models.joints import FlexibleJoint
 from jointid.uncertainty.verdict import Status, Subject, Verdict, skip_test
 
 
-def run_checks(fit: FitResult, progress: Progress = silent, shown: Sequence[DriveNumber] = ()) -> CheckResults:
+def run_checks(fit: FitResult, progress: Progress = ignore_progress, shown: Sequence[DriveNumber] = ()) -> CheckResults:
     """Return the results of the checks of a fit; none where no loop was simulated, or of several records.
 
     A parameter that is not identifiable leaves the loop unchecked. Where the record does not fit, and a cause explains

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, silent
+from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import Parameter
 from jointid.estimation.identify_log import identify_log
 from jointid.estimation.identify_record import identify_record
@@ -32,7 +32,7 @@ def fit(
     parameters: Mapping[str, Parameter] | None = None,
     several: SeveralRecords | None = None,
     windows: Windowing | None = None,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> FitResult:
     """Return the fit of a joint, without the checks; see `jointid.identify`."""
     if isinstance(record, Sequence):

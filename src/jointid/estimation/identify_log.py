@@ -20,7 +20,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
 from jointid.common.messages import Progress
-from jointid.common.parameters import Bounds, Parameter, adjusted
+from jointid.common.parameters import Bounds, Parameter, adjust_parameters
 from jointid.estimation.identify_record import identify_record
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.flexible import FlexibleDIDIM
@@ -90,7 +90,7 @@ def identify_log(
             'window would begin it anew; identify the record whole, or with friction = "symmetric", whose windows show '
             "the drift."
         )
-    filtering, wanted = filtering or Filtering(), adjusted(loop.joint.parameters, parameters or {})
+    filtering, wanted = filtering or Filtering(), adjust_parameters(loop.joint.parameters, parameters or {})
     sample_time = source.sample_time
     keep = filtering.resolve(sample_time, loop.joint.model).decimation or 1
 
@@ -223,7 +223,7 @@ class StreamingGaussNewton:
             level = sums.square / sums.rows
             trace.append(Step(x, math.sqrt(sums.square), problem.tally.evaluations))
             watch(trace[-1])
-            step = step_of(sums, bounds.around(x))
+            step = step_of(sums, bounds.shift_to(x))
             far = math.sqrt(float(step @ sums.A @ step) / level) if level > 0 else 0.0
             if not found.ended:
                 stop = f"interrupted after {len(found.windows)} windows ({found.windows[-1].end / 3600:.3g} h)"

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, silent
-from jointid.common.parameters import Parameter, Quantity, adjusted
+from jointid.common.messages import Progress, ignore_progress
+from jointid.common.parameters import Parameter, Quantity, adjust_parameters
 from jointid.estimation.methods.registry import Method, Task, default_method, method_of
 from jointid.estimation.record_warnings import record_warnings
 from jointid.estimation.result.assemble import FitResult
@@ -25,7 +25,7 @@ def identify_record(
     *,
     filtering: Filtering | None = None,
     parameters: Mapping[str, Parameter] | None = None,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> FitResult:
     """Return the fit of a joint to one record; see `jointid.identify`.
 
@@ -34,11 +34,11 @@ def identify_record(
     loop = model if isinstance(model, ClosedLoop) else None
     joint = model.joint if isinstance(model, ClosedLoop | DriveSide | OpenLoop) else model
     chosen = method or default_method(model, joint.model)()
-    wanted = adjusted(joint.parameters, parameters or {})
+    wanted = adjust_parameters(joint.parameters, parameters or {})
     check_record(record)
     _require_fit(chosen, joint, loop)
     bounds: dict[str, float] = {}
-    beyond: list[str] = []
+    excess: list[str] = []
     earlier = 0
     while True:
         fit = chosen.identify(Task(record, joint, loop, wanted, filtering or Filtering(), progress))
@@ -47,8 +47,8 @@ def identify_record(
             break
         earlier += fit.simulations
         value = fit.values[p.name]
-        beyond.append(f"{p.name} is at its bound: without it, it would be {value:.4g} {joint.unit(p)}")
-        progress(beyond[-1])
+        excess.append(f"{p.name} is at its bound: without it, it would be {value:.4g} {joint.unit(p)}")
+        progress(excess[-1])
         bounds[p.name] = p.lower if value < p.lower else p.upper
         wanted = tuple(p.fixed(bounds[p.name]) if q.name == p.name else q for q in wanted)
     both_encoders = {"motor_position", "load_position"} <= set(fit.data.channels)
@@ -56,7 +56,7 @@ def identify_record(
         fit,
         record=record,
         at_bounds=bounds,
-        before=tuple(beyond),
+        before=tuple(excess),
         after=record_warnings(record, fit),
         encoder_lag=find_encoder_lag(record) if both_encoders else None,
         earlier=earlier,

@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, silent
-from jointid.common.parameters import Parameter, adjusted
+from jointid.common.messages import Progress, ignore_progress
+from jointid.common.parameters import Parameter, adjust_parameters
 from jointid.estimation.descent import History
 from jointid.estimation.identify_record import identify_record
 from jointid.estimation.methods.force_in_loop import uncertainty_of_least_error
@@ -159,7 +159,7 @@ def _problem(
         for p in (*INITIAL_STATE, INITIAL_TORQUE)
         if p.name in found
     )
-    known = adjusted(loop.joint.parameters, layout.changes(parameters, number, acting=acting))
+    known = adjust_parameters(loop.joint.parameters, layout.changes(parameters, number, acting=acting))
     return torque_problem(record, loop, fit.settings.filtering, known, state).freeing(*free)
 
 
@@ -243,7 +243,7 @@ def _nothing(problem: ClosedLoopProblem) -> float:
 
 def _judge(problem: ClosedLoopProblem, end: Solution, taps: FloatArray) -> tuple[Uncertainty, int]:
     """Return what is known of a record's own solution, and the simulations that this took."""
-    history, run = History(silent), problem.simulate(end.x)
+    history, run = History(ignore_progress), problem.simulate(end.x)
     known = uncertainty_of_least_error(problem, end.x, run, end.residual, -end.jacobian, history, taps)
     return known, history.tally.evaluations + 1
 
@@ -402,8 +402,8 @@ def _compare(solved: _Solved) -> Agreement:
     Per torque that acts, by the gain that was found. The inertia that tells the gain is not compared.
     """
     layout = solved.problem.layout
-    told = {"drive_gain", *(name for more in layout.added for name in more)} if "drive_gain" in layout.free else set()
-    units = {p.name: layout.unit(p) for p in solved.problem.free if "@" not in p.name and p.name not in told}
+    stated = {"drive_gain", *(name for more in layout.added for name in more)} if "drive_gain" in layout.free else set()
+    units = {p.name: layout.unit(p) for p in solved.problem.free if "@" not in p.name and p.name not in stated}
     each = []
     for k, one in enumerate(solved.alone):
         known, free = one.uncertainty.covariance, one.problem.free
@@ -453,13 +453,13 @@ def _warn(
 ) -> tuple[str, ...]:
     """Return what the reader must know, one sentence each."""
     free, end = solved.problem.free, solved.end
-    told = [i for i, p in enumerate(free) if p.name.partition("@")[0] not in INITIAL]
+    stated = [i for i, p in enumerate(free) if p.name.partition("@")[0] not in INITIAL]
     return (
         *([] if end.converged else [NOT_CONVERGED]),
         *([str(compared)] if compared.differs else []),
         *warn_of_lost(lost, "these records"),
         *warn_of_bounds(find_at_bound(free, end.x, end.residual, end.jacobian), "records"),
-        *warn_of_inseparable([p.name for p in free], covariance.correlation, told, "these records"),
+        *warn_of_inseparable([p.name for p in free], covariance.correlation, stated, "these records"),
         *map(str, judged.warnings),
         *([str(judged.repeatable)] if judged.repeatable.significant else []),
         *(f"record {k}: {said}" for k, one in enumerate(solved.alone, 1) for said in poor_fit(one.filtered_error)),

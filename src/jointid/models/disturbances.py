@@ -15,7 +15,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
-from jointid.common.settings import check_settings, documented, setting
+from jointid.common.settings import add_settings_to_docstring, check_settings, setting
 from jointid.common.transmission import Side
 from jointid.models.joints import Joint
 from jointid.models.motion import Motion
@@ -36,7 +36,7 @@ class Effect(Protocol):
         """Return the columns on the motion of its side, (samples, parameters); `time` in s from the first sample."""
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class Drift:
     """``df t`` and ``dv t v``: a force, or a viscous friction, that changes linearly in time, as a machine warms up.
@@ -64,7 +64,7 @@ class Drift:
         return {"force": both[:, :1], "viscous": both[:, 1:], "both": both}[self.of]
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class EncoderOffset:
     """``K dq0`` on one side of the spring, ``-K dq0`` on the other: its force by the difference of two encoders' zeros.

@@ -22,7 +22,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
-from jointid.common.settings import check_settings, declare, documented, setting
+from jointid.common.settings import add_settings_to_docstring, check_settings, declare, setting
 from jointid.common.units import Kind
 from jointid.models.friction import Friction
 
@@ -43,7 +43,7 @@ GRAVITY_PARAMETERS: Mapping[Load, tuple[str, ...]] = {
 """Names of the parameters of each load."""
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class Counterbalance:
     """The force that a known counterbalance takes off the load: a weight, a cylinder or a spring.
@@ -70,7 +70,7 @@ class _Term:
     sign: float
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class Gravity:
     """The load's gravity on a joint.

@@ -11,12 +11,12 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
-from jointid.common.settings import check_settings, documented, setting
+from jointid.common.settings import add_settings_to_docstring, check_settings, setting
 from jointid.common.transmission import Side
 from jointid.models.motion import Motion
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class PositionHarmonics:
     """``sum over k of a_k cos(2 pi k q / period) + b_k sin(2 pi k q / period)``: ripple of a screw, gear or motor.

@@ -11,7 +11,7 @@ from typing import Literal, TypeAlias
 
 from jointid import Filtering, FlexibleJoint, RigidJoint
 from jointid.common.document import Table
-from jointid.common.text import aligned, number
+from jointid.common.text import align, number
 from jointid.paper.published import REGRESSOR, SYMBOLS, TABLES, Cell, PublishedTable
 
 Denominator: TypeAlias = Literal["DIDIM", "IDIM"]
@@ -178,7 +178,7 @@ class TableComparison:
 
     def __str__(self) -> str:
         table = self.beside()
-        return aligned(table.header, table.rows, [False, *[True] * (len(table.header) - 1)])
+        return align(table.header, table.rows, [False, *[True] * (len(table.header) - 1)])
 
 
 def format_as_print(value: Decimal) -> str:

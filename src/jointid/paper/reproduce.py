@@ -29,7 +29,7 @@ from jointid import (
     validate,
 )
 from jointid.common.document import Block, Document, Heading, Paragraph, Picture, Table
-from jointid.common.messages import Progress, silent
+from jointid.common.messages import Progress, ignore_progress
 from jointid.common.text import number
 from jointid.paper.errata import ERRATA
 from jointid.paper.published import SYMBOLS, TABLES
@@ -101,7 +101,7 @@ class Reproduction:
         return {n: value / best[n] - 1 for n, value in self.without_damping.values.items() if n != "damping"}
 
 
-def reproduce(seed: int = 1, progress: Progress = silent) -> Reproduction:
+def reproduce(seed: int = 1, progress: Progress = ignore_progress) -> Reproduction:
     """Run the paper on its twin; a minute on two cores.
 
     Args:

@@ -20,7 +20,7 @@ from jointid.common.charts import LOAD, MEASURED, SIMULATED, Chart, Charted, Lin
 from jointid.common.document import Block, Document, Documented, Facts, Table, common_facts
 from jointid.common.errors import JointidError, MethodError
 from jointid.common.files import write_folder
-from jointid.common.messages import Progress, Work, silent
+from jointid.common.messages import Progress, Work, ignore_progress
 from jointid.common.parameters import POSITION_UNIT, Parameter, Quantity
 from jointid.common.text import number
 from jointid.common.transmission import Transmission
@@ -281,7 +281,7 @@ def design_test(
     seconds: float = 60.0,
     seed: int = 0,
     record: str = "",
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> Design:
     """Search for the most informative test within the axis limits.
 
@@ -459,7 +459,12 @@ def _take(purpose: Purpose, limits: AxisLimits, motion: Record) -> _Chosen:
 
 
 def plan_from_estimate(
-    estimate: Estimate, record: Record, *, noise: Noise | None = None, progress: Progress = silent, **asked: object
+    estimate: Estimate,
+    record: Record,
+    *,
+    noise: Noise | None = None,
+    progress: Progress = ignore_progress,
+    **asked: object,
 ) -> Design:
     """Plan the next test from an estimate and its residual.
 

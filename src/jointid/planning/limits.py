@@ -11,7 +11,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import POSITION_UNIT
-from jointid.common.settings import check_settings, documented, setting
+from jointid.common.settings import add_settings_to_docstring, check_settings, setting
 from jointid.common.text import number
 from jointid.models.joints import ClosedLoop
 from jointid.simulation.closed_loop import Simulation
@@ -19,7 +19,7 @@ from jointid.simulation.closed_loop import Simulation
 _SLACK = 1e-9  # relative: what rounding passes a limit by
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class AxisLimits:
     """Axis limits of a test, on the joint's side; None is unlimited.

@@ -10,7 +10,7 @@ import numpy as np
 
 from jointid.common import units
 from jointid.common.arrays import FloatArray
-from jointid.common.text import counted
+from jointid.common.text import pluralise
 from jointid.records.columns import Column, finite_faults, format_instant, unit_fault, unit_in_name
 from jointid.records.formats import Table
 from jointid.records.record import Irregularity
@@ -89,7 +89,7 @@ def _stamped_clock(
             f'The time column "{column}" names its unit, and time_unit is "{time_unit}"; leave time_unit out, or '
             "rename the column."
         ]
-    unit = time_unit or named or units.spelled(table.units.get(column, "")) or "s"
+    unit = time_unit or named or units.normalise_unit(table.units.get(column, "")) or "s"
     if unit not in known:
         return Clock(), [unit_fault(f'time (column "{column}")', unit, known)]
     stamps = table.columns[column] * units.unit(unit).factor
@@ -114,7 +114,7 @@ def _contradiction_faults(table: Table, time_unit: str | None, sample_time: floa
     if missing:
         return []
     known = units.units_of("time")
-    said = time_unit or unit_in_name(column, known) or units.spelled(table.units.get(column, ""))
+    said = time_unit or unit_in_name(column, known) or units.normalise_unit(table.units.get(column, ""))
     values = table.columns[column]
     if (said and said not in known) or values.size < 2 or not np.all(np.isfinite(values)) or values[-1] <= values[0]:
         return []
@@ -233,7 +233,7 @@ def clock_faults(stamps: FloatArray, tolerance: float | None = CLOCK_TOLERANCE, 
     if jumped.any():
         first = int(np.argmax(jumped))
         faults.append(
-            f"{name} jumps {counted(int(jumped.sum()), 'time')}: after sample {first}"
+            f"{name} jumps {pluralise(int(jumped.sum()), 'time')}: after sample {first}"
             f"{format_instant(stamps, first)} it {_jump(float(steps[first]), sample_time)}; cut the record there, or "
             "give sample_time without time if only the stamps are wrong."
         )
@@ -254,5 +254,5 @@ def _jump(step: float, sample_time: float) -> str:
     if step == 0:
         return "repeats its stamp"
     lost = round(step / sample_time) - 1
-    late = f"leaves out {counted(lost, 'sample')}" if lost > 0 else "steps early"
+    late = f"leaves out {pluralise(lost, 'sample')}" if lost > 0 else "steps early"
     return f"{'runs backward' if step < 0 else late} (a step of {step:g} s, expected {sample_time:g} s)"

@@ -11,8 +11,8 @@ import numpy as np
 from jointid.common import units
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
-from jointid.common.settings import check_settings, documented, setting
-from jointid.common.text import counted
+from jointid.common.settings import add_settings_to_docstring, check_settings, setting
+from jointid.common.text import pluralise
 from jointid.common.transmission import Side
 from jointid.records.record import InjectionPoint, Tap, Timing
 
@@ -21,7 +21,7 @@ _BEYOND_WRAP = 1e-2  # of a wrap, by which values may span more
 _IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class Column:
     """A file column for one channel: `sign` x `gain` x column, in `unit`.
@@ -100,7 +100,7 @@ class Column:
         """Unit stated here or in the column's name, if any."""
         # A gain takes the values from the unit in the name to another one.
         if self.unit is not None:
-            return self.unit if self.unit in known else units.spelled(self.unit)
+            return self.unit if self.unit in known else units.normalise_unit(self.unit)
         return None if self.gain != 1 else unit_in_name(self.column, known)
 
     def doubled_unit(self, known: tuple[str, ...]) -> str | None:
@@ -126,7 +126,7 @@ def unit_in_name(column: str, known: tuple[str, ...]) -> str | None:
     if match is None or match[1].isdigit():  # "phi[0]" is an element
         return None
     # "q [clicks]" is to be refused, not to be read as metres; "q (filtered)" has a remark.
-    said = match[1] if match[1] in known else units.spelled(match[1])
+    said = match[1] if match[1] in known else units.normalise_unit(match[1])
     return (said or None) if said in known or column.rstrip().endswith("]") else None
 
 
@@ -177,7 +177,7 @@ def finite_faults(name: str, values: FloatArray, time: FloatArray | None = None)
     if bad.size:
         first = int(bad[0])
         faults.append(
-            f"{name} has {counted(bad.size, 'sample')} without a finite number, the first {values[first]} at "
+            f"{name} has {pluralise(bad.size, 'sample')} without a finite number, the first {values[first]} at "
             f"sample {first}{format_instant(time, first)}; mend them, or cut the record there."
         )
     return faults

@@ -16,7 +16,7 @@ from jointid.common import units
 from jointid.common.arrays import FloatArray
 from jointid.common.charts import MEASURED, Band, Chart, Charted, Line, Panel
 from jointid.common.document import Block, Document, Documented, Listing, Paragraph, Table
-from jointid.common.text import counted, number, shown
+from jointid.common.text import number, pluralise, show
 from jointid.records.columns import unit_in_name
 from jointid.records.formats import format_of, read_tables
 
@@ -90,15 +90,13 @@ class Inspection(Charted, Documented):
         rows = tuple(map(_table_row, self.channels[:_LISTED]))
         blocks: list[Block] = [Table(header, rows, words=(0, 2, 7))] if rows else []
         if more := len(self.channels) - len(rows):
-            blocks.append(Paragraph(f"and {counted(more, 'more channel')}, which --json lists, too"))
+            blocks.append(Paragraph(f"and {pluralise(more, 'more channel')}, which --json lists, too"))
         if self.scalars:
-            numbers = ", ".join(f"{shown(n)} {v:.6g}" for n, v in self.scalars.items())
+            numbers = ", ".join(f"{show(n)} {v:.6g}" for n, v in self.scalars.items())
             blocks.append(Paragraph(f"single numbers: {numbers}"))
         if self.passed:
-            blocks.append(
-                Listing(tuple(f"not read: {shown(name)} ({shown(why)})" for name, why in self.passed.items()))
-            )
-        title = f"{shown(self.file)}: {self.format}, {self.size} bytes, {len(self.channels)} channels"
+            blocks.append(Listing(tuple(f"not read: {show(name)} ({show(why)})" for name, why in self.passed.items())))
+        title = f"{show(self.file)}: {self.format}, {self.size} bytes, {len(self.channels)} channels"
         return Document(title, (*blocks, Listing(tuple(self.clocks()))))
 
     def chart(self) -> Chart:
@@ -116,16 +114,16 @@ class Inspection(Charted, Documented):
                 channel.sample_time if channel.sample_time is not None and np.isfinite(channel.sample_time) else None
             )
             place = np.asarray(rows * (seconds or 1.0), dtype=np.float64)
-            name = shown(channel.name)
+            name = show(channel.name)
             short = name if len(name) <= _TITLE else f"...{name[3 - _TITLE :]}"
             items = (
                 Band(place, outline.low, outline.high, MEASURED),
                 Line(place, (outline.low + outline.high) / 2, MEASURED, "", 1.0),
             )
-            title = f"{short} [{shown(channel.unit)}]" if channel.unit else short
+            title = f"{short} [{show(channel.unit)}]" if channel.unit else short
             panels.append(Panel("time [s]" if seconds else "row", "", items, title, height=170))
         count = f"{len(drawn)} of {len(every)} channels" if len(drawn) < len(every) else f"{len(drawn)} channels"
-        title = f"{shown(self.file)}: {count}"
+        title = f"{show(self.file)}: {count}"
         return Chart("channels", "", tuple(panels), columns=min(_ACROSS, max(len(drawn), 1)), title=title)
 
     def clocks(self) -> list[str]:
@@ -136,7 +134,7 @@ class Inspection(Charted, Documented):
             if clock.is_time and clock.sample_time is not None and clock.jitter is not None:
                 count = timed[clock.name] - 1
                 said.append(
-                    f"{shown(clock.name)} is the time of {counted(count, 'channel')}: a sample every "
+                    f"{show(clock.name)} is the time of {pluralise(count, 'channel')}: a sample every "
                     f"{clock.sample_time:.6g} s, the steps within {max(100 * clock.jitter, _ROUNDING):.2g} % of that."
                 )
         return said or ["No channel is recognised as time; give the joint file a sample_time, or the column's name."]
@@ -175,7 +173,7 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
         channel = InspectedChannel(name, stated.get(name), outline)
         clock = name if name in clocks else declared.get(name) or nearest.find(name, outline)
         if clock is not None and clock in clocks:
-            seconds = units.unit(units.spelled(stated.get(clock) or "s")).factor
+            seconds = units.unit(units.normalise_unit(stated.get(clock) or "s")).factor
             step, jitter = clocks[clock].step, clocks[clock].jitter
             channel = replace(channel, time=clock, sample_time=step * seconds, jitter=jitter)
         channels.append(channel)
@@ -185,7 +183,7 @@ def inspect(path: str | os.PathLike[str], **options: object) -> Inspection:
 
 
 def _is_clock(name: str, outline: Outline, unit: str | None) -> bool:
-    of_time = unit is None or units.spelled(unit) in units.units_of("time")
+    of_time = unit is None or units.normalise_unit(unit) in units.units_of("time")
     return bool(_TIME.fullmatch(name)) and of_time and outline.rises and outline.rows > 1
 
 
@@ -222,11 +220,11 @@ def _split_path(name: str) -> tuple[str, ...]:
 
 def _table_row(channel: InspectedChannel) -> tuple[str, ...]:
     outline = channel.outline
-    name = shown(channel.name)
+    name = show(channel.name)
     return (
         name if len(name) <= _LONGEST else f"{name[: _LONGEST - 3]}...",
         str(outline.rows),
-        shown(channel.unit or "-"),
+        show(channel.unit or "-"),
         "-" if channel.sample_time is None else f"{channel.sample_time:.6g} s",
         number(outline.minimum),
         number(outline.maximum),

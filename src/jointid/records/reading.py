@@ -182,7 +182,7 @@ class _Columns:
         made = dict(found)
         for channel, column in found.items():
             declared = replace(wanted.get(channel, column), column=column.column)
-            unit = units.spelled(self.table.units.get(column.column, ""))
+            unit = units.normalise_unit(self.table.units.get(column.column, ""))
             known = known_units(channel, self.kind_of(channel, column))
             if unit and declared.gain == 1 and declared.stated_unit(known) is None and unit != column.unit:
                 made[channel] = replace(column, unit=unit)

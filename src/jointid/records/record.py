@@ -19,7 +19,7 @@ from jointid.common.charts import MEASURED, Chart, Charted, Line, Panel
 from jointid.common.document import Document, Documented, Facts, Table, common_facts
 from jointid.common.errors import RecordError, extra
 from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
-from jointid.common.text import counted, listed
+from jointid.common.text import join, pluralise
 from jointid.common.transmission import Side, Transmission
 
 if TYPE_CHECKING:
@@ -148,9 +148,9 @@ class Irregularity:
             f"({self.rms / self.sample_time:.2g} rms)"
         ]
         if self.gaps:
-            parts.append(f"{counted(self.gaps, 'gap')} of up to {counted(self.longest_gap, 'sample')}")
-        parts += [counted(self.repeats, "repeated stamp")] if self.repeats else []
-        parts += [counted(self.backward, "step back", "steps back")] if self.backward else []
+            parts.append(f"{pluralise(self.gaps, 'gap')} of up to {pluralise(self.longest_gap, 'sample')}")
+        parts += [pluralise(self.repeats, "repeated stamp")] if self.repeats else []
+        parts += [pluralise(self.backward, "step back", "steps back")] if self.backward else []
         return ", ".join(parts)
 
 
@@ -254,8 +254,8 @@ class Record(Charted, Documented):
     @property
     def sentence(self) -> str:
         """Channels and duration, in words."""
-        names = listed([name.replace("_", " ") for name in self.channels])
-        rates = listed([*dict.fromkeys(f"{1e3 * channel.sample_time:.6g} ms" for _, channel in self.items())])
+        names = join([name.replace("_", " ") for name in self.channels])
+        rates = join([*dict.fromkeys(f"{1e3 * channel.sample_time:.6g} ms" for _, channel in self.items())])
         return f"{names[0].upper()}{names[1:]}, {self.duration:.6g} s, a sample every {rates}."
 
     def document(self, *, details: bool = False) -> Document:

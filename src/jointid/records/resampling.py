@@ -15,7 +15,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
-from jointid.common.settings import check_settings, declare, documented, setting
+from jointid.common.settings import add_settings_to_docstring, check_settings, declare, setting
 from jointid.records.clock import measure_irregularity
 from jointid.records.record import Channel, Irregularity, Resampled, Timing
 
@@ -34,7 +34,7 @@ _SAME_RATE = 1e-4  # two clocks whose rates differ by less than crystals do are 
 _MOST = 200  # periods to one log sample, or the other way round: more is a mistake
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class Resampling:
     """Rules by which channels are resampled to one uniform clock.

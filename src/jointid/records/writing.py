@@ -13,7 +13,7 @@ import numpy as np
 from jointid.common import units
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
-from jointid.common.text import counted, shown
+from jointid.common.text import pluralise, show
 from jointid.common.transmission import Transmission
 from jointid.records.clock import is_same_rate
 from jointid.records.columns import Column, unit_in_name, unit_of_column
@@ -193,8 +193,8 @@ class Conversion:
     notes: tuple[str, ...]
 
     def __str__(self) -> str:
-        formats = f"{shown(self.source)} ({self.formats[0]}) -> {shown(self.target)} ({self.formats[1]})"
-        kept = f"{formats}: {counted(len(self.columns), 'column')}."
+        formats = f"{show(self.source)} ({self.formats[0]}) -> {show(self.target)} ({self.formats[1]})"
+        kept = f"{formats}: {pluralise(len(self.columns), 'column')}."
         return "\n".join([kept, *(self.notes or ("Nothing was lost.",))])
 
 
@@ -228,9 +228,7 @@ def convert(
     writer = format_of(target, **(writing or {}))
     table = _read_columns(source, columns, reading or {})
     names = _choose_names(list(table.columns), writer)
-    notes = [
-        f'Renamed for {writer.name}: "{shown(old)}" is "{shown(new)}".' for old, new in names.items() if old != new
-    ]
+    notes = [f'Renamed for {writer.name}: "{show(old)}" is "{show(new)}".' for old, new in names.items() if old != new]
     write_table(target, _fit_table(_rename_columns(table, names), writer, notes), **(writing or {}))
     return Conversion(source.name, target.name, (format_of(source).name, writer.name), names, tuple(notes))
 
@@ -295,7 +293,7 @@ def _fit_table(table: Table, writer: Format, notes: list[str]) -> Table:
         notes.append(
             f"For the joint file, as {writer.name} does not say whose time a column is: {_list_names(clocks)}."
         )
-    notes += [f"Not read: {shown(name)} ({shown(why)})." for name, why in table.passed.items()]
+    notes += [f"Not read: {show(name)} ({show(why)})." for name, why in table.passed.items()]
     return table
 
 
@@ -308,4 +306,4 @@ def _rename_columns(table: Table, names: Mapping[str, str]) -> Table:
 
 def _list_names(texts: list[str]) -> str:
     rest = f" and {len(texts) - _LISTED} more" if len(texts) > _LISTED else ""
-    return ", ".join(map(shown, texts[:_LISTED])) + rest
+    return ", ".join(map(show, texts[:_LISTED])) + rest

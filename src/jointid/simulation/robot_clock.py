@@ -14,7 +14,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.text import listed
+from jointid.common.text import join
 from jointid.models.linear import SNAP
 from jointid.models.robots.dynamics import IntArray
 from jointid.simulation.kernels.robot_loop import Clock
@@ -42,8 +42,8 @@ class RobotClock:
     lags: IntArray
     every: IntArray
     sample_time: float
-    looked: IntArray
-    begun: IntArray
+    log_index: IntArray
+    torque_index: IntArray
 
     @property
     def timing(self) -> Clock:
@@ -53,7 +53,7 @@ class RobotClock:
     @property
     def samples(self) -> int:
         """Of the log."""
-        return self.looked.size
+        return self.log_index.size
 
     def held(self, joint: int, values: FloatArray) -> FloatArray:
         """Return values of a controller's periods at every step of the clock, (steps,)."""
@@ -84,13 +84,13 @@ def common_clock(alone: Sequence[LoopInput], names: Sequence[str]) -> RobotClock
     ]
     if other:
         raise MethodError(
-            f"A robot is simulated along one log; the records of {listed(other)} differ from that of {names[0]} in "
+            f"A robot is simulated along one log; the records of {join(other)} differ from that of {names[0]} in "
             "sample time or length: give all joints the same."
         )
     shortest = min(float(np.min(periods)), sample_time)
     step = next((shortest / n for n in range(1, _FINEST + 1) if _divides(shortest / n, [*periods, sample_time])), None)
     if step is None:
-        said = listed([f"{name} {1e3 * period:.6g} ms" for name, period in zip(names, periods, strict=True)])
+        said = join([f"{name} {1e3 * period:.6g} ms" for name, period in zip(names, periods, strict=True)])
         raise MethodError(
             f"A robot's controllers share a clock, of which each period is so many steps; received {said}, and no step "
             f"of a {_FINEST}th of the shortest or more divides them: correct the periods."
@@ -109,11 +109,11 @@ def common_clock(alone: Sequence[LoopInput], names: Sequence[str]) -> RobotClock
     samples = min(each.samples for each in alone)
     at = np.arange(samples) * round(sample_time / step)
     newest = np.argmin(lags, axis=1)
-    begun = [
+    started = [
         np.minimum(at // every[j] * every[j] + lags[j, newest[j]], steps - 1) * parts + newest[j]
         for j in range(len(alone))
     ]
-    return RobotClock(steps, lengths, lags, every, sample_time, at * parts, np.array(begun))
+    return RobotClock(steps, lengths, lags, every, sample_time, at * parts, np.array(started))
 
 
 def _divides(step: float, whole: Sequence[float]) -> bool:

@@ -18,7 +18,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import TORQUE_UNIT
-from jointid.common.text import counted
+from jointid.common.text import pluralise
 from jointid.models.controllers import REFERENCE, Controller
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.models.robots.robot import Robot, Tree
@@ -87,7 +87,7 @@ class RobotLoop:
         if len(self.controllers) != len(self.robot.links):
             raise MethodError(
                 f"A robot has a controller for each joint; received {len(self.controllers)} for "
-                f"{counted(len(self.robot.links), 'joint')}: give one for each, in the order of the joints."
+                f"{pluralise(len(self.robot.links), 'joint')}: give one for each, in the order of the joints."
             )
 
 
@@ -136,7 +136,7 @@ def prepare_robot(loop: RobotLoop, records: Sequence[Record]) -> RobotInput:
     if len(records) != len(robot.links):
         raise MethodError(
             f"A robot is simulated from a record of each joint; received {len(records)} for "
-            f"{counted(len(robot.links), 'joint')}: give one for each, in the order of the joints."
+            f"{pluralise(len(robot.links), 'joint')}: give one for each, in the order of the joints."
         )
     alone = [
         prepare(ClosedLoop(RigidJoint("prismatic" if kind else "revolute"), controller), record)
@@ -305,11 +305,11 @@ def simulation_of(run: RobotRun) -> RobotSimulation:
     """Return a run whose tape was kept, at the log's instants."""
     clock, rotors, joints = run.experiment.clock, run.numbers.rotors, run.experiment.tree.joints
     n = rotors.size
-    seen, begun = motion_at(run, clock.looked), motion_at(run, clock.begun[0])
+    seen, started = motion_at(run, clock.log_index), motion_at(run, clock.torque_index[0])
     position, velocity = (x[:, :n] @ joints.T if joints.size else x[:, :n] for x in (seen.position, seen.velocity))
     return RobotSimulation(
         run.torque, run.outcome, run.finished, run.events, clock.sample_time,
-        seen.position[:, rotors], seen.velocity[:, rotors], position, velocity, begun,
+        seen.position[:, rotors], seen.velocity[:, rotors], position, velocity, started,
     )  # fmt: skip
 
 
@@ -415,7 +415,7 @@ def add_feed_forward(
     )
 
 
-def strays(records: Sequence[Record], run: RobotSimulation) -> dict[int, float]:
+def tracking_errors(records: Sequence[Record], run: RobotSimulation) -> dict[int, float]:
     """Return how far each joint that does not follow its reference gets off it, by its place, rad or m.
 
     One follows that stays within half of its reference's travel, and 0.1 rad or m: a loop may be slow, and a weight may

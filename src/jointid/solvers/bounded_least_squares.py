@@ -66,7 +66,7 @@ class LevenbergMarquardt:
         status, reach, share, idle, refused = None if J.any() else Status.NOT_EVALUABLE, self.reach, 1.0, 0, 0
         while status is None and used < self.evaluations and trace[-1].norm > self.enough:
             norm = trace[-1].norm
-            step = damped_step(error, J, bounds.around(x).within(reach), damping, bounds.upper - bounds.lower)
+            step = damped_step(error, J, bounds.shift_to(x).within(reach), damping, bounds.upper - bounds.lower)
             cut = reach is not None and bool(np.any(np.abs(step) >= _CUT * reach))
             worthless = self.worth > 0.0 and damping <= _DAMPING and not cut
             if worthless and _gain(norm, error + J @ step) <= self.worth:
@@ -208,7 +208,7 @@ class TrustRegion:
 
 def _at_minimum(bounds: Bounds, x: FloatArray, error: FloatArray, J: FloatArray, tolerance: float) -> bool:
     """Test whether the possible gain is within rounding of the tolerance."""
-    moving = ~bounds.blocked(x, -(J.T @ error))
+    moving = ~bounds.find_blocking(x, -(J.T @ error))
     columns = J[:, moving] / column_norms(J[:, moving])
     step = np.linalg.lstsq(columns, error, rcond=1e-12)[0]
     return bool(np.sum((columns @ step) ** 2) < _THERE * tolerance * max(float(error @ error), 1e-300))

@@ -183,7 +183,7 @@ class InstrumentalVariables:
         while True:
             step = np.zeros(x.size)
             step[moving] = -projection(Z[:, moving], J[:, moving]) @ error
-            outwards = bounds.blocked(x, step)
+            outwards = bounds.find_blocking(x, step)
             if not np.any(outwards):
                 break
             moving &= ~outwards

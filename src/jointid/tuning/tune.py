@@ -10,7 +10,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, Work, silent
+from jointid.common.messages import Progress, Work, ignore_progress
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import number
 from jointid.common.units import DriveUnits
@@ -79,7 +79,7 @@ def tune(
     *,
     drive: DriveUnits | None = None,
     shown: Iterable[DriveNumber] = (),
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> Tuned:
     """Compute the margins of an estimate's loop, and propose settings.
 

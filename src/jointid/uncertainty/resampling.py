@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.document import Document, Documented, Table
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, follow, silent
+from jointid.common.messages import Progress, follow, ignore_progress
 from jointid.common.parameters import Bounds, Parameter
 from jointid.common.text import number
 from jointid.uncertainty.covariance import Covariance, bandwidth, covariance_of, larger
@@ -204,7 +204,7 @@ def bootstrap_estimate(
     labels: NDArray[np.intp] | None = None,
     settings: Bootstrapping | None = None,
     refit: Callable[[FloatArray], FloatArray] | None = None,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> Bootstrap:
     """Bootstrap over moving blocks of time, or over groups of rows.
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from jointid.common.messages import Message, joined
-from jointid.common.text import listed, number
+from jointid.common.messages import Message, join_messages
+from jointid.common.text import join, number
 from jointid.uncertainty.identifiability import Identifiability
 from jointid.uncertainty.residual_tests import ResidualReport
 
@@ -115,7 +115,7 @@ class Verdict:
     @property
     def said(self) -> str:
         """The reasons as one sentence."""
-        return joined(self.reasons)
+        return join_messages(self.reasons)
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +189,7 @@ def bounds_verdict(touched: Sequence[str]) -> Verdict:
     if not touched:
         return _judge(Subject.BOUNDS, True, Reason.NONE_AT_BOUND, "no parameter is held by a bound")
     said = f"{', '.join(touched)} at a bound, where it does not follow the record"
-    clause = f"{listed(touched)} at {'its bound' if len(touched) == 1 else 'their bounds'}"
+    clause = f"{join(touched)} at {'its bound' if len(touched) == 1 else 'their bounds'}"
     return _judge(Subject.BOUNDS, False, Reason.AT_BOUND, said, {"parameters": list(touched)}, clause)
 
 

@@ -14,7 +14,7 @@ from rich.console import Console
 import jointid as ji
 from jointid.apps.cli import console
 from jointid.apps.cli.bars import Bars
-from jointid.common.messages import Work, describe_pace, describe_time, follow, silent
+from jointid.common.messages import Work, describe_pace, describe_time, follow, ignore_progress
 from jointid.common.parameters import Parameter, Quantity
 from jointid.common.text import ordinal
 from jointid.estimation.descent import History
@@ -139,7 +139,7 @@ def test_bars_show_rate_and_time_left_and_leave_nothing_behind() -> None:
 @pytest.mark.parametrize("terminal", [True, False])
 def test_who_listens_depends_on_the_terminal(terminal: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal, raising=False)
-    assert console.listen(quiet=True) is silent
+    assert console.listen(quiet=True) is ignore_progress
     assert isinstance(console.listen(quiet=False), Bars) == terminal
 
 

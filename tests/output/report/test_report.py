@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import jointid as ji
-from jointid.common.charts import thin
+from jointid.common.charts import decimate
 from jointid.common.document import inert
 from jointid.common.messages import Message
 from jointid.common.typography import typeset
@@ -408,18 +408,18 @@ def test_thinning_keeps_every_peak() -> None:
     rng = np.random.default_rng(0)
     x, y = np.arange(100_000.0), rng.standard_normal(100_000)
     y[54_321], y[777] = 50.0, -60.0
-    at, kept = thin(x, y, most=1000)
+    at, kept = decimate(x, y, most=1000)
     assert at.size <= 1002
     assert np.all(np.diff(at) > 0)
     assert (kept.max(), at[kept.argmax()]) == (50.0, 54_321.0)
     assert (kept.min(), at[kept.argmin()]) == (-60.0, 777.0)
-    assert thin(x[:10], y[:10], most=1000)[0].size == 10
+    assert decimate(x[:10], y[:10], most=1000)[0].size == 10
 
 
 def test_thinning_keeps_gaps_and_the_peaks_beside_them() -> None:
     x, y = np.arange(10_000.0), np.zeros(10_000)
     y[5_000:5_010], y[5_012] = np.nan, 3.0
-    at, kept = thin(x, y, most=1000)
+    at, kept = decimate(x, y, most=1000)
     assert np.any(np.isnan(kept[(at >= 5_000) & (at < 5_010)]))
     assert np.nanmax(kept) == 3.0
 

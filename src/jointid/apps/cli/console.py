@@ -15,7 +15,7 @@ from cyclopts import Parameter
 
 from jointid.apps.cli.places import NOTHING, Outputs
 from jointid.common.errors import JointidError, RecordError
-from jointid.common.messages import Progress, silent
+from jointid.common.messages import Progress, ignore_progress
 from jointid.common.text import printable
 
 if TYPE_CHECKING:
@@ -160,7 +160,7 @@ def _bars() -> Bars:
 def listen(quiet: bool) -> Progress:
     """Return who listens to progress: bars on a terminal, else lines."""
     if quiet:
-        return silent
+        return ignore_progress
     return _bars() if sys.stderr.isatty() else tell
 
 

@@ -21,7 +21,7 @@ from jointid.apps.cli.console import (
 from jointid.apps.cli.places import Outputs
 from jointid.common.document import WIDTH
 from jointid.common.errors import MethodError
-from jointid.common.text import wrapped
+from jointid.common.text import wrap
 from jointid.estimation.methods.registry import MethodName
 
 if TYPE_CHECKING:
@@ -135,7 +135,7 @@ def identify(
     if logged is not None and estimate.checks.bounds:
         from jointid import advise
 
-        show("\n" + wrapped(str(advise(estimate, logged)), WIDTH, below=2))
+        show("\n" + wrap(str(advise(estimate, logged)), WIDTH, below=2))
     if estimate.fit.interrupted:
         raise KeyboardInterrupt
 

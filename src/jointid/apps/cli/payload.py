@@ -63,9 +63,9 @@ def payload(
                 "The drives' gains are found by IDIM, from motor positions and torques, and this robot file asks for "
                 "DIDIM or the drive side; add --set method.name=idim, and declare record.channels.motor_position."
             )
-        closing = file.loop if isinstance(file.method, RobotDIDIM) else RobotDriveSide(file.robot)
+        setup = file.loop if isinstance(file.method, RobotDIDIM) else RobotDriveSide(file.robot)
         empty, loaded = file.record(without), file.record(with_)
-        found = weigh_payload_from_torques(closing, empty, loaded, file.method, file.filtering, options.progress)
+        found = weigh_payload_from_torques(setup, empty, loaded, file.method, file.filtering, options.progress)
         deliver(found, json)
         return
     if mass is not None and (file.method.fixed or file.method.estimator != RobotIDIM().estimator):

@@ -102,7 +102,7 @@ def report(
     again = repetition(joint, source, asked, options.changes, html_name)
     record, estimate = options.identify(file)
     tuning = None if no_tuning else Aside(partial(tune_to_limit, estimate, file.drive, file.declared_numbers))
-    told = Report.of(
+    stated = Report.of(
         estimate, record, name=file.name or "", profiles=() if no_profiles else None, repetition=again,
         progress=options.progress,
     )  # fmt: skip
@@ -110,35 +110,35 @@ def report(
     if isinstance(tuned, str):
         show(f"Without margins and gains: {tuned}")
     else:
-        told = replace(told, tuned=tuned)
+        stated = replace(stated, tuned=tuned)
     if plan is not None:
         try:
             found = plan_from_estimate(estimate, record, goal=plan, limits=file.limits, progress=options.progress)
-            told = replace(told, design=found)
+            stated = replace(stated, design=found)
         except (JointidError, LinAlgError) as error:
-            told.data.absent["design"] = str(error)
+            stated.data.absent["design"] = str(error)
             show(f"Without a next test: {error}")
-    written = _save(told, page, markdown, figures) + ([] if options.json is None else [options.json])
-    deliver(told.estimate, options.json)
+    written = _save(stated, page, markdown, figures) + ([] if options.json is None else [options.json])
+    deliver(stated.estimate, options.json)
     show("\nWritten: " + ", ".join(map(str, written)))
 
 
 def _report_robot(
-    told: RobotReport, json: Path | None, page: Path | None, markdown: Path | None, figures: Path | None
+    stated: RobotReport, json: Path | None, page: Path | None, markdown: Path | None, figures: Path | None
 ) -> None:
-    written = _save(told, page, markdown, figures)
-    deliver(told.validation or told.estimate)
+    written = _save(stated, page, markdown, figures)
+    deliver(stated.validation or stated.estimate)
     if json is not None:
-        write_whole(json, told.answer())
+        write_whole(json, stated.answer())
         written.append(json)
     show("\nWritten: " + ", ".join(map(str, written)))
 
 
-def _save(told: Report | RobotReport, page: Path | None, markdown: Path | None, figures: Path | None) -> list[Path]:
+def _save(stated: Report | RobotReport, page: Path | None, markdown: Path | None, figures: Path | None) -> list[Path]:
     """Write a report where it was asked for, and return the files."""
-    written = [] if page is None else [told.save(page)]
-    written += [] if markdown is None else [told.save_markdown(markdown)[0]]
-    return written + ([] if figures is None else [*told.save_figures(figures)])
+    written = [] if page is None else [stated.save(page)]
+    written += [] if markdown is None else [stated.save_markdown(markdown)[0]]
+    return written + ([] if figures is None else [*stated.save_figures(figures)])
 
 
 def _robot_report(

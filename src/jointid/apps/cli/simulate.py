@@ -30,7 +30,7 @@ def demo(folder: Path = Path("jointid-demo"), /, *, seed: int = 1, quiet: Quiet 
     """
     from jointid import figures, twin, write
     from jointid.common.files import write_whole
-    from jointid.common.text import aligned, number
+    from jointid.common.text import align, number
     from jointid.output import json as answers
     from jointid.paper.twin import JOINT_FILE
 
@@ -56,7 +56,7 @@ def demo(folder: Path = Path("jointid-demo"), /, *, seed: int = 1, quiet: Quiet 
         rows.append((symbol, number(value), number(2 * std, 2), number(truth), unit))
     show()
     show("Beside the truth; torque alone knows the two viscous frictions, and the two Coulomb ones, by their sum:")
-    show(aligned(("symbol", "identified", "2 sigma", "truth", "unit"), rows, (False, True, True, True, False)))
+    show(align(("symbol", "identified", "2 sigma", "truth", "unit"), rows, (False, True, True, True, False)))
     show()
     show(f"Written to {folder}: record.csv, joint.toml, estimate.json, torque.png")
     show(f"All of it on one page: jointid report {joint} --html report.html")
@@ -181,7 +181,7 @@ def _simulate_joint(file: JointFile, estimate: Path | None, out: Path | None, op
 def _simulate_robot(file: RobotFile, estimate: Path | None, out: Path | None, options: Options) -> None:
     from jointid import robot_records, simulate_robot
     from jointid.output.json import documents, write
-    from jointid.simulation.robots import strays
+    from jointid.simulation.robots import tracking_errors
     from jointid.simulation.simulated import require_success
 
     if estimate is not None:
@@ -196,7 +196,7 @@ def _simulate_robot(file: RobotFile, estimate: Path | None, out: Path | None, op
         f"{len(found.torque)} samples of {found.sample_time:g} s, {found.events} reversals, stops and starts; peak "
         f"torques: {peaks}"
     )
-    astray = strays(records, found)
+    astray = tracking_errors(records, found)
     for k, off in astray.items():
         show(
             f"{robot.names[k]} does not follow its reference: it gets {off:.3g} {robot.position_unit(k)} off it; check "

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterable, Mapping
 
-from jointid.common.units import POSITION_UNITS, TORQUE_UNITS, spelled, unit, units_of
+from jointid.common.units import POSITION_UNITS, TORQUE_UNITS, normalise_unit, unit, units_of
 from jointid.records.columns import known_units
 from jointid.records.drives import load_profile, profile_names
 from jointid.records.record import CHANNELS
@@ -78,10 +78,10 @@ def guess_draft(columns: Collection[str]) -> dict[str, str]:
 def find_unit(column: str, known: Iterable[str]) -> str | None:
     """Return the unit that a column's name ends with: "iq [A]", "torque_Nm"; None where it is none of those known."""
     known = tuple(known)
-    every = {spelled(name): name for name in reversed(known)} | {name: name for name in known}
+    every = {normalise_unit(name): name for name in reversed(known)} | {name: name for name in known}
     bracketed = re.search(r"[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$", column)
     if bracketed is not None:
-        return every.get(bracketed[1]) or every.get(spelled(bracketed[1]))
+        return every.get(bracketed[1]) or every.get(normalise_unit(bracketed[1]))
     behind = _LAST.match(column)
     if behind is None or behind[1] in _NO_UNITS_BEHIND:
         return None
@@ -126,15 +126,17 @@ def _find_by_profile(channel: str, names: list[str]) -> str | None:
 
 def _find_by_words(role: str, names: list[str]) -> str | None:
     """Return the only column with the words of a channel, or with the unit of a torque."""
-    told = {name: _normalise(name) for name in names}
-    told = {name: words for name, words in told.items() if not _has(_OTHERWISE, words)}
+    stated = {name: _normalise(name) for name in names}
+    stated = {name: words for name, words in stated.items() if not _has(_OTHERWISE, words)}
     if role == "torque":
-        torques = [name for name, words in told.items() if _has(_TORQUE, words)]
-        commanded = [name for name in torques if _has(_COMMANDED, told[name])]
+        torques = [name for name, words in stated.items() if _has(_TORQUE, words)]
+        commanded = [name for name in torques if _has(_COMMANDED, stated[name])]
         known = {one for kind in _KINDS for one in units_of(TORQUE_UNITS[kind][0], "current")}
-        measured = [name for name in told if find_unit(name, known) is not None]
-        return _only(commanded) or _only(torques) or _only(measured) or _only(n for n, w in told.items() if w == "istw")
-    positions = {name: words for name, words in told.items() if _has(_POSITION, words) and not _has(_TORQUE, words)}
+        measured = [name for name in stated if find_unit(name, known) is not None]
+        return (
+            _only(commanded) or _only(torques) or _only(measured) or _only(n for n, w in stated.items() if w == "istw")
+        )
+    positions = {name: words for name, words in stated.items() if _has(_POSITION, words) and not _has(_TORQUE, words)}
     loads = {name for name, words in positions.items() if _has(_LOAD, words)}
     if role == "load_position":
         return _only(loads)

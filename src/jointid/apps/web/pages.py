@@ -30,7 +30,7 @@ from jointid.apps.web.form import clean_entries, place_faults
 from jointid.apps.web.jobs import Jobs
 from jointid.common.messages import Message
 from jointid.common.settings import settings_of
-from jointid.common.text import interval, number, signed
+from jointid.common.text import format_signed, interval, number
 from jointid.common.typography import typeset
 from jointid.common.units import COUNTS, SHARE, units_of
 from jointid.estimation.problems.base import DRIVE_AND_LOG, INITIAL
@@ -327,7 +327,7 @@ def _build_rows(answer: Mapping[str, Any]) -> list[dict[str, str]]:
             "other": _tell_value(there[name]) if name in there else "",
             "note": "at its bound"
             if p.get("at_bound") is not None
-            else f"{signed(moved[name], 2)} {p['unit']} {when}"
+            else f"{format_signed(moved[name], 2)} {p['unit']} {when}"
             if abs(moved.get(name, 0.0)) > SHOWN_SHIFT * (p["std"] or 0.0)
             else "",
         }

@@ -286,13 +286,13 @@ def _find_run(request: Request) -> Run:
 
 async def _events(run: Run, begin: int) -> AsyncIterator[str]:
     """Yield the lines of an identification's progress from a number on, each version of answer and report, its end."""
-    sent, looks, told = begin, 0, {"answer": "", "report": ""}
+    sent, looks, stated = begin, 0, {"answer": "", "report": ""}
     while True:
         status = run.status  # before the lines: none that came before the end is left out
         stamps = run.stamps
-        for name in (name for name in stamps if stamps[name] != told[name]):
+        for name in (name for name in stamps if stamps[name] != stated[name]):
             yield f"event: {name}\ndata: {json.dumps(stamps[name])}\n\n"
-        told = stamps
+        stated = stamps
         lines = run.read_progress()
         for number in range(sent, len(lines)):
             yield f"id: {number}\ndata: {json.dumps(lines[number])}\n\n"

@@ -184,14 +184,14 @@ def plan(folder: Path) -> None:
     table, facts = found.document().blocks
     assert isinstance(table, Table)
     assert isinstance(facts, Facts)
-    told = {
+    stated = {
         "goal": found.goal.name,
         "sentence": found.sentence,
         "header": table.header,
         "rows": table.rows,
         "facts": facts.pairs,
     }
-    write_whole(folder / "plan.json", json.dumps(told))
+    write_whole(folder / "plan.json", json.dumps(stated))
 
 
 def _read_work(folder: Path) -> dict[str, Any]:

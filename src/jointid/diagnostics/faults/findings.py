@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from jointid.common.document import Document, Documented, Listing, Table
 from jointid.common.messages import Message
-from jointid.common.text import number, signed
+from jointid.common.text import format_signed, number
 from jointid.common.transmission import Side
 from jointid.diagnostics.faults.fault import Fault, FaultTest, Shown, call_number
 from jointid.models.controllers import Controller
@@ -181,7 +181,7 @@ class LoopCheck(Documented):
     def _describe_changes(self, finding: Finding, before: str) -> str:
         far = sorted(finding.changes.items(), key=lambda item: -abs(item[1].sigmas))[:_LISTED]
         moved = [
-            f"{self.symbols[name]} by {signed(change.by, 3)} {self.units[name]} ({abs(change.sigmas):.1f} sigma)"
+            f"{self.symbols[name]} by {format_signed(change.by, 3)} {self.units[name]} ({abs(change.sigmas):.1f} sigma)"
             for name, change in far
             if abs(change.sigmas) >= _SMALLEST_SHIFT
         ]

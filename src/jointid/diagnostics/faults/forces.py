@@ -10,7 +10,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.messages import Message
-from jointid.common.text import counted, number
+from jointid.common.text import number, pluralise
 from jointid.diagnostics.faults.fault import Fault, FaultSignature, FaultTest, Measure, words
 from jointid.diagnostics.faults.findings import Finding, LoopCheck
 from jointid.diagnostics.faults.numbers import describe_number
@@ -149,8 +149,8 @@ def find_steps(record: Record) -> Message | None:
     if own @ own < _OWN * (sizes @ sizes):
         return None
     clause = (
-        f"a signal is injected that is not declared (channel injected): the torque makes {counted(count, 'step')} that "
-        "the reference does not ask for"
+        f"a signal is injected that is not declared (channel injected): the torque makes {pluralise(count, 'step')} "
+        "that the reference does not ask for"
     )
     values: dict[str, Any] = {"causes": [{"cause": INJECTED.name, "value": count, "error": None}]}
     return Message(Reason.CAUSE_FOUND, clause, values, clause)

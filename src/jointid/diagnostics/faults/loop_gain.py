@@ -46,8 +46,8 @@ def _try_factors(declared: Hypothesis) -> Iterator[Hypothesis]:
         return
     # A limit that was declared beside a wrong scale is wrong, too, or not: without one both are tried.
     endless = with_numbers(law, {"limit": float("inf")}) if "limit" in numbers else law
-    beyond = [one for one in _known_factors(declared.loops[0]) if not _FACTORS[0] <= one <= _FACTORS[-1]]
-    scaled = [with_numbers(endless, {"gain": factor * numbers["gain"]}) for factor in (*_FACTORS, *beyond)]
+    excess = [one for one in _known_factors(declared.loops[0]) if not _FACTORS[0] <= one <= _FACTORS[-1]]
+    scaled = [with_numbers(endless, {"gain": factor * numbers["gain"]}) for factor in (*_FACTORS, *excess)]
     yield declared.under(scaled, "gain")
 
 

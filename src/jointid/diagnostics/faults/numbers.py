@@ -104,11 +104,11 @@ def describe_in_drive(there: DriveNumber, s: FaultTest, law: Mapping[str, float]
     if share - deviation <= -1:
         bound = "least" if there.inverse else "most"
         return f"{name} is at {bound} {show(there, value + 2 * s.std, law)}, {declared}"
-    told = there.of(value, law)
-    far = max(abs(there.of(value + by, law) - told) for by in (-2 * s.std, 2 * s.std))
+    stated = there.of(value, law)
+    far = max(abs(there.of(value + by, law) - stated) for by in (-2 * s.std, 2 * s.std))
     interval = f" +- {number(far, 2)}" if spread else ""
     digits = max(3, 1 + math.ceil(-math.log10(abs(share))))  # so many that the two are not the same
-    return f"{name} is {number(told, digits)}{interval} {there.unit}, {declared}"
+    return f"{name} is {number(stated, digits)}{interval} {there.unit}, {declared}"
 
 
 def _describe_no_size(name: str, share: float, deviation: float, more: bool) -> str | None:

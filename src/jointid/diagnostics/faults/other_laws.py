@@ -184,11 +184,11 @@ def _describe_laws(finding: Finding, check: LoopCheck, _: bool) -> str:
     of_each: dict[str, list[OtherLaw]] = {}
     for one in (finding.law, *(other for other in finding.alike if other != check.open_law)):
         of_each.setdefault(one.fault.name, []).append(one)
-    told = []
+    stated = []
     for first, *others in of_each.values():
         rates = ", ".join(f"{1e-3 * one.rate:.4g}" for one in others)
-        told.append((f"{first.words} (or {rates} kHz)" if rates else first.words, first.remedy))
-    (said, remedy), *more = told
+        stated.append((f"{first.words} (or {rates} kHz)" if rates else first.words, first.remedy))
+    (said, remedy), *more = stated
     said = f"{said}: declare {remedy}"
     return said + "".join(f"; or {one}, which this record does not tell apart: {its}" for one, its in more)
 

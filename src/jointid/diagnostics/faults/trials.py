@@ -15,7 +15,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
-from jointid.common.messages import silent
+from jointid.common.messages import ignore_progress
 from jointid.diagnostics.faults.fault import Fault, FaultSignature
 from jointid.estimation.descent import History, least_squares
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
@@ -104,7 +104,7 @@ def search(problem: ClosedLoopProblem, x: FloatArray, trial: Trial) -> FaultFit 
     other = with_joint(problem, trial.joint)
     rough = replace(least_squares(other, _ROUGHLY), evaluations=_FEW)
     try:
-        end = History(silent).solve(other, rough, other.vector({**problem.values(x), **trial.values})).solution
+        end = History(ignore_progress).solve(other, rough, other.vector({**problem.values(x), **trial.values})).solution
         run = require_success(other.simulate(end.x))
         return FaultFit(other.values(end.x), run.torque - problem.torque(x), float(np.linalg.norm(end.residual)))
     except (JointidError, np.linalg.LinAlgError):

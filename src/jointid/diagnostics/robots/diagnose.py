@@ -17,7 +17,7 @@ import numpy as np
 
 from jointid.common.document import Block, Document, Documented, Heading, Listing, Paragraph, Table
 from jointid.common.errors import JointidError
-from jointid.common.text import listed, number
+from jointid.common.text import join, number
 from jointid.diagnostics.law_on_position import LawOnPosition, compare_law
 from jointid.diagnostics.robots.parameters import ParameterOfJoint, Told, parameters_by_joint
 from jointid.diagnostics.robots.torques import RobotTorques, torques_of
@@ -221,7 +221,7 @@ class RobotDiagnosis(Documented):
         seen = [(name, law, left) for name, law, left in wrong if law is not None]
         if not seen:
             return []
-        names = listed([name for name, _, _ in seen])
+        names = join([name for name, _, _ in seen])
         declared, free, model = (
             ", ".join(f"{100 * value:.2g}" for value in values)
             for values in zip(*((law.left, law.noise, left) for _, law, left in seen), strict=True)
@@ -245,10 +245,10 @@ class RobotDiagnosis(Documented):
         coloured = [one.name for one in self.joints if one.coloured]
         first = "The model explains the torques of all joints but for noise, as far as this record shows."
         if bad:
-            first = f"The model does not explain the torque of {listed(bad)}."
+            first = f"The model does not explain the torque of {join(bad)}."
         elif coloured:
             first = (
-                f"The model leaves little of every joint's torque, but what it leaves of {listed(coloured)} is no "
+                f"The model leaves little of every joint's torque, but what it leaves of {join(coloured)} is no "
                 "white noise."
             )
         if self.as_declared is None:
@@ -263,12 +263,12 @@ class RobotDiagnosis(Documented):
         else:
             wrong = [one.name for one in self.joints if one.law_holds is False]
             second = (
-                f"The declared controller of {listed(wrong)} does not make the logged torque of the logged positions: "
+                f"The declared controller of {join(wrong)} does not make the logged torque of the logged positions: "
                 "unless these are noisy or rounded, do not rely on DIDIM with it."
             )
         count = sum(len(one.asked) for one in self.joints)
-        told = sum(len(one.names(Told.TOLD)) for one in self.joints)
-        return f"{first} {second} The record tells {told} of {count} parameters to a tenth."
+        stated = sum(len(one.names(Told.TOLD)) for one in self.joints)
+        return f"{first} {second} The record tells {stated} of {count} parameters to a tenth."
 
     def document(self, *, details: bool = False) -> Document:
         """Return the answer, a table of the joints, and what to do.
@@ -369,8 +369,8 @@ def _percent(share: float) -> str:
 def _row(one: JointDiagnosis) -> tuple[str, ...]:
     white = "-" if one.whiteness is None else "yes" if one.whiteness.white else "no"
     law = ("-", "-") if one.law is None else (f"{100 * one.law.left:.3g}", f"{100 * one.law.noise:.2g}")
-    told = (one.names(Told.TOLD), one.names(Told.ROUGHLY), one.names(Told.NOT, Told.REFUSED))
-    return (one.name, f"{100 * one.left:.3g}", white, *(str(len(names)) for names in told), *law)
+    stated = (one.names(Told.TOLD), one.names(Told.ROUGHLY), one.names(Told.NOT, Told.REFUSED))
+    return (one.name, f"{100 * one.left:.3g}", white, *(str(len(names)) for names in stated), *law)
 
 
 def _followed(torques: RobotTorques, joint: int) -> tuple[str, Coupling] | None:

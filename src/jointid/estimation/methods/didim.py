@@ -30,7 +30,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.settings import documented, setting
+from jointid.common.settings import add_settings_to_docstring, setting
 from jointid.estimation.descent import History, Solved, free_more, least_squares, or_moving
 from jointid.estimation.methods.force_in_loop import instruments, uncertainty_of_least_error
 from jointid.estimation.methods.registry import SURROUNDINGS, Method, Task
@@ -52,7 +52,7 @@ _LEAST = "by least squares"
 _LEAST_ERROR = 'set method.form = "least-squares"'
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class DIDIM(Method):
     """Settings of DIDIM."""
@@ -177,11 +177,11 @@ class DIDIM(Method):
         solver = least_squares(resting, self.tolerance)
         for count, start in enumerate(starts):
             try:
-                begun = self._first_positions(resting, start, history)
+                started = self._first_positions(resting, start, history)
             except MethodError as error:
                 failures.append(error)
                 continue
-            ends += [history.solve(resting, solver, x) for x in begun[: 1 if count else None]]
+            ends += [history.solve(resting, solver, x) for x in started[: 1 if count else None]]
         if not ends:
             raise failures[0]
         best = ends[0]
@@ -215,12 +215,12 @@ class DIDIM(Method):
             x = steps.scale_gains(problem, start)[0].x
         there, counted = problem.values(x), history.counted(problem)
         homes = dict.fromkeys((there["initial_position"], beginning_position(problem)))
-        begun = [problem.vector(there | {"initial_position": home}) for home in homes]
-        begun.sort(key=lambda one: float(np.linalg.norm(counted.residual(one))))
-        if not np.any(counted.linearise(begun[0])[1]):
-            steps.evaluate(problem, begun[0]).require_simulated()
-            raise MethodError(describe_unstable(problem, begun[0]))
-        return begun
+        started = [problem.vector(there | {"initial_position": home}) for home in homes]
+        started.sort(key=lambda one: float(np.linalg.norm(counted.residual(one))))
+        if not np.any(counted.linearise(started[0])[1]):
+            steps.evaluate(problem, started[0]).require_simulated()
+            raise MethodError(describe_unstable(problem, started[0]))
+        return started
 
     def _steps(self, problem: ClosedLoopProblem, history: History) -> RegressorSteps:
         """Return the steps by the regressor that these settings ask for."""

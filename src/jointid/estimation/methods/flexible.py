@@ -21,7 +21,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.parameters import Parameter
-from jointid.common.settings import documented, setting
+from jointid.common.settings import add_settings_to_docstring, setting
 from jointid.estimation.descent import History, Solved, free_more
 from jointid.estimation.methods.force_in_loop import widened_for_force
 from jointid.estimation.methods.registry import SURROUNDINGS, Method, Task
@@ -43,7 +43,7 @@ _TOLERANCE, _SIMPLEX_TOLERANCE = 1e-8, 1e-4  # the latter is that of fminsearch
 _NOTHING = 0.5  # of the torque: an end that leaves so much is no answer
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class FlexibleDIDIM(Method):
     """Settings of DIDIM for a flexible joint."""

@@ -155,9 +155,9 @@ def widened_for_force(
         f"the residual's spectrum shows a random force in the loop of about {size} rms, which lets friction slide; "
         f"simulated with it, the fit gives {values}: the intervals hold both"
     )
-    told = (Message(InLoop.FORCE, said, {"rms": force.rms, "values": moved}),) if moved else ()
+    stated = (Message(InLoop.FORCE, said, {"rms": force.rms, "values": moved}),) if moved else ()
     wide = known.widened_by(there - x, f"what a force of about {size} rms in the loop moves")
-    return replace(wide, warnings=(*known.warnings, *told))
+    return replace(wide, warnings=(*known.warnings, *stated))
 
 
 def allow_for_force(

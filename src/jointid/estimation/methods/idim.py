@@ -23,7 +23,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
-from jointid.common.settings import documented, setting
+from jointid.common.settings import add_settings_to_docstring, setting
 from jointid.common.transmission import Side
 from jointid.estimation.methods.linear import (
     Rows,
@@ -77,7 +77,7 @@ _MOVING = 0.1  # of the top speed: slower is not moving
 _FOUND = 1e-9  # relative, of the period
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class IDIM(Method):
     """Settings of IDIM; its effects are further columns, `PositionHarmonics` or `Drift`."""
@@ -152,18 +152,18 @@ class IDIM(Method):
             return _Found(made, by_instruments(made.rows, columns, made.kept, made.free), effects)
 
         own = self.effects
-        told = any(isinstance(effect, EncoderOffset) for effect in own)
-        if joint.model == "flexible" and self.encoders == "as_logged" and not told and _zeros_differ(solved):
+        stated = any(isinstance(effect, EncoderOffset) for effect in own)
+        if joint.model == "flexible" and self.encoders == "as_logged" and not stated and _zeros_differ(solved):
             own = (*own, EncoderOffset())
         unknown = [e for e in own if isinstance(e, PositionHarmonics) and e.period is None]
         if not unknown:
             return _answer(task, self, filtering, delay, solved(own))
         whole = regression(tuple(effect for effect in own if effect not in unknown))
-        begun: dict[Effect, PositionHarmonics] = {
+        started: dict[Effect, PositionHarmonics] = {
             ripple: _searched(ripple, whole, filtering, sample_time) for ripple in unknown
         }
-        effects = tuple(begun.get(effect, effect) for effect in own)
-        return _answer(task, self, filtering, delay, _with_periods(effects, list(begun.values()), solved))
+        effects = tuple(started.get(effect, effect) for effect in own)
+        return _answer(task, self, filtering, delay, _with_periods(effects, list(started.values()), solved))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

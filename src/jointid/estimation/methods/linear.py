@@ -303,8 +303,8 @@ def _sizes(rows: Rows, values: FloatArray, size: Callable[[FloatArray], float]) 
     """Return the size of each equation's error, (equations,), a homogeneous one's held back (see the module)."""
     error, torque = rows.by_equation(rows.Y - rows.W @ values), rows.by_equation(rows.Y)
     least = _TINY * _rms(rows.Y)
-    told = rows.by_equation(np.any(rows.W != 0, axis=1))  # a joint that rests leaves rows of zeros
-    sizes = np.array([max(size(equation[seen]), least) for equation, seen in zip(error, told, strict=True)])
+    stated = rows.by_equation(np.any(rows.W != 0, axis=1))  # a joint that rests leaves rows of zeros
+    sizes = np.array([max(size(equation[seen]), least) for equation, seen in zip(error, stated, strict=True)])
     for number in np.flatnonzero(~np.any(torque, axis=1)):
         of_it = np.arange(rows.equations).repeat(torque.shape[1]) == number
         inside = np.any(rows.W[of_it] != 0, axis=0)

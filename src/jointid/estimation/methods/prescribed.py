@@ -28,7 +28,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress
 from jointid.common.parameters import Parameter
-from jointid.common.settings import documented, setting
+from jointid.common.settings import add_settings_to_docstring, setting
 from jointid.estimation.methods.endogeneity import judged
 from jointid.estimation.methods.registry import Method, Task
 from jointid.estimation.problems.base import LOG_DELAY, log_delay
@@ -66,7 +66,7 @@ def _frequency() -> Any:
     return setting(None, words, unit="Hz", above=0)
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class DriveSideFit(Method):
     """Settings of the drive-side identification."""
@@ -108,11 +108,11 @@ class DriveSideFit(Method):
             RecordError: a channel is missing, or at another rate.
             MethodError: no start gives a joint with positive inertias.
         """
-        record, closing = task.record, DriveSide(task.joint)
-        record.require(closing.channels, "Drive-side identification")
+        record, setup = task.record, DriveSide(task.joint)
+        record.require(setup.channels, "Drive-side identification")
         assert record.torque is not None
         around = self.surroundings(record.torque.sample_time)
-        problem = motion_problem(record, closing, task.filtering, task.parameters, around)
+        problem = motion_problem(record, setup, task.filtering, task.parameters, around)
         starts, simulations = grid_starts(problem, self)
         solver = Multistart(LevenbergMarquardt(self.tolerance))
         solution = solve(problem, solver, np.array(starts), _reported(task.progress))
@@ -220,7 +220,7 @@ def _reported(progress: Progress) -> Watch:
     return watch
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class OpenLoopFit(Method):
     """Settings of the open-loop identification."""
@@ -248,8 +248,8 @@ class OpenLoopFit(Method):
             RecordError: a channel is missing, or at another rate.
             MethodError: no start gives a joint with positive inertias.
         """
-        closing = OpenLoop(task.joint)
-        problem = position_problem(task.record, closing, task.filtering, task.parameters, self.log_delay, self.highpass)
+        setup = OpenLoop(task.joint)
+        problem = position_problem(task.record, setup, task.filtering, task.parameters, self.log_delay, self.highpass)
         task.progress("identifying the drive side for a start")
         first = DriveSideFit(log_delay=self.log_delay, frequency=self.frequency, instruments="never").identify(task)
         found = {p.name: p.value for p in first.params.rows if p.value is not None}

@@ -148,10 +148,10 @@ class RegressorSteps:
         if not free:
             return self._solve(state, self._regressor_step, solver).solved(self.history)
         near = replace(solver, tolerance=max(solver.tolerance, _NEAR), step_tolerance=max(solver.step_tolerance, _NEAR))
-        begun = len(self.history.trace)
+        started = len(self.history.trace)
         end = self._solve(state, self._regressor_step, near)
         if end.status is not Status.EXACT:
-            left = replace(solver, iterations=max(most - (len(self.history.trace) - begun), 1))
+            left = replace(solver, iterations=max(most - (len(self.history.trace) - started), 1))
             moving = self._moving(problem, end.state, start, replace(solver, iterations=self.iterations))
             sure = moving is not None and moving.explains((1.0 - _SURE) * end.state.norm)
             if end.status.converged and near != solver and not sure:
@@ -266,8 +266,8 @@ class RegressorSteps:
 
 def describe_unstable(problem: ClosedLoopProblem, x: FloatArray) -> str:
     """Return the sentence on a loop that runs away."""
-    told = problem.values(x)
-    joint = ", ".join(f"{p.name} {number(told[p.name], 3)} {problem.units[p.name]}" for p in problem.free_joint)
+    stated = problem.values(x)
+    joint = ", ".join(f"{p.name} {number(stated[p.name], 3)} {problem.units[p.name]}" for p in problem.free_joint)
     return (
         f"With the joint that torque and motion give ({joint}) the declared loop is not stable, and the real one was; "
         "check the gain and unit of the torque channel, and the gains of the controller."

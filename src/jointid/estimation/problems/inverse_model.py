@@ -92,8 +92,8 @@ class InverseModel:
         weights = self.moving[:, self.inside]
         weighted = inside * weights[..., np.newaxis]
         share = np.array([filtering.decimate(one, sample_time) for one in weights])
-        told = np.any(share > _TOLD, axis=0)
-        return np.concatenate([filtering.decimate(equation, sample_time)[told] for equation in weighted])
+        stated = np.any(share > _TOLD, axis=0)
+        return np.concatenate([filtering.decimate(equation, sample_time)[stated] for equation in weighted])
 
 
 def inverse_model(

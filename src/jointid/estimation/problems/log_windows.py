@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, follow, silent
+from jointid.common.messages import Progress, follow, ignore_progress
 from jointid.common.parameters import Parameter
 from jointid.estimation.problems.base import INITIAL_STATE, INITIAL_TORQUE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
@@ -212,7 +212,7 @@ class LogProblem:
     length: int
     settling: int
     places: Places
-    progress: Progress = silent
+    progress: Progress = ignore_progress
     tally: Tally = field(default_factory=Tally)
     _windows: list[int] = field(default_factory=list)  # of the log, as the last pass to its end has counted
 

@@ -164,7 +164,7 @@ def behind_lag(cells: FloatArray, step: float, lag: float) -> tuple[FloatArray, 
 
 def motion_problem(
     record: Record,
-    closing: DriveSide,
+    setup: DriveSide,
     filtering: Filtering,
     parameters: tuple[Parameter, ...],
     surroundings: tuple[Parameter, ...] = (),
@@ -173,7 +173,7 @@ def motion_problem(
 
     Args:
         record: with torque and motor position at one rate, the position sampled.
-        closing: the joint.
+        setup: the joint.
         filtering: of position and torque.
         parameters: of the joint.
         surroundings: changed ``log_delay`` and ``current_lag``; both are fixed at 0 otherwise.
@@ -183,19 +183,19 @@ def motion_problem(
         MethodError: no parameter of the joint is free.
     """
     require_free(parameters)
-    torque, (position,) = torque_and_positions(record, closing.joint, ("motor_position",), "Drive-side identification")
+    torque, (position,) = torque_and_positions(record, setup.joint, ("motor_position",), "Drive-side identification")
     sample_time = torque.sample_time
-    filtering = filtering.resolve(sample_time, closing.joint.model)
+    filtering = filtering.resolve(sample_time, setup.joint.model)
     assert filtering.position_cutoff is not None
     smooth = lowpass(position, filtering.position_cutoff, sample_time)
     motion = _from_rest(prescribed_motion(smooth, sample_time))
     given = {p.name: p for p in surroundings}
     around = tuple(given.get(p.name, p) for p in (LOG_DELAY, CURRENT_LAG))
     return DriveSideProblem(
-        (*parameters, *_load_state(closing.joint, motion), *around),
+        (*parameters, *_load_state(setup.joint, motion), *around),
         window_torque(torque),
         filtering,
-        closing.joint,
+        setup.joint,
         motion,
         weights_of(motion),
         record.tap is not Tap.MEASURED,
@@ -273,7 +273,7 @@ def _fast(positions: FloatArray, highpass: float, sample_time: float) -> FloatAr
 
 def position_problem(
     record: Record,
-    closing: OpenLoop,
+    setup: OpenLoop,
     filtering: Filtering,
     parameters: tuple[Parameter, ...],
     delay: float | None = None,
@@ -283,7 +283,7 @@ def position_problem(
 
     Args:
         record: with torque and motor position at one rate.
-        closing: the joint.
+        setup: the joint.
         filtering: of the positions.
         parameters: of the joint.
         delay: seconds by which the log shows the torque later than it acts; free when None.
@@ -294,9 +294,9 @@ def position_problem(
         MethodError: no parameter of the joint is free.
     """
     require_free(parameters)
-    torque, (position,) = torque_and_positions(record, closing.joint, ("motor_position",), "Open-loop identification")
+    torque, (position,) = torque_and_positions(record, setup.joint, ("motor_position",), "Open-loop identification")
     period = torque.sample_time
-    filtering = filtering.resolve(period, closing.joint.model)
+    filtering = filtering.resolve(period, setup.joint.model)
     assert filtering.cutoff is not None
     highpass = highpass or _DRIFT * filtering.cutoff
     most = float(np.max(np.abs(torque.values)))
@@ -309,7 +309,7 @@ def position_problem(
         (*parameters, *_first_state(position, filtering, period), log_delay(delay, period)),
         _fast(position, highpass, period),
         filtering,
-        closing.joint,
+        setup.joint,
         torque,
         highpass,
         float(np.ptp(position)),

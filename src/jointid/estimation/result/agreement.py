@@ -306,8 +306,8 @@ def _pooled(fits: Sequence[_Fit], windows: Sequence[int]) -> FloatArray:
     # By a covariance that is itself an estimate, a chi-square comes out so much too large (Hotelling).
     scatter = sum(np.where(np.outer(fit.told, fit.told), fit.scatter, 0.0) for fit in fits) / count
     scatter *= degrees / (degrees - free - 1)
-    told = sum(fit.told * number for fit, number in zip(fits, windows, strict=True))
-    share = np.sqrt(count / np.maximum(told, 1))  # what is not told does not scatter
+    stated = sum(fit.told * number for fit, number in zip(fits, windows, strict=True))
+    share = np.sqrt(count / np.maximum(stated, 1))  # what is not told does not scatter
     return np.asarray(np.outer(share, share) * scatter)
 
 
@@ -341,8 +341,8 @@ class _Fit:
         apart = [np.eye(x.size) - back.T @ w.sums.A @ back for w in windows]
         own = [back.T @ w.sums.moved(step).b for w in windows]
         scores = np.array([np.linalg.lstsq(a, b, rcond=1e-6)[0] for a, b in zip(apart, own, strict=True)])
-        told = np.sum(vectors[:, kept] ** 2, axis=1) > _TOLD
-        return cls(x + step, back, (len(windows) - 1) * scores.T @ scores, told)
+        stated = np.sum(vectors[:, kept] ** 2, axis=1) > _TOLD
+        return cls(x + step, back, (len(windows) - 1) * scores.T @ scores, stated)
 
 
 def _trend(name: str, segments: Sequence[Segment]) -> Trend:

@@ -14,7 +14,7 @@ from enum import StrEnum
 from typing import Any
 
 from jointid.common.messages import Message
-from jointid.common.text import interval, listed, number, rounded
+from jointid.common.text import interval, join, number, round_to
 from jointid.estimation.result.parts import EstimatedParameter, EstimateParts
 from jointid.models.joints import FlexibleJoint
 from jointid.uncertainty.verdict import POOR_FIT, Reason, Status, StiffnessBound, Subject, Verdict
@@ -120,13 +120,13 @@ def _shown(row: EstimatedParameter) -> str:
 def _not_determined(estimate: EstimateParts, asked: EstimatedParameter) -> Message:
     """Return what is known of a value that is refused: of a stiffness the softest that the record allows."""
     words = f"{_called(asked.name)} not determined by this record"
-    told = told_bounds(estimate)
-    bounds = [(b.stiffness, b.frequency, b.share) for b in told if b.stiffness and b.frequency]
+    stated = told_bounds(estimate)
+    bounds = [(b.stiffness, b.frequency, b.share) for b in stated if b.stiffness and b.frequency]
     if not bounds:
         return Message(Found.NOT_DETERMINED, words, _values(asked, None))
     least, mode, _ = min(bounds)
-    words += f": at least {number(rounded(least), 3)} {asked.unit}, mode above {number(mode, 2)} Hz"
-    if len(bounds) < len(told):
+    words += f": at least {number(round_to(least), 3)} {asked.unit}, mode above {number(mode, 2)} Hz"
+    if len(bounds) < len(stated):
         shares = [share for _, _, share in bounds]
         words += f", for a load of {100 * min(shares):.0f} to {100 * max(shares):.0f} % of the inertia"
     return Message(Found.LOWER_BOUND, words, _values(asked, mode) | {"lower_bound": least})
@@ -180,7 +180,7 @@ def _trust(estimate: EstimateParts, asked: EstimatedParameter) -> Message:
         return _not_yet(against)
     moved = [row for row in estimate.params.rows if row.name in moved_by_loop(estimate, beyond=2.0)]
     if moved:
-        symbols, fault = listed([row.symbol for row in moved]), loop_verdict(estimate)
+        symbols, fault = join([row.symbol for row in moved]), loop_verdict(estimate)
         assert fault is not None
         words = f"You can rely on it, but not on {symbols}: {fault.reasons[0].brief}"
         return Message(
@@ -241,7 +241,7 @@ def _failed(estimate: EstimateParts, asked: EstimatedParameter) -> list[Message]
         return found
     held = [row.symbol for row in estimate.params.rows if row.of_joint and row.at_bound is not None]
     if held:  # what is wrong is made up for by parameters: by how much a fault moves the others says little then
-        words = f"{listed(held)} {'end' if len(held) > 1 else 'ends'} at a bound"
+        words = f"{join(held)} {'end' if len(held) > 1 else 'ends'} at a bound"
         found = [*found, Message(Against.HELD, words)]
         return [loop.reasons[0], *found]
     # Such a spring has no one stiffness, and such a friction is taken for one: corrections are of first order only.

@@ -245,7 +245,7 @@ def build_closed_loop_result(
         error, whole[:, 0], step, problem.filtering.cutoff, record.torque.unit,
         rigid_error=None if spring is None else spring.rigid_error, repeatable=known.repeatable,
     )  # fmt: skip
-    told = identifiability(problem.free, problem.units, x, J, known.covariance)
+    stated = identifiability(problem.free, problem.units, x, J, known.covariance)
     fit = build_fit(
         problem, run.torque, error, stop, converged=converged, simulations=simulations,
         trace=tuple(trace), residuals=report, initial=initial_of(values),
@@ -256,9 +256,9 @@ def build_closed_loop_result(
         covariance, basis = paper, _PAPER_BASIS
     params = build_params(problem, x, name_deviations(problem, covariance), covariance.correlation, basis, held=held)
     bounds: tuple[StiffnessBound, ...] = ()
-    determined = identifiability_verdict(told)
+    determined = identifiability_verdict(stated)
     if spring is not None and not spring.shown:
-        params, told = _refuse(params, told, problem.joint, spring)
+        params, stated = _refuse(params, stated, problem.joint, spring)
         determined, bounds = only_sums_verdict(), spring.bounds
     return FitResult(
         params=params,
@@ -280,7 +280,7 @@ def build_closed_loop_result(
                 bounds_verdict(held),
                 *([] if spring is None else [spring.verdict]),
             ),
-            known=told,
+            known=stated,
             bounds=bounds,
         ),
         data=build_data(record, list_loop_channels(problem.loop, record), problem.sample_time),
@@ -297,7 +297,9 @@ def build_closed_loop_result(
     )
 
 
-def _refuse(params: Params, told: Identifiability, joint: Joint, spring: Visibility) -> tuple[Params, Identifiability]:
+def _refuse(
+    params: Params, stated: Identifiability, joint: Joint, spring: Visibility
+) -> tuple[Params, Identifiability]:
     """Return the parameters without those that part the motor from the load, and the sums of both sides instead."""
     assert isinstance(joint, FlexibleJoint)
     sums = tuple(
@@ -310,7 +312,7 @@ def _refuse(params: Params, told: Identifiability, joint: Joint, spring: Visibil
         replace(p, value=None, stderr=None, identifiable=False) if p.name.startswith(parted) and p.free else p
         for p in params.rows
     )
-    return replace(params, rows=rows), replace(told, parameters=(), physical=sums, directions=(), limitations=())
+    return replace(params, rows=rows), replace(stated, parameters=(), physical=sums, directions=(), limitations=())
 
 
 def _sum_of(p: Parameter, unit: str) -> Combination:
@@ -451,20 +453,20 @@ def warn_of_limit(share: float) -> list[str]:
 
 
 def warn_of_inseparable(
-    names: Sequence[str], correlation: FloatArray, told: Sequence[int], records: str = "this record"
+    names: Sequence[str], correlation: FloatArray, stated: Sequence[int], records: str = "this record"
 ) -> list[str]:
     """Return a sentence on each two parameters that are known only together.
 
     Args:
         names: of the free parameters.
         correlation: of their errors.
-        told: which of them are of interest.
+        stated: which of them are of interest.
         records: what does not tell them apart.
     """
     return [
         f"{names[i]} and {names[j]} are hard to tell apart in {records} (correlation {correlation[i, j]:+.3f})"
-        for i in told
-        for j in told
+        for i in stated
+        for j in stated
         if j < i and abs(correlation[i, j]) > _INSEPARABLE
     ]
 

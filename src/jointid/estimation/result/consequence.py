@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from jointid.common.text import listed, signed
+from jointid.common.text import format_signed, join
 from jointid.estimation.result.answer import Trust, answer_of, moved_by_loop
 from jointid.estimation.result.parts import EstimatedParameter, EstimateParts
 from jointid.uncertainty.verdict import Reason, Subject, Verdict
@@ -54,7 +54,7 @@ def _consequence_of_loop(estimate: EstimateParts, asked: EstimatedParameter, ver
     doubted = trust.code is Trust.NOT_YET
     speaks = doubted and any(str(one.code) in trust.values["reasons"] for one in verdict.reasons)
     by, far = moved_by_loop(estimate).get(asked.name), moved_by_loop(estimate, 2.0)
-    change = "" if not by else f" by {signed(by, 2)} {asked.unit}"
+    change = "" if not by else f" by {format_signed(by, 2)} {asked.unit}"
     if verdict.good is None and speaks:
         return f"Do not use the {value} before this is known."
     if verdict.good is None:
@@ -65,4 +65,4 @@ def _consequence_of_loop(estimate: EstimateParts, asked: EstimatedParameter, ver
     effect = f"changes it{change}, less than its interval" if by else "does not change it"
     others = [estimate[name].symbol for name in far]
     begin = f"This says nothing against the {value}" if doubted else f"The {value} may be used"
-    return f"{begin}: correcting this {effect}.{f' Do not use {listed(others)}.' if others else ''}"
+    return f"{begin}: correcting this {effect}.{f' Do not use {join(others)}.' if others else ''}"

@@ -195,7 +195,7 @@ class ModeProfile:
         cost = float(end.residual @ end.residual)
         if not end.jacobian.any():
             return Fit(held.described(end.x), cost, cost)
-        step = damped_step(end.residual, end.jacobian, bounds.around(end.x), _ROUNDING, bounds.upper - bounds.lower)
+        step = damped_step(end.residual, end.jacobian, bounds.shift_to(end.x), _ROUNDING, bounds.upper - bounds.lower)
         promised = end.residual + end.jacobian @ step
         return Fit(held.described(end.x), cost, min(cost, float(promised @ promised)))
 

@@ -111,8 +111,8 @@ def visible(
     runs += 0 if made is None else made.simulations
     names = [p.name for p in rigid.free]
     judged = uncertainty(slopes, slopes, error, where, names)
-    told = zip(names, judged.covariance.std, slopes.T, strict=True)
-    std = {name: float(one) for name, one, column in told if column.any()}
+    stated = zip(names, judged.covariance.std, slopes.T, strict=True)
+    std = {name: float(one) for name, one, column in stated if column.any()}
     return Visibility(verdict, values, std, error, bounds, runs)
 
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 
 from jointid.common.document import Block, Document, Facts, Listing, Table, Verdicts
-from jointid.common.text import listed, number, signed, uniform
+from jointid.common.text import format_signed, join, number, uniform
 from jointid.estimation.problems.base import INITIAL
 from jointid.estimation.problems.log_windows import VISITS
 from jointid.estimation.result.agreement import DriftTest
@@ -62,7 +62,7 @@ def _counted_checks(estimate: EstimateParts) -> str:
     if not (answer_of(estimate).reliable and all(spares_answer(estimate, verdict) for verdict in others)):
         return said
     value = answer_of(estimate).found.values["parameter"].partition("@")[0].replace("_", " ")
-    named = listed([str(one.subject) for one in others])
+    named = join([str(one.subject) for one in others])
     return f"{said}; {named} {'do' if len(others) > 1 else 'does'} not speak against the {value}"
 
 
@@ -247,8 +247,8 @@ def _segments(estimate: EstimateParts, drift: DriftTest) -> Table:
     rows = []
     for s in drift.segments:
         found = {n: f"{number(s.values[n], 4)} +- {number(2 * s.std[n], 2)}" for n in s.values}
-        told = (found.get(p.name, "not excited") for p in free)
-        rows.append((f"{s.begin / 3600:.2f}", f"{s.end / 3600:.2f}", *told, f"{100 * s.filtered_error:.2f}"))
+        stated = (found.get(p.name, "not excited") for p in free)
+        rows.append((f"{s.begin / 3600:.2f}", f"{s.end / 3600:.2f}", *stated, f"{100 * s.filtered_error:.2f}"))
     caption = "each segment by itself, +- 2 sigma to compare them by; without what all of them err alike"
     return Table(header, tuple(rows), caption, words=())
 
@@ -283,7 +283,7 @@ def remarks(estimate: EstimateParts) -> dict[str, str]:
     """
     found: dict[str, list[str]] = {p.name: ["at its bound"] for p in estimate.params.rows if p.at_bound is not None}
     for name, by in moved_by_loop(estimate, beyond=SHOWN_SHIFT).items():
-        found.setdefault(name, []).append(f"loop: {signed(by, 3)}")
+        found.setdefault(name, []).append(f"loop: {format_signed(by, 3)}")
     known, symbols = estimate.checks.known, {p.name: p.symbol for p in estimate.params.rows}
     for limitation in () if known is None else known.limitations:
         pair = [name for name in limitation.values.get("parameters", ()) if name in symbols]
@@ -340,7 +340,7 @@ def combinations_table(
     if known is None:
         return None
     there = known_on_other_side(known.physical, estimate.other)
-    told = {id(one): f"{number(o.value)} {o.combination.unit}" for one, o in zip(known.physical, there, strict=False)}
+    stated = {id(one): f"{number(o.value)} {o.combination.unit}" for one, o in zip(known.physical, there, strict=False)}
     every = (*known.physical, *(known.directions if directions else ()))
     shown = [one for one in every if differences or one.combination.kind is not Kind.DIFFERENCE]
     if not shown:
@@ -352,7 +352,7 @@ def combinations_table(
     header: tuple[str, ...] = ("combination", "value", "2 sigma", "unit", "known")
     if estimate.other is not None:
         header = (*header, f"{estimate.other.side} side")
-        rows = [(*row, told.get(id(one), "-")) for row, one in zip(rows, shown, strict=True)]
+        rows = [(*row, stated.get(id(one), "-")) for row, one in zip(rows, shown, strict=True)]
     return Table(header, tuple(rows), caption, words=(0, 3, 4, 5))
 
 

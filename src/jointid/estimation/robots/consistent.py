@@ -95,12 +95,12 @@ def consistent_robot(estimate: OfRobot, prior: Robot | None = None, spread: floa
     from scipy.optimize import least_squares
 
     prior = estimate.robot if prior is None else _declared_as(estimate.robot, prior)
-    n, told = len(prior), estimate.sums(prior)
+    n, stated = len(prior), estimate.sums(prior)
     theta0, scales = _prior_bodies(prior)
     rotors0 = prior.of_joints("rotor_inertia")
     sizes = np.maximum(rotors0, 0.1 * np.diag(mass_matrix_at(prior, np.zeros(n))))
-    whiten = _whitening(told.covariance)
-    sums = np.hstack([told.of_standard, told.of_others])
+    whiten = _whitening(stated.covariance)
+    sums = np.hstack([stated.of_standard, stated.of_others])
 
     def unpack(x: FloatArray) -> tuple[FloatArray, FloatArray]:
         bodies = [from_log_cholesky(theta) for theta in x[: 10 * n].reshape(n, 10)]
@@ -113,27 +113,27 @@ def consistent_robot(estimate: OfRobot, prior: Robot | None = None, spread: floa
 
     def residual(x: FloatArray) -> FloatArray:
         standard, _ = unpack(x)
-        off = sums @ np.concatenate([standard, x[11 * n :]]) - told.values
+        off = sums @ np.concatenate([standard, x[11 * n :]]) - stated.values
         near = np.concatenate([(x[: 10 * n] - theta0) / scales, (x[10 * n : 11 * n] - rotors0) / sizes]) / spread
         return np.concatenate([whiten @ off, near])
 
     def jacobian(x: FloatArray) -> FloatArray:
         _, slopes = unpack(x)
         found = np.zeros((len(whiten) + 11 * n, x.size))
-        found[: len(whiten), : 11 * n] = whiten @ told.of_standard @ slopes
-        found[: len(whiten), 11 * n :] = whiten @ told.of_others
+        found[: len(whiten), : 11 * n] = whiten @ stated.of_standard @ slopes
+        found[: len(whiten), 11 * n :] = whiten @ stated.of_others
         found[len(whiten) :, : 11 * n] = np.diag(1 / np.concatenate([scales, sizes])) / spread
         return found
 
-    lower = np.concatenate([np.full(10 * n, -np.inf), np.zeros(n), told.least])
-    others = np.where(np.isfinite(told.least), np.abs(told.others), told.others)
+    lower = np.concatenate([np.full(10 * n, -np.inf), np.zeros(n), stated.least])
+    others = np.where(np.isfinite(stated.least), np.abs(stated.others), stated.others)
     start = np.concatenate([theta0, rotors0, others])
     start = np.maximum(start, np.where(np.isfinite(lower), 1e-9, -np.inf))
     found = least_squares(
         residual, start, jacobian, bounds=(lower, np.inf), x_scale="jac", ftol=_SETTLED, xtol=_SETTLED, max_nfev=100
     )
     standard, _ = unpack(found.x)
-    robot = told.robot(standard[: 10 * n].reshape(n, 10), standard[10 * n :], found.x[11 * n :])
+    robot = stated.robot(standard[: 10 * n].reshape(n, 10), standard[10 * n :], found.x[11 * n :])
     misfit = float(np.sqrt(np.mean(residual(found.x)[: len(whiten)] ** 2)))
     return ConsistentRobot(robot, misfit, least_inertia(robot))
 

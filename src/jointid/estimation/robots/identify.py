@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TypeAlias
 
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, silent
+from jointid.common.messages import Progress, ignore_progress
 from jointid.estimation.robots.idim import RobotEstimate, RobotIDIM, identify_robot
 from jointid.estimation.robots.torque_estimate import (
     RobotDIDIM,
@@ -30,7 +30,7 @@ def fit_robot(
     method: object = None,
     *,
     filtering: Filtering | None = None,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> RobotEstimate | RobotTorqueEstimate:
     """Return the estimate of a robot; see `jointid.identify`.
 

@@ -23,8 +23,8 @@ from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented, Facts, Heading, Listing, Paragraph, Table
 from jointid.common.errors import MethodError
 from jointid.common.messages import no_choice
-from jointid.common.settings import check_settings, declare, documented, setting
-from jointid.common.text import interval, listed, number
+from jointid.common.settings import add_settings_to_docstring, check_settings, declare, setting
+from jointid.common.text import interval, join, number
 from jointid.estimation.methods.linear import (
     Instruments,
     Rows,
@@ -63,7 +63,7 @@ _WORDS = {
 }
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class RobotIDIM:
     """Settings of IDIM of a robot."""
@@ -203,7 +203,7 @@ class RobotEstimate(Documented):
         soft = [joint.name for joint in self.robot.joints if joint.spring is not None]
         if soft:
             found.append(
-                f"The robot file has springs at {listed(soft)}, and to IDIM every joint is rigid: that holds below a "
+                f"The robot file has springs at {join(soft)}, and to IDIM every joint is rigid: that holds below a "
                 "fifth of the modes; lower filtering.cutoff to it, or identify by didim or drive_side."
             )
         if much := much_left(self.robot, self.joint_errors):
@@ -348,7 +348,7 @@ def much_left(robot: Robot, errors: FloatArray) -> str:
         errors: (n,) what is left of each joint's torque, as a share.
     """
     bad = [name for name, left in zip(robot.names, errors, strict=True) if left > _LEFT]
-    return f"More than a tenth of the torque of {listed(bad)} is left" if bad else ""
+    return f"More than a tenth of the torque of {join(bad)} is left" if bad else ""
 
 
 def errors_table(robot: Robot, columns: Mapping[str, FloatArray], of_what: str) -> Table:

@@ -19,7 +19,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.document import Document, Documented, Facts
 from jointid.common.errors import MethodError
-from jointid.common.text import interval, listed
+from jointid.common.text import interval, join
 from jointid.estimation.methods.linear import Rows
 from jointid.estimation.robots.idim import RobotEstimate, RobotIDIM
 from jointid.estimation.robots.numbers import RobotParameters
@@ -68,9 +68,9 @@ class Payload(Documented):
         said = [interval(float(value), 2 * float(one)) for value, one in zip(values, std, strict=True)]
         facts = (
             ("mass", f"{said[0]} kg"),
-            ("centre", f"{listed(said[1:4])} m"),
-            ("inertia there", f"{listed(said[4:7])} kg m2 about x, y and z"),
-            ("products", f"{listed(said[7:])} kg m2 of xy, xz and yz"),
+            ("centre", f"{join(said[1:4])} m"),
+            ("inertia there", f"{join(said[4:7])} kg m2 about x, y and z"),
+            ("products", f"{join(said[7:])} kg m2 of xy, xz and yz"),
         )
         return Document(f"Payload on {self.link}, in its frame, 2 sigma", (Facts(facts),))
 
@@ -194,7 +194,7 @@ def payload_of_torques(empty: RobotTorqueEstimate, loaded: RobotTorqueEstimate, 
     for estimate, record in ((empty, "without the payload"), (loaded, "with it")):
         if hidden := [one.joint for one in estimate.springs if not one.shown]:
             raise MethodError(
-                f"The record {record} does not show the spring of {listed(hidden)}, so it does not part motor from "
+                f"The record {record} does not show the spring of {join(hidden)}, so it does not part motor from "
                 "link there; expected records that do: leave this spring out of the robot file, or excite its mode."
             )
         if not estimate.fit.converged:
@@ -235,7 +235,7 @@ def require_told(columns: FloatArray) -> None:
     if len(hidden):
         names = [SYMBOLS[k] for k in np.flatnonzero(np.max(np.abs(hidden), axis=0) > 0.2)]
         raise MethodError(
-            f"This robot does not tell all of a payload: {listed(names)} act on no torque, or only together; expected "
+            f"This robot does not tell all of a payload: {join(names)} act on no torque, or only together; expected "
             "joints that turn and tilt the last link about several axes."
         )
 

@@ -276,11 +276,11 @@ class RobotLoopProblem(RobotProblem[RobotRun]):
 
     def regressor(self, run: RobotRun) -> FloatArray:
         """Return the columns of the motors' equations on the simulated motion, filtered, (rows, free), not weighted."""
-        begun, rotors = self.experiment.clock.begun, run.numbers.rotors
+        started, rotors = self.experiment.clock.torque_index, run.numbers.rotors
         left, parts = list(range(rotors.size)), dict[int, tuple[IntArray, FloatArray]]()
         while left:  # torques that begin to act together
-            together = [j for j in left if np.array_equal(begun[j], begun[left[0]])]
-            motion = motion_at(run, begun[together[0]])
+            together = [j for j in left if np.array_equal(started[j], started[left[0]])]
+            motion = motion_at(run, started[together[0]])
             found = columns_of(self.tree, run.numbers, self.parameters.places, motion, rotors[together])
             parts |= dict(zip(together, found, strict=True))
             left = [j for j in left if j not in together]

@@ -16,10 +16,10 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented, Facts, Paragraph, Table
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, silent
+from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import TORQUE_UNIT, unit_of
-from jointid.common.settings import check_settings, declare, documented, setting
-from jointid.common.text import interval, listed, number
+from jointid.common.settings import add_settings_to_docstring, check_settings, declare, setting
+from jointid.common.text import interval, join, number
 from jointid.common.units import Kind
 from jointid.estimation.robots.consistent import Sums, can_be_near, consistent_robot
 from jointid.estimation.robots.didim import RobotFit, identify_rigid_robot
@@ -65,7 +65,7 @@ def _frequencies() -> Any:
     )
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class RobotDIDIM:
     """Settings of DIDIM of a robot."""
@@ -79,7 +79,7 @@ class RobotDIDIM:
         check_settings(self)
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class RobotDriveSideFit:
     """Settings of the drive side of a robot."""
@@ -189,7 +189,7 @@ class RobotTorqueEstimate(Documented):
         """
         if hidden := [one.joint for one in self.springs if not one.shown]:
             raise MethodError(
-                f"The record does not show the spring of {listed(hidden)}, so it does not part motor from link there; "
+                f"The record does not show the spring of {join(hidden)}, so it does not part motor from link there; "
                 "leave this spring out of the robot file, or excite its mode."
             )
         n, parameters, numbers = len(prior), self.fit.parameters, RobotNumbers.of(prior)
@@ -298,7 +298,7 @@ def identify_robot_from_torques(
     settings: RobotDIDIM | None = None,
     *,
     filtering: Filtering | None = None,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> RobotTorqueEstimate:
     """Identify a robot by DIDIM; joints with a spring are flexible, all others rigid.
 
@@ -333,7 +333,7 @@ def identify_robot_drive_side(
     settings: RobotDriveSideFit | None = None,
     *,
     filtering: Filtering | None = None,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> RobotTorqueEstimate:
     """Identify a robot with flexible joints from motor torques and motor positions, whatever its controllers are.
 
@@ -356,16 +356,16 @@ def identify_robot_drive_side(
 
 
 def _held_beside_nominal(
-    closing: RobotLoop | RobotDriveSide,
+    setup: RobotLoop | RobotDriveSide,
     records: Sequence[Record],
     fit: RobotFit,
     springs: tuple[SpringVerdict, ...],
     settings: RobotDIDIM | RobotDriveSideFit,
     filtering: Filtering | None,
 ) -> RobotTorqueEstimate:
-    nominal = _nominal(closing.robot, fit.parameters.numbers(fit.values))
-    errors, resolved = _errors(closing, records, filtering, nominal)
-    return RobotTorqueEstimate(closing, fit, errors, springs, settings, resolved)
+    nominal = _nominal(setup.robot, fit.parameters.numbers(fit.values))
+    errors, resolved = _errors(setup, records, filtering, nominal)
+    return RobotTorqueEstimate(setup, fit, errors, springs, settings, resolved)
 
 
 def validate_robot_torques(estimate: RobotTorqueEstimate, records: Sequence[Record]) -> RobotValidation:
@@ -378,17 +378,17 @@ def validate_robot_torques(estimate: RobotTorqueEstimate, records: Sequence[Reco
     Raises:
         MethodError: the estimate cannot be simulated along that record, or it is the estimate's own.
     """
-    closing, found = estimate.closing, estimate.numbers()
-    mine, _ = _errors(closing, records, estimate.filtering, found)
+    setup, found = estimate.closing, estimate.numbers()
+    mine, _ = _errors(setup, records, estimate.filtering, found)
     require_unseen(mine, estimate.joint_errors)
-    nominal, _ = _errors(closing, records, estimate.filtering, _nominal(estimate.robot, found))
+    nominal, _ = _errors(setup, records, estimate.filtering, _nominal(estimate.robot, found))
     if not np.all(np.isfinite(mine)):
-        what = "references" if isinstance(closing, RobotLoop) else "motor positions"
+        what = "references" if isinstance(setup, RobotLoop) else "motor positions"
         raise MethodError(f"The robot that was identified cannot be simulated along this record; check its {what}.")
     bodies = None
     if can_be_near(estimate.robot) and all(spring.shown for spring in estimate.springs):
         near = replace(RobotNumbers.of(consistent_robot(estimate).robot), log=found.log)
-        bodies, _ = _errors(closing, records, estimate.filtering, near)
+        bodies, _ = _errors(setup, records, estimate.filtering, near)
     return RobotValidation(estimate.robot, mine, nominal, bodies, settled=estimate.fit.converged)
 
 
@@ -404,24 +404,24 @@ def _nominal(robot: Robot, found: RobotNumbers) -> RobotNumbers:
 
 
 def _errors(
-    closing: RobotLoop | RobotDriveSide, records: Sequence[Record], filtering: Filtering | None, numbers: RobotNumbers
+    setup: RobotLoop | RobotDriveSide, records: Sequence[Record], filtering: Filtering | None, numbers: RobotNumbers
 ) -> tuple[FloatArray, Filtering]:
     """Return what a robot leaves of each joint's filtered torque, (n,), infinite if it cannot be simulated."""
-    problem = problem_of(closing, records, robot_parameters(closing.robot), filtering)
+    problem = problem_of(setup, records, robot_parameters(setup.robot), filtering)
     error = problem.error_of(numbers)
     if error is None:
-        return np.full(len(closing.robot), np.inf), problem.filtering
+        return np.full(len(setup.robot), np.inf), problem.filtering
     left, whole = (problem.by_joint(rows) for rows in (error, problem.decimated(problem.measured)))
     return np.linalg.norm(left, axis=1) / np.linalg.norm(whole, axis=1), problem.filtering
 
 
 def problem_of(
-    closing: RobotLoop | RobotDriveSide,
+    setup: RobotLoop | RobotDriveSide,
     records: Sequence[Record],
     parameters: RobotParameters,
     filtering: Filtering | None = None,
 ) -> RobotLoopProblem | RobotDriveSideProblem:
     """Return the problem of reproducing a robot's torques, under its controllers or along its motors' motion."""
-    if isinstance(closing, RobotLoop):
-        return robot_problem(closing, records, parameters, filtering)
-    return drive_side_problem(closing.robot, records, parameters, filtering)
+    if isinstance(setup, RobotLoop):
+        return robot_problem(setup, records, parameters, filtering)
+    return drive_side_problem(setup.robot, records, parameters, filtering)

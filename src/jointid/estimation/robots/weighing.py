@@ -17,8 +17,8 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented, Paragraph, Table
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, silent
-from jointid.common.text import interval, listed
+from jointid.common.messages import Progress, ignore_progress
+from jointid.common.text import interval, join
 from jointid.estimation.robots.idim import KNOWN, RobotIDIM, identify_robot
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.payload import (
@@ -121,7 +121,7 @@ class WeighedPayload(Documented):
         else:
             far = [name for name, one in zip(rows, self.apart, strict=True) if abs(one) > _FAR]
             said += (
-                f" The difference of two estimates, each with its own friction, says otherwise of {listed(far)}: "
+                f" The difference of two estimates, each with its own friction, says otherwise of {join(far)}: "
                 "something beside the payload changed between the records, as friction does that warms up. Believe the "
                 "difference."
             )
@@ -176,17 +176,17 @@ def weigh_payload(
 
 
 def weigh_payload_from_torques(
-    closing: RobotLoop | RobotDriveSide,
+    setup: RobotLoop | RobotDriveSide,
     empty: Sequence[Record],
     loaded: Sequence[Record],
     settings: RobotDIDIM | RobotDriveSideFit | None = None,
     filtering: Filtering | None = None,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> WeighedPayload:
     """Return what the last link carries in the second record, by two estimates from simulations, found both ways.
 
     Args:
-        closing: the robot, rigid or flexible, and its controllers, whose gains are the same with the payload; or a
+        setup: the robot, rigid or flexible, and its controllers, whose gains are the same with the payload; or a
             flexible one, `RobotDriveSide`, whatever its controllers are.
         empty: of each joint, with torque and reference, or motor position, without the payload.
         loaded: the same with it; another motion will do.
@@ -200,27 +200,27 @@ def weigh_payload_from_torques(
         RecordError: as of `identify_robot_from_torques` and `identify_robot_drive_side`.
     """
     offsets = (settings or RobotDIDIM()).offsets
-    require_told(payload_columns(robot_parameters(closing.robot, offsets=offsets)))
+    require_told(payload_columns(robot_parameters(setup.robot, offsets=offsets)))
 
     def identify(records: Sequence[Record], said: str) -> RobotTorqueEstimate:
         def told(text: str) -> None:
             progress(f"{said}: {text}")
 
-        if isinstance(closing, RobotLoop):
+        if isinstance(setup, RobotLoop):
             if isinstance(settings, RobotDriveSideFit):
                 raise MethodError(
                     "RobotDriveSideFit is of the drive side, and a loop is weighed by DIDIM; give RobotDIDIM."
                 )
-            return identify_robot_from_torques(closing, records, settings, filtering=filtering, progress=told)
+            return identify_robot_from_torques(setup, records, settings, filtering=filtering, progress=told)
         if isinstance(settings, RobotDIDIM):
             raise MethodError(
                 "RobotDIDIM is of a robot under its controllers; on the drive side give RobotDriveSideFit."
             )
-        return identify_robot_drive_side(closing.robot, records, settings, filtering=filtering, progress=told)
+        return identify_robot_drive_side(setup.robot, records, settings, filtering=filtering, progress=told)
 
     one, other = identify(empty, "without the payload"), identify(loaded, "with it")
     difference = payload_of_torques(one, other, same_friction=False)
-    if isinstance(closing, RobotDriveSide):
+    if isinstance(setup, RobotDriveSide):
         # With one friction for both the centre came out 0.8 % short in seven of seven draws of noise.
         return WeighedPayload(difference, difference)
     return WeighedPayload(payload_of_torques(one, other, same_friction=True), difference)

@@ -15,7 +15,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.text import counted, listed
+from jointid.common.text import join, pluralise
 from jointid.estimation.descent import History, Solved, roughly
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.friction import PARTS, Friction, MotionSize
@@ -43,7 +43,7 @@ def with_linear_laws(problem: ClosedLoopProblem) -> ClosedLoopProblem:
         return problem
     found = _with_joint(problem, problem.joint.linear)
     if not found.free_joint:
-        names = listed([p.name for p in problem.free_joint])
+        names = join([p.name for p in problem.free_joint])
         raise MethodError(
             f"Of the joint only what its laws add to a plain one is free, {names}; expected a parameter that the plain "
             "one has, too, with which the search begins: leave its Coulomb friction or its inertia free."
@@ -78,7 +78,7 @@ def from_linear_laws(problem: ClosedLoopProblem, found: Solved, tolerance: float
     laws = [f"{joint.spring.name} spring"] if isinstance(joint, FlexibleJoint) and not joint.spring.linear else []
     laws += [] if joint.friction.linear else [f"{joint.friction.name} friction"]
     laws += [] if joint.ripple is None else ["ripple"]
-    history.progress(f"looking for a {' and '.join(laws)}, from {counted(len(starts), 'start')}")
+    history.progress(f"looking for a {' and '.join(laws)}, from {pluralise(len(starts), 'start')}")
     ends = [history.solve(problem, roughly(problem), problem.vector(start)) for start in starts]
     best = min(ends, key=lambda end: end.norm)
     return history.finish(best, tolerance).with_starts(found.solution.starts)

@@ -73,7 +73,7 @@ def _commanded_motion(
     """Return the motors' torques and the references, (samples, n) each."""
     del loop, records
     clock = problem.experiment.clock
-    return problem.measured, problem.experiment.references[clock.looked // clock.lengths.size]
+    return problem.measured, problem.experiment.references[clock.log_index // clock.lengths.size]
 
 
 def _regress(problem: RobotLoopProblem, torques: FloatArray, positions: FloatArray) -> FloatArray:

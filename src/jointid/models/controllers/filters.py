@@ -10,7 +10,7 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 
 from jointid.common.errors import MethodError
-from jointid.common.settings import check_settings, declare, documented, setting
+from jointid.common.settings import add_settings_to_docstring, check_settings, declare, setting
 
 _LONGEST = 1000  # numbers of a polynomial, as many as a moving average may take
 
@@ -25,7 +25,7 @@ class Filter(Protocol):
         """Return ``b0, b1, ...`` and ``a0, a1, ...`` at a period."""
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class DigitalFilter:
     """``H(z) = (b0 + b1 z^-1 + ...) / (a0 + a1 z^-1 + ...)``; the default passes everything."""
@@ -53,7 +53,7 @@ class DigitalFilter:
         return self.numerator, self.denominator
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class MovingAverage:
     """The mean of the last `samples` values: ``H(z) = (1 + z^-1 + ... + z^-(n-1)) / n``."""
@@ -68,7 +68,7 @@ class MovingAverage:
         return (1.0 / self.samples,) * self.samples, (1.0,)
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class FirstOrder:
     """A low-pass of first order: ``y[k] = p y[k-1] + (1 - p) x[k]``, ``p = exp(-T / time_constant)``.
@@ -87,7 +87,7 @@ class FirstOrder:
         return (1.0 - pole,), (1.0, -pole)
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class SecondOrder:
     """A filter of second order, as drives parametrise it: a low-pass, or with a numerator of its own any biquad.
@@ -125,7 +125,7 @@ class SecondOrder:
         return tuple(map(float, above / below[0])), tuple(map(float, below / below[0]))
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class Notch:
     """A band-stop: ``H(s) = (s^2 + depth b s + w^2) / (s^2 + b s + w^2)``, b = 2 pi bandwidth, by the bilinear rule."""

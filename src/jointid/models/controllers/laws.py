@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jointid.common.errors import MethodError
-from jointid.common.settings import Setting, declare, documented, setting
+from jointid.common.settings import Setting, add_settings_to_docstring, declare, setting
 from jointid.models.controllers.sampled import (
     INJECTED,
     INPUTS,
@@ -55,7 +55,7 @@ def _gain(help: str, unit: str) -> Mapping[str, Setting]:  # noqa: A002
     return declare(help, unit=unit, at_least=0, negative=remedy)
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cascade(DiagramController):
     """A position loop around a velocity loop: P-P, or P-PI with `integral_gain`."""
@@ -138,7 +138,7 @@ class Cascade(DiagramController):
         return diagram.difference(reference, slow=True) * self.velocity_feedforward
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PD(DiagramController):
     """``u = kp (reference - position) + kd (reference velocity - velocity)`` (the module's equations).
@@ -178,7 +178,7 @@ class PD(DiagramController):
         return error, controlled
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PID(PD):
     """``u = kp e + ki (sum of T e) + kd (reference velocity - velocity)`` (the module's equations)."""

@@ -23,7 +23,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.settings import check_settings, documented, setting, settings_of
+from jointid.common.settings import add_settings_to_docstring, check_settings, setting, settings_of
 from jointid.common.units import per
 from jointid.models.controllers.filters import Filter, as_filter
 from jointid.models.controllers.sampled import (
@@ -220,7 +220,7 @@ class Controller(Protocol):
         """State-space form; `sample_time` of the log is the default period."""
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class ServoController:
     """Common settings of laws; all but the ratio refer to the law's side."""
@@ -262,7 +262,7 @@ class ServoController:
         check_settings(self)
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiagramController(ServoController):
     """Common base of diagram laws: velocity, feed-forward and torque filters."""

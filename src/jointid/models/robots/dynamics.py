@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.compiled import compiled, inlined
+from jointid.common.compiled import compile_kernel, inline_kernel
 from jointid.models.robots.robot import Tree
 from jointid.models.robots.spatial import Vector, add, cross, dot, get, inertia_times, put, times
 
@@ -37,12 +37,12 @@ PARAMETERS = 10
 """Inertial parameters of a link."""
 
 
-@inlined
+@inline_kernel
 def _to_parent(place: FloatArray, i: int, a: Vector) -> Vector:
     return dot(get(place, i, 0), a), dot(get(place, i, 3), a), dot(get(place, i, 6), a)
 
 
-@inlined
+@inline_kernel
 def _to_link(place: FloatArray, i: int, a: Vector) -> Vector:
     x, y, z = get(place, i, 0), get(place, i, 3), get(place, i, 6)
     return (
@@ -52,7 +52,7 @@ def _to_link(place: FloatArray, i: int, a: Vector) -> Vector:
     )
 
 
-@inlined
+@inline_kernel
 def _place(tree: Tree, q: FloatArray, place: FloatArray) -> None:
     """Fill `place`, (n, 12): each link's rotation to its parent, row by row, and its origin there."""
     kinds, axes, rotations, origins = tree.kinds, tree.axes, tree.rotations, tree.origins
@@ -80,7 +80,7 @@ def _place(tree: Tree, q: FloatArray, place: FloatArray) -> None:
                 place[i, 9 + row] = origins[i, row] + q[i] * along
 
 
-@inlined
+@inline_kernel
 def _move(tree: Tree, place: FloatArray, v: FloatArray, a: FloatArray, motion: FloatArray) -> None:
     """Fill `motion`, (n, 9): angular velocity, its derivative, and acceleration less gravity, in each link's frame."""
     parents, kinds, axes, gravity = tree.parents, tree.kinds, tree.axes, tree.gravity
@@ -108,7 +108,7 @@ def _move(tree: Tree, place: FloatArray, v: FloatArray, a: FloatArray, motion: F
         put(motion, i, 6, rising)
 
 
-@compiled
+@compile_kernel
 def inverse_dynamics(
     tree: Tree,
     inertials: FloatArray,
@@ -149,7 +149,7 @@ def inverse_dynamics(
             put(wrench, parent, 3, add(get(wrench, parent, 3), moment))
 
 
-@compiled
+@compile_kernel
 def regressor(
     tree: Tree,
     q: FloatArray,
@@ -198,7 +198,7 @@ def regressor(
             out[i, at + 9] = turn[2] * dw[2] + u[2] * w[2]
 
 
-@inlined
+@inline_kernel
 def _carry(place: FloatArray, i: int, parent: int, body: FloatArray) -> None:
     """Add a link's inertials to its parent's, seen from the parent's frame."""
     m, r = body[i, 0], get(place, i, 9)
@@ -216,7 +216,7 @@ def _carry(place: FloatArray, i: int, parent: int, body: FloatArray) -> None:
     body[parent, 9] += dot(z, of_z) + reach - 2.0 * r[2] * h[2] - m * r[2] * r[2]
 
 
-@compiled
+@compile_kernel
 def mass_matrix(
     tree: Tree,
     inertials: FloatArray,
@@ -249,7 +249,7 @@ def mass_matrix(
             _carry(place, i, parents[i], body)
 
 
-@compiled
+@compile_kernel
 def inverse_dynamics_of(
     tree: Tree,
     inertials: FloatArray,
@@ -264,7 +264,7 @@ def inverse_dynamics_of(
     return torque
 
 
-@compiled
+@compile_kernel
 def regressor_of(
     tree: Tree,
     q: FloatArray,

@@ -30,7 +30,7 @@ import math
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.compiled import assign, compiled, inlined
+from jointid.common.compiled import assign, compile_kernel, inline_kernel
 from jointid.models.robots.dynamics import PARAMETERS, REVOLUTE, IntArray, regressor
 from jointid.models.robots.robot import Tree
 from jointid.models.robots.spatial import (
@@ -55,7 +55,7 @@ _ROTATION, _ORIGIN, _JOINT, _VELOCITY, _ACCELERATION, _TURNING = 0, 9, 12, 18, 2
 _MASS, _MOMENT, _INERTIA, _FORCE, _W, _MOMENTUM = 36, 37, 40, 46, 52, 61
 
 
-@inlined
+@inline_kernel
 def of_joints(joints: FloatArray, values: FloatArray) -> FloatArray:
     """Return positions or velocities of the joints from those of the shafts."""
     out = np.zeros(values.size)
@@ -65,7 +65,7 @@ def of_joints(joints: FloatArray, values: FloatArray) -> FloatArray:
     return out
 
 
-@inlined
+@inline_kernel
 def to_shafts(joints: FloatArray, matrix: FloatArray) -> None:
     """Take a matrix of the joints, torques by positions, to one of the shafts, in place."""
     n = len(joints)
@@ -81,7 +81,7 @@ def to_shafts(joints: FloatArray, matrix: FloatArray) -> None:
                 matrix[i, j] += joints[k, i] * half[k, j]
 
 
-@inlined
+@inline_kernel
 def _frame(room: FloatArray, parent: int) -> tuple[Vector, Vector, Vector, Vector]:
     """Return the rows of a link's rotation to the base, and its origin there."""
     if parent < 0:
@@ -89,13 +89,13 @@ def _frame(room: FloatArray, parent: int) -> tuple[Vector, Vector, Vector, Vecto
     return get(room, parent, 0), get(room, parent, 3), get(room, parent, 6), get(room, parent, _ORIGIN)
 
 
-@inlined
+@inline_kernel
 def _columns(rotations: FloatArray, i: int) -> tuple[Vector, Vector, Vector]:
     r = rotations[i]
     return (r[0, 0], r[1, 0], r[2, 0]), (r[0, 1], r[1, 1], r[2, 1]), (r[0, 2], r[1, 2], r[2, 2])
 
 
-@inlined
+@inline_kernel
 def _body(inertials: FloatArray, i: int, x: Vector, y: Vector, z: Vector, p: Vector, room: FloatArray) -> None:
     """Write the inertia of a link about the base's origin: x, y, z are the rows of its rotation, p its origin."""
     m = inertials[i, 0]
@@ -116,14 +116,14 @@ def _body(inertials: FloatArray, i: int, x: Vector, y: Vector, z: Vector, p: Vec
     room[i, _INERTIA + 5] = dot(z, of_z) + reach - 2.0 * p[2] * h[2] - m * p[2] * p[2]
 
 
-@inlined
+@inline_kernel
 def _times_inertia(room: FloatArray, i: int, a: Vector, b: Vector) -> tuple[Vector, Vector]:
     """Return the moment and the force that a link's inertia makes of a twist."""
     h, m = get(room, i, _MOMENT), room[i, _MASS]
     return add(inertia_times(room, i, _INERTIA, a), cross(h, b)), add(times(m, b), cross(a, h))
 
 
-@inlined
+@inline_kernel
 def _outwards(tree: Tree, inertials: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray, room: FloatArray) -> None:
     """Write frames, twists of joints, velocities and accelerations, and inertias."""
     parents, kinds, axes, rotations, origins = tree.parents, tree.kinds, tree.axes, tree.rotations, tree.origins
@@ -167,13 +167,13 @@ def _outwards(tree: Tree, inertials: FloatArray, q: FloatArray, v: FloatArray, a
         _body(inertials, i, x, y, z, p, room)
 
 
-@inlined
+@inline_kernel
 def _about(row: Vector, axis: Vector, cosine: float, sine: float, along: float) -> Vector:
     """Return a row of a rotation that is turned about an axis, on which the row is `along`."""
     return add(add(times(cosine, row), times(sine, cross(row, axis))), times((1.0 - cosine) * along, axis))
 
 
-@inlined
+@inline_kernel
 def _force(room: FloatArray, i: int) -> None:
     """Write the force that moves a link as it moves."""
     w, u = get(room, i, _VELOCITY), get(room, i, _VELOCITY + 3)
@@ -183,14 +183,14 @@ def _force(room: FloatArray, i: int) -> None:
     put(room, i, _FORCE + 3, add(force, cross(w, p)))
 
 
-@inlined
+@inline_kernel
 def _hand_down(room: FloatArray, i: int, parent: int, first: int, last: int) -> None:
     """Add columns of a link to those of the link that carries it."""
     for column in range(first, last):
         room[parent, column] += room[i, column]
 
 
-@compiled
+@compile_kernel
 def equations_of_motion(
     tree: Tree, inertials: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray, room: FloatArray,
     M: FloatArray, torque: FloatArray,
@@ -220,7 +220,7 @@ def equations_of_motion(
         assign(torque, of_joints(joints.T, torque))
 
 
-@inlined
+@inline_kernel
 def _own_slopes(room: FloatArray, i: int) -> None:
     """Write W and the momentum of a link, of which its B is made."""
     w, u, h = get(room, i, _VELOCITY), get(room, i, _VELOCITY + 3), get(room, i, _MOMENT)
@@ -239,7 +239,7 @@ def _own_slopes(room: FloatArray, i: int) -> None:
     put(room, i, _MOMENTUM, _times_inertia(room, i, w, u)[1])
 
 
-@inlined
+@inline_kernel
 def _changing(room: FloatArray, i: int, parent: int, gravity: FloatArray) -> tuple[Vector, Vector]:
     """Return R of a joint: how the twist of its joint turns with what carries it, a second time."""
     w, u, dw, du = ZERO, ZERO, ZERO, (-gravity[0], -gravity[1], -gravity[2])
@@ -251,7 +251,7 @@ def _changing(room: FloatArray, i: int, parent: int, gravity: FloatArray) -> tup
     return add(cross(dw, s), cross(w, P)), add(add(cross(dw, t), cross(du, s)), add(cross(w, Q), cross(u, P)))
 
 
-@compiled
+@compile_kernel
 def linearised_equations(
     tree: Tree, inertials: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray, room: FloatArray,
     M: FloatArray, by_place: FloatArray, by_speed: FloatArray,
@@ -304,7 +304,7 @@ def linearised_equations(
         to_shafts(joints, by_speed)
 
 
-@compiled
+@compile_kernel
 def regressor_columns(
     tree: Tree, q: FloatArray, v: FloatArray, a: FloatArray,
     rows: IntArray, columns: IntArray, at: IntArray, first: int, out: FloatArray,

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
-from jointid.common.settings import check_settings, declare, documented, setting
+from jointid.common.settings import add_settings_to_docstring, check_settings, declare, setting
 from jointid.common.units import Kind
 from jointid.models.friction import (
     AsymmetricFriction,
@@ -83,7 +83,7 @@ class Link:
     inertial: FloatArray = field(default_factory=lambda: np.zeros(10))
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class JointSpring:
     """The spring between a motor and its link, and the friction beyond it.
@@ -107,7 +107,7 @@ class JointSpring:
             )
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class RobotJoint:
     """The motor of a link; all its numbers behind the gear.

@@ -313,9 +313,9 @@ def _read(answer: Json, joint: Joint, name: str) -> JointModel:
         plain(joint.ripple),
         joint.spring_name,
     )
-    told = tuple(answer[key] for key in ("model", "kind", "friction", "gravity", "transmission"))
-    told = (*told, answer.get("ripple"), answer.get("spring", usual))
-    if answer["schema"] not in SCHEMAS or told != declared:
+    stated = tuple(answer[key] for key in ("model", "kind", "friction", "gravity", "transmission"))
+    stated = (*stated, answer.get("ripple"), answer.get("spring", usual))
+    if answer["schema"] not in SCHEMAS or stated != declared:
         raise ValueError
     found = answer["parameters"]
     records = answer["records"] if answer["schema"] == TOGETHER_SCHEMA else [answer["record"]]

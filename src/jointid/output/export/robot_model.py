@@ -121,11 +121,11 @@ def _simplify(robot: Robot) -> Robot:
 
     def simple(joint: RobotJoint) -> RobotJoint:
         coulomb, offset = joint.coulomb_both
-        beyond = (0.0, 0.0) if joint.spring is None else (joint.spring.viscous, joint.spring.coulomb)
+        excess = (0.0, 0.0) if joint.spring is None else (joint.spring.viscous, joint.spring.coulomb)
         return replace(
             joint,
-            viscous=0.5 * (joint.viscous + joint.viscous_back) + beyond[0],
-            coulomb=coulomb + beyond[1],
+            viscous=0.5 * (joint.viscous + joint.viscous_back) + excess[0],
+            coulomb=coulomb + excess[1],
             offset=offset,
             viscous_backwards=None,
             coulomb_backwards=None,

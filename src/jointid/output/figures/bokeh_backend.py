@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.charts import Band, Cells, Chart, Dots, Item, Level, Line, Mark, Panel, said
+from jointid.common.charts import Band, Cells, Chart, Dots, Item, Level, Line, Mark, Panel, format_correlation
 from jointid.common.errors import extra
 
 if TYPE_CHECKING:
@@ -173,8 +173,9 @@ def _cells(made: figure, cells: Cells) -> None:
     x, y = [names[i] for i in columns], [names[i] for i in rows]
     made.rect(x, y, 1, 1, color=[_shade(float(v)) for v in values], line_color="white")
     made.text(
-        x, y, text=[said(float(v)) for v in values], text_align="center", text_baseline="middle", text_font_size="11px",
-        text_font={"value": _FONT}, text_color=["white" if abs(v) > 0.6 else "#222222" for v in values],
+        x, y, text=[format_correlation(float(v)) for v in values], text_align="center", text_baseline="middle",
+        text_font_size="11px", text_font={"value": _FONT},
+        text_color=["white" if abs(v) > 0.6 else "#222222" for v in values],
     )  # fmt: skip
     made.grid.visible = False
 

@@ -26,8 +26,8 @@ from jointid.common.charts import (
     Line,
     Mark,
     Panel,
+    decimate,
     stride,
-    thin,
 )
 from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import number
@@ -146,7 +146,7 @@ def torque_word(unit: str) -> str:
 
 def torque_chart(axis: AxisSignals, motion_source: str = "") -> Chart:
     """Return the measured and the predicted signal of an axis, their difference, and the motion over time."""
-    t, measured, predicted, remains = thin(axis.time, axis.measured, axis.predicted, axis.error, most=_SAMPLES)
+    t, measured, predicted, remains = decimate(axis.time, axis.measured, axis.predicted, axis.error, most=_SAMPLES)
     low, high = _liveliest(axis.measured)
     near = axis.time[low:high]
     panels = [
@@ -165,7 +165,7 @@ def torque_chart(axis: AxisSignals, motion_source: str = "") -> Chart:
         Panel("", f"error [{axis.unit}]", (Line(t, remains, ERROR, "error", 0.8),), height=190, group="time"),
     ]  # fmt: skip
     if axis.velocity is not None:
-        ts, velocity = thin(axis.time, axis.velocity, most=_MOVING)
+        ts, velocity = decimate(axis.time, axis.velocity, most=_MOVING)
         label = f"velocity{axis.side} [{axis.length}/s]"
         panels.append(Panel("", label, (Line(ts, velocity, "#777777"),), height=150, group="time"))
     panels[-1] = _with_time(panels[-1])
@@ -184,7 +184,7 @@ def torques_chart(axes: Sequence[AxisSignals]) -> Chart:
     """Return the measured and the predicted signal of each of several axes, and their difference, over time."""
     panels = []
     for axis in axes:
-        t, *signals = thin(axis.time, axis.measured, axis.predicted, axis.error, most=_SAMPLES_OF_SEVERAL)
+        t, *signals = decimate(axis.time, axis.measured, axis.predicted, axis.error, most=_SAMPLES_OF_SEVERAL)
         shown = axis.compared[np.searchsorted(axis.time, t)]  # what is not compared is 0, or scaled
         measured, predicted, error = (np.where(shown, signal, np.nan) for signal in signals)
         lines = (
@@ -424,8 +424,8 @@ def convergence_chart(estimate: Estimate) -> Chart | None:
         )
     ]  # fmt: skip
     last, lines = trace[-1].values, []
-    told = all(p.value is not None for p in estimate.params.rows)
-    own = {p.name: p.symbol for p in estimate.params.rows if p.of_joint and p.free} if told else {}
+    stated = all(p.value is not None for p in estimate.params.rows)
+    own = {p.name: p.symbol for p in estimate.params.rows if p.of_joint and p.free} if stated else {}
     for (name, symbol), colour in zip(own.items(), OTHERS * 2, strict=False):
         ways = [line.values.get(name, math.nan) for line in trace]
         if last.get(name) and all(map(math.isfinite, ways)):

@@ -6,7 +6,7 @@ import io
 import re
 from typing import TYPE_CHECKING
 
-from jointid.common.charts import Band, Cells, Chart, Dots, Item, Level, Line, Mark, Panel, said, thin
+from jointid.common.charts import Band, Cells, Chart, Dots, Item, Level, Line, Mark, Panel, decimate, format_correlation
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -136,7 +136,7 @@ def _power(formula: re.Match[str]) -> str:
 def _item(axes: Axes, item: Item) -> None:
     if isinstance(item, Line):
         axes.plot(
-            *thin(item.x, item.y, most=_POINTS), color=item.colour, linewidth=0.75 * item.width,
+            *decimate(item.x, item.y, most=_POINTS), color=item.colour, linewidth=0.75 * item.width,
             linestyle=_DASHES[item.dash], label=item.label or None, marker="o" if item.dots else None, markersize=3,
         )  # fmt: skip
     elif isinstance(item, Dots):
@@ -177,4 +177,12 @@ def _cells(axes: Axes, cells: Cells) -> None:
         for column in at:
             value = float(cells.values[row, column])
             dark = abs(value) > 0.6
-            axes.text(column, row, said(value), ha="center", va="center", fontsize=7, color="white" if dark else "0.15")
+            axes.text(
+                column,
+                row,
+                format_correlation(value),
+                ha="center",
+                va="center",
+                fontsize=7,
+                color="white" if dark else "0.15",
+            )

@@ -37,9 +37,9 @@ def read_identified(path: str | Path, joint: Joint, loop: ClosedLoop | None) -> 
             refuses a value, without which no torque can be predicted.
     """
     answer = read_answer(path)
-    if (told := answer.get("transmission")) != (declared := plain(joint.transmission)):
+    if (stated := answer.get("transmission")) != (declared := plain(joint.transmission)):
         raise RecordError(
-            f"{path} was identified with {_gear_text(told)}, and this joint has {_gear_text(declared)}; correct "
+            f"{path} was identified with {_gear_text(stated)}, and this joint has {_gear_text(declared)}; correct "
             "[transmission], or identify with this joint file first."
         )
     if refused := _refused_parameters(answer, joint):
@@ -82,8 +82,8 @@ def read_covariance(path: str | Path, names: Sequence[str]) -> FloatArray:
 def _refused_parameters(answer: Json, joint: Joint) -> list[str]:
     """Return the parameters of the joint that an answer has without a value."""
     found = answer.get("parameters")
-    told = found if isinstance(found, dict) else {}
-    given = {p.name: told.get(p.name) for p in joint.parameters}
+    stated = found if isinstance(found, dict) else {}
+    given = {p.name: stated.get(p.name) for p in joint.parameters}
     return [name for name, one in given.items() if isinstance(one, dict) and one.get("value", 0.0) is None]
 
 

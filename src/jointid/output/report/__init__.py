@@ -11,7 +11,7 @@ from jointid import Drive, Record
 from jointid.common.charts import Chart
 from jointid.common.document import Block
 from jointid.common.errors import JointidError
-from jointid.common.messages import Progress, silent
+from jointid.common.messages import Progress, ignore_progress
 from jointid.diagnostics.report_data import ReportData, collect_report_data
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
@@ -66,7 +66,7 @@ class Report(Pages):
         profiles: Sequence[str] | None = None,
         tuned: Tuned | None = None,
         repetition: Repetition | None = None,
-        progress: Progress = silent,
+        progress: Progress = ignore_progress,
     ) -> Report:
         """Report an estimate: what it says, how far it can be trusted, and what it takes to repeat it.
 

@@ -148,9 +148,9 @@ class RobotReport(Pages):
 
 def _parameters(found: RobotDiagnosis) -> Iterator[Block]:
     """Yield a table of each joint's parameters."""
-    told = sum(one.known is Told.TOLD for joint in found.joints for one in joint.parameters)
+    stated = sum(one.known is Told.TOLD for joint in found.joints for one in joint.parameters)
     whole = sum(len(joint.asked) for joint in found.joints)
-    yield Paragraph(f"{told} of {whole} are known to a tenth, 1 sigma. What is not told from 0 is not to be used.")
+    yield Paragraph(f"{stated} of {whole} are known to a tenth, 1 sigma. What is not told from 0 is not to be used.")
     header = ("parameter", "value, 2 sigma", "unit", "sigma, %", "nominal", "verdict")
     for joint in found.joints:
         if joint.parameters:

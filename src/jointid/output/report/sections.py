@@ -15,7 +15,7 @@ from jointid.common.document import (
     Paragraph,
     Table,
 )
-from jointid.common.text import listed, number, sentence
+from jointid.common.text import join, number, sentence
 from jointid.common.typography import p_value
 from jointid.diagnostics.faults.fault import FaultTest, Measure
 from jointid.diagnostics.faults.findings import LoopCheck
@@ -90,8 +90,8 @@ def _loop(given: ReportData) -> list[Block]:
     table = _suspects_table(given)
     if given.loop is None or table is None:
         return []
-    told = given.loop.sentences if given.cause is None else [str(given.cause)]
-    return [Heading("Controller and log"), Listing(tuple(sentence(one) for one in told)), table]
+    stated = given.loop.sentences if given.cause is None else [str(given.cause)]
+    return [Heading("Controller and log"), Listing(tuple(sentence(one) for one in stated)), table]
 
 
 def _tests(given: ReportData) -> list[Block]:
@@ -99,8 +99,8 @@ def _tests(given: ReportData) -> list[Block]:
     table = _checks_table(every)
     if table is None:
         return [Heading("Validation"), Paragraph(_explain_absence(given, "validation"))]
-    told = [sentence(warning) for check in every for warning in check.warnings]
-    return [Heading("Validation"), table, *([Listing(tuple(told))] if told else [])]
+    stated = [sentence(warning) for check in every for warning in check.warnings]
+    return [Heading("Validation"), table, *([Listing(tuple(stated))] if stated else [])]
 
 
 def _settings(given: ReportData, repetition: Repetition) -> list[Block]:
@@ -124,7 +124,7 @@ def _parabolic(given: ReportData) -> list[Block]:
     symbols = {p.name: p.symbol for p in given.estimate.params.rows} | {"compliance": "1/K12"}
     return [
         Paragraph(
-            f"Of {listed([symbols.get(name, name) for name in given.parabolic])} the criterion is a parabola as far as "
+            f"Of {join([symbols.get(name, name) for name in given.parabolic])} the criterion is a parabola as far as "
             "2 sigma, within a tenth: the table's intervals hold, and no profile is followed."
         )
     ]

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from jointid.common.document import Block, Heading, Listing, Paragraph, Tone, Verdicts
 from jointid.common.messages import Message
-from jointid.common.text import interval, listed, number, rounded, sentence
+from jointid.common.text import interval, join, number, round_to, sentence
 from jointid.diagnostics.report_data import ReportData
 from jointid.estimation.methods.registry import method_of
 from jointid.estimation.result.answer import Trust, told_bounds
@@ -70,7 +70,7 @@ def summary_blocks(
 def _source(estimate: Estimate) -> str:
     """Return the model, the method, the channels and the side of the values."""
     data, settings = estimate.data, estimate.settings
-    channels = listed([_CHANNELS.get(name, name.replace("_", " ")) for name in data.channels])
+    channels = join([_CHANNELS.get(name, name.replace("_", " ")) for name in data.channels])
     title = method_of(settings.method, settings.joint.model).title
     gear = settings.joint.transmission
     side = "" if gear is None else f" The transmission is {gear}."
@@ -91,13 +91,13 @@ def _results(estimate: Estimate) -> Iterator[str]:
     known = [b for b in told_bounds(estimate) if b.stiffness is not None and b.frequency is not None]
     if known:
         unit = estimate["stiffness"].unit
-        softest = [(rounded(b.stiffness, 2), b) for b in (known[0], known[-1]) if b.stiffness is not None]
-        told = [
+        softest = [(round_to(b.stiffness, 2), b) for b in (known[0], known[-1]) if b.stiffness is not None]
+        stated = [
             f"at least {number(least, 2)} {unit} (a mode at {b.frequency:.0f} Hz or above) if the load is "
             f"{100 * b.share:.0f} % of the inertia"
             for least, b in softest
         ]
-        yield f"What is known of it is how soft it may be: {' and '.join(dict.fromkeys(told))}, with 95 % confidence."
+        yield f"What is known of it is how soft it may be: {' and '.join(dict.fromkeys(stated))}, with 95 % confidence."
     if estimate.checks.known is not None:
         sums = [
             f"{one.combination.formula} = {interval(one.value, 2 * one.std)} {one.combination.unit}"

@@ -31,8 +31,8 @@ from jointid.common.arrays import FloatArray
 from jointid.common.charts import MEASURED, SIMULATED, Chart, Charted, Line, Panel
 from jointid.common.document import Document, Documented, Facts, Paragraph, Table
 from jointid.common.errors import MethodError
-from jointid.common.messages import Progress, silent
-from jointid.common.text import listed, number
+from jointid.common.messages import Progress, ignore_progress
+from jointid.common.text import join, number
 from jointid.estimation.robots.consistent import mass_matrix_at
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.problem import robot_problem
@@ -140,13 +140,15 @@ class RobotDesign(Charted, Documented):
     def sentence(self) -> str:
         """What the motion tells, beside the present one."""
         lasts = len(self.reference) * self.sample_time
-        told = f"In {number(lasts, 3)} s this motion tells {len(self.told)} of {len(self.names)} parameters to a tenth"
+        stated = (
+            f"In {number(lasts, 3)} s this motion tells {len(self.told)} of {len(self.names)} parameters to a tenth"
+        )
         if self.ratio is not None:
-            told += f", with intervals of {100 * self.ratio:.0f} % of the present motion's on the geometric mean"
+            stated += f", with intervals of {100 * self.ratio:.0f} % of the present motion's on the geometric mean"
         elif self.present_std is not None:
-            told += "; the present motion does not tell all"
+            stated += "; the present motion does not tell all"
         over = f" Beware: {'; '.join(self.passed)}." if self.passed else ""
-        return f"{told}.{over}"
+        return f"{stated}.{over}"
 
     def document(self, *, details: bool = False) -> Document:
         """Return what is told, the limits, and the intervals that are foretold; there are no further details."""
@@ -221,7 +223,7 @@ def design_robot_test(
     harmonics: int = _HARMONICS,
     seconds: float = 60.0,
     seed: int = 0,
-    progress: Progress = silent,
+    progress: Progress = ignore_progress,
 ) -> RobotDesign:
     """Look for the motion that tells most of a robot's base parameters and friction within its joints' limits.
 
@@ -386,8 +388,8 @@ def _score(
         over = float(np.max(np.abs(torque) / most))
         J = (columns / noise[:, np.newaxis]).reshape(-1, columns.shape[2])
         norms = np.linalg.norm(J, axis=0) + 1e-300
-        sign, told = np.linalg.slogdet((J / norms).T @ (J / norms))
-        return max(over, 1.0), -float(told + 2.0 * np.sum(np.log(norms))) if sign > 0 else _NOTHING
+        sign, stated = np.linalg.slogdet((J / norms).T @ (J / norms))
+        return max(over, 1.0), -float(stated + 2.0 * np.sum(np.log(norms))) if sign > 0 else _NOTHING
 
     return score
 
@@ -528,7 +530,7 @@ def _passed(robot: Robot, limits: Sequence[JointLimits], reached: Sequence[Joint
         if allowed.lower is not None and one.lower is not None and one.lower < allowed.lower - 1e-9:
             over.append("lower")
         if over:
-            found.append(f"{name} passes its limit of {listed(over)}")
+            found.append(f"{name} passes its limit of {join(over)}")
     return found
 
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.settings import check_settings, documented, setting
+from jointid.common.settings import add_settings_to_docstring, check_settings, setting
 
 _INSIDE = 0.98  # of speed and acceleration: a motor passes where its reference turns round
 _MARGIN = 0.01  # of the room, at each end, likewise
@@ -33,7 +33,7 @@ Bases: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
 """Of positions, velocities and accelerations."""
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class JointLimits:
     """Limits of one robot joint behind its gear; missing ones come from the record.

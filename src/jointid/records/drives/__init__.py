@@ -22,7 +22,7 @@ from typing import Any
 from jointid.common import units
 from jointid.common.errors import RecordError
 from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
-from jointid.common.settings import check_settings, documented, setting
+from jointid.common.settings import add_settings_to_docstring, check_settings, setting
 from jointid.common.transmission import Side, usual_side
 from jointid.records.columns import Column, known_units
 from jointid.records.record import CHANNELS, Tap, Timing
@@ -242,7 +242,7 @@ def _name_words(column: str) -> set[tuple[str, ...]]:
     return {_split_words(name[at:]) for name in whole for at in (0, *(m.end() for m in re.finditer(r"\.", name)))}
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class Drive:
     """A drive's profile and the parameters behind its units.

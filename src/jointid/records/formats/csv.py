@@ -20,7 +20,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
-from jointid.common.text import counted, short
+from jointid.common.text import pluralise, short
 from jointid.common.units import UnitError, unit
 from jointid.records.formats.scope import find_scope, read_scope
 from jointid.records.formats.table import WIDEST, Block, Holds, NotStreamedError, Table, join_tables, require_place
@@ -238,8 +238,8 @@ class Csv:
             comma = fit.dialect.delimiter == "," and 2 * len(names) == fit.width
             advice = "export it with a decimal point or with semicolons" if comma else "mend it"
             raise RecordError(
-                f"{text.name}: line {above.number} has {counted(len(names), 'name')} for "
-                f"{counted(fit.width, 'column')}; {advice}, or give header = false to call the columns by "
+                f"{text.name}: line {above.number} has {pluralise(len(names), 'name')} for "
+                f"{pluralise(fit.width, 'column')}; {advice}, or give header = false to call the columns by "
                 "their numbers."
             )
         return _add_units(fit.dialect.split(text.lines[start - 2].text), names) if start > 1 else names
@@ -285,7 +285,7 @@ def _parse_row(file: str, line: Line, last: bool, dialect: Dialect, names: Seque
         place = f"line {line.number}, the last," if last else f"line {line.number}"
         remedy = "the file was cut off or ends in a remark; delete that line" if last else "mend or delete that line"
         raise RecordError(
-            f"{file}: {place} has {counted(len(cells), 'cell')} for {counted(len(names), 'column')}; {remedy}."
+            f"{file}: {place} has {pluralise(len(cells), 'cell')} for {pluralise(len(names), 'column')}; {remedy}."
         )
     values = []
     for name, cell in zip(names, cells, strict=True):

@@ -20,7 +20,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, RecordError
-from jointid.common.text import short, shown
+from jointid.common.text import short, show
 
 WHOLE = 2**30
 """Bytes of numbers that are read at once, 1 GiB: 13 columns of 10 million rows; reading them may take twice that."""
@@ -107,7 +107,7 @@ class Table:
         if missing:
             why = f" ({self.passed[missing[0]]})" if missing[0] in self.passed else ""
             raise RecordError(
-                f'{self.source} has no column "{shown(missing[0])}"{why}; it has {self.list_columns(missing[0])}.'
+                f'{self.source} has no column "{show(missing[0])}"{why}; it has {self.list_columns(missing[0])}.'
             )
         return replace(self, columns={name: self.columns[name] for name in names})
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError, RecordError
-from jointid.common.settings import check_settings, documented, setting
+from jointid.common.settings import add_settings_to_docstring, check_settings, setting
 from jointid.records.record import Channel, Timing
 from jointid.records.signals.modes import Modes, Thinning
 
@@ -31,7 +31,7 @@ _ORDER = 8  # of the decimation filter
 _POSITION_ORDER = 4  # of the position filter: for IDIM the highest derivative plus 2
 
 
-@documented
+@add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class Filtering:
     """Filters that measured and simulated signals go through before they are compared."""

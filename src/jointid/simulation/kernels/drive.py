@@ -37,7 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.compiled import assign, compiled, inlined
+from jointid.common.compiled import assign, compile_kernel, inline_kernel
 from jointid.simulation.kernels.polynomial import ORDER, ROOM, SOUGHT, first_root, value_at
 
 IntArray: TypeAlias = NDArray[np.int64]
@@ -218,7 +218,7 @@ NO_GRAVITY = np.zeros(0)
 NO_SEGMENTS = np.zeros((0, SEGMENT))
 
 
-@inlined
+@inline_kernel
 def _motion(p: Drive, m1: int, m2: int) -> _Motion:
     """Return the drive in one mode."""
     mobility1, viscous1, force1 = 0.0, 0.0, 0.0
@@ -234,20 +234,20 @@ def _motion(p: Drive, m1: int, m2: int) -> _Motion:
     return _Motion(mobility1, mobility2, viscous1, viscous2, force1, force2)
 
 
-@inlined
+@inline_kernel
 def drive_of(d: FloatArray) -> Drive:
     """Return the drive of a row of coefficients, (14,) or more."""
     return Drive(d[0], d[1], d[2], d[3], d[4], d[5], d[6], d[7], d[8], d[9], d[10], d[11], d[12], d[13])
 
 
-@inlined
+@inline_kernel
 def _drive_of(segments: FloatArray, i: int) -> tuple[Drive, _Segment]:
     """Return the drive in one segment, and that segment."""
     d = segments[i]
     return drive_of(d), _Segment(d[14], d[15], d[16], d[17], d[18], d[19])
 
 
-@inlined
+@inline_kernel
 def _find_segment(segments: FloatArray, x: FloatArray) -> int:
     """Return the segment that a state is in."""
     found = 0
@@ -259,7 +259,7 @@ def _find_segment(segments: FloatArray, x: FloatArray) -> int:
     return found
 
 
-@inlined
+@inline_kernel
 def _reach(segments: FloatArray, h: float) -> float:
     """Return how far a deflection can bend from its chord in `h` seconds, per root energy (see `_margins`)."""
     lowest = 0.0
@@ -271,13 +271,13 @@ def _reach(segments: FloatArray, h: float) -> float:
     return h * h / 8.0 * together / math.sqrt(segments[0, 0]) * math.exp(min(-lowest * h, 50.0))
 
 
-@inlined
+@inline_kernel
 def _between(low: float, high: float, start: float, end: float, margin: float) -> bool:
     """Prove that a function stays between two edges, from its values at both ends of a period, within a margin."""
     return min(min(start, end) - low, high - max(start, end)) > margin
 
 
-@inlined
+@inline_kernel
 def _within(
     edges: _Segment, start: State, end: State, deflections: float, m1: int, m2: int, bend1: float, bend2: float
 ) -> bool:
@@ -290,7 +290,7 @@ def _within(
     return inside
 
 
-@inlined
+@inline_kernel
 def _settled(p: Drive, x: State, s: float, mass: int) -> int:
     """Return the mode of a mass at rest: 0 while its Coulomb force can hold the push, else the push's direction."""
     spring = p.stiffness * (x[2] - x[0]) + p.damping * (x[3] - x[1])
@@ -305,7 +305,7 @@ def _settled(p: Drive, x: State, s: float, mass: int) -> int:
     return mode
 
 
-@inlined
+@inline_kernel
 def _gravity(g: _Gravity, q: float, v: float, slid: float, h: float, since: float) -> float:
     """Return gravity's force where its mass will be in the middle of a part of `h` seconds.
 
@@ -317,7 +317,7 @@ def _gravity(g: _Gravity, q: float, v: float, slid: float, h: float, since: floa
     return g.cos * math.cos(phase) + g.sin * math.sin(phase) + g.rate * (q + ahead)
 
 
-@inlined
+@inline_kernel
 def _fastest_rate(p: Drive) -> float:
     """Bound in 1/s on how fast the drive's own motion can change: spring plus damping."""
     mobility = 1.0 / p.inertia1 + 1.0 / p.inertia2
@@ -326,7 +326,7 @@ def _fastest_rate(p: Drive) -> float:
     return math.sqrt(p.stiffness * mobility) + p.damping * mobility + viscous1 + viscous2
 
 
-@compiled
+@compile_kernel
 def _fill_map(m: FloatArray, b: int, p: Drive, m1: int, m2: int, h: float) -> None:
     """Write the map of one mode over `h` seconds at m[b:], column by column, and the margins of its proofs.
 
@@ -378,7 +378,7 @@ def _fill_map(m: FloatArray, b: int, p: Drive, m1: int, m2: int, h: float) -> No
     m[b + 22], m[b + 23] = (bend1, bend2) if growth == 1.0 else (np.inf, np.inf)
 
 
-@inlined
+@inline_kernel
 def _margins(p: Drive, f: _Motion, m1: int, m2: int, h: float) -> tuple[float, float, float]:
     """Return how far what must stay positive can bend from its chord in a period, per root energy; and its growth.
 
@@ -399,7 +399,7 @@ def _margins(p: Drive, f: _Motion, m1: int, m2: int, h: float) -> tuple[float, f
     return bend * (bend1 if m1 != 0 else push1), bend * (bend2 if m2 != 0 else push2), growth
 
 
-@inlined
+@inline_kernel
 def _positive(start: float, slope: float, end: float, margin: float) -> bool:
     """Prove that a function is positive between two ends that are not negative.
 
@@ -409,7 +409,7 @@ def _positive(start: float, slope: float, end: float, margin: float) -> bool:
     return start >= 0.0 and end >= 0.0 and 2.0 * start + slope >= margin
 
 
-@inlined
+@inline_kernel
 def _held(forwards: float, backwards: float, start: float, slope: float, end: float, margin: float) -> bool:
     """Prove that the push on a mass at rest stays within its cone."""
     return _positive(forwards - start, -slope, forwards - end, margin) and _positive(
@@ -417,7 +417,7 @@ def _held(forwards: float, backwards: float, start: float, slope: float, end: fl
     )
 
 
-@inlined
+@inline_kernel
 def _calm(
     p: Drive, f: _Motion, bend1: float, bend2: float, x: State, y: State, s: float, m1: int, m2: int, h: float
 ) -> tuple[bool, float]:
@@ -451,7 +451,7 @@ def _calm(
     return calm, root
 
 
-@inlined
+@inline_kernel
 def _series(c: FloatArray, p: Drive, f: _Motion, x: State, s: float, h: float, loose1: bool, loose2: bool) -> None:
     """Fill c[state, order] with the Taylor series of the motion over a step of `h`, time counted in steps.
 
@@ -478,7 +478,7 @@ def _series(c: FloatArray, p: Drive, f: _Motion, x: State, s: float, h: float, l
             v1, v2 = 0.0 if loose1 else v1, 0.0 if loose2 else v2
 
 
-@inlined
+@inline_kernel
 def _first_event(
     c: FloatArray, p: Drive, s: float, m1: int, m2: int, known1: int, known2: int
 ) -> tuple[float, int, int]:
@@ -521,7 +521,7 @@ def _first_event(
     return first, which, loose
 
 
-@inlined
+@inline_kernel
 def _travel(
     c: FloatArray, p: Drive, x: State, m1: int, m2: int, s: float, h: float, longest: float,
     tape: FloatArray, row: int, part: int, segments: FloatArray, segment: int,
@@ -589,7 +589,7 @@ def _travel(
     return (x0, x1, x2, x3), m1, m2, events, steps, segment
 
 
-@inlined
+@inline_kernel
 def _first_edge(
     c: FloatArray, segment: FloatArray, m1: int, m2: int, crossed: int, first: float, mass: int, loose: int
 ) -> tuple[float, int, int]:
@@ -620,7 +620,7 @@ def _first_edge(
     return first, mass, loose
 
 
-@inlined
+@inline_kernel
 def mode_after(mode: int, loose: int, back: bool, settled: int) -> tuple[int, int]:
     """Return the mode of a mass after its event, and what is then known of it (see `_first_event`)."""
     after, known = settled, 1 if settled != 0 else 0
@@ -631,7 +631,7 @@ def mode_after(mode: int, loose: int, back: bool, settled: int) -> tuple[int, in
     return after, known
 
 
-@inlined
+@inline_kernel
 def _small(feedback: Feedback, nz: int) -> tuple[float, ...]:
     """Return the coefficients of a feedback of at most two states, one limit and one phase."""
     A, C, b, e = feedback.A, feedback.C, feedback.Bq, feedback.F
@@ -646,7 +646,7 @@ def _small(feedback: Feedback, nz: int) -> tuple[float, ...]:
     return law
 
 
-@inlined
+@inline_kernel
 def control_any(
     feedback: Feedback,
     w: FloatArray,
@@ -688,7 +688,7 @@ def control_any(
         z[i] = new[i]
 
 
-@inlined
+@inline_kernel
 def _control(law: _Law, w: float, q: float, z: tuple[float, float]) -> tuple[float, int, tuple[float, float]]:
     """Return the controller's output, whether it is at its limit, and the next state of its feedback."""
     z0, z1 = z
@@ -706,7 +706,7 @@ def _control(law: _Law, w: float, q: float, z: tuple[float, float]) -> tuple[flo
     return command, clipped, (z0, z1)
 
 
-@inlined
+@inline_kernel
 def _rest(
     p: Drive, law: _Law, w: FloatArray, post: FloatArray, u: FloatArray, states: FloatArray,
     z: tuple[float, float], x: State, k: int,
@@ -732,7 +732,7 @@ def _rest(
     return k, clipped, x, z
 
 
-@inlined
+@inline_kernel
 def _glide(
     resting: bool, p: Drive, law: _Law, w: FloatArray, post: FloatArray, u: FloatArray, states: FloatArray,
     m: FloatArray, b: int, m1: int, m2: int, z: tuple[float, float], x: State, bound: float, last: float, k: int,
@@ -799,7 +799,7 @@ def _glide(
     return k, clipped, (x0, d1 * x1, x2, d2 * x3), z
 
 
-@compiled
+@compile_kernel
 def run(
     drive: FloatArray,
     loop: SampledLoop,
@@ -881,7 +881,7 @@ def run(
     k = 0
     while k < n and status == FINISHED:
         if simple:
-            start, begun = (x0, x1, x2, x3), k
+            start, started = (x0, x1, x2, x3), k
             mode = 9 * segment + 3 * m1 + m2 + 4
             b = mode * _MAP
             if not filled[mode]:
@@ -902,7 +902,7 @@ def run(
             x0, x1, x2, x3 = start
             clipped += limited
             if keep:
-                modes[begun:k] = mode
+                modes[started:k] = mode
             if k == n:
                 break
         else:

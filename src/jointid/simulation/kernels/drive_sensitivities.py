@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.compiled import assign, compiled, inlined, wide_vectors
+from jointid.common.compiled import assign, compile_kernel, inline_kernel, wide_vectors
 from jointid.simulation.kernels.drive import Feedback, SampledLoop, Trace
 
 Motion: TypeAlias = tuple[float, float, float, float, float]
@@ -109,7 +109,7 @@ class _Law(NamedTuple):
     d: float
 
 
-@compiled
+@compile_kernel
 def _propagate(
     q: FloatArray, h: float, mode: int, steady: float, s: float, motion: Motion, spring: FloatArray, side: FloatArray,
     dside: FloatArray,
@@ -167,7 +167,7 @@ def _propagate(
     return d1, end1, end, d2, end2
 
 
-@compiled
+@compile_kernel
 def _fill(
     q: FloatArray, h: float, rate: float, mode: int, b: int, phi: FloatArray, M: FloatArray, spring: FloatArray,
     side: FloatArray, dside: FloatArray,
@@ -189,7 +189,7 @@ def _fill(
         assign(M[b, _WIDE * i : _WIDE * (i + 1)], q[_S : _S + _WIDE])
 
 
-@inlined
+@inline_kernel
 def _pushed(q: FloatArray, M: FloatArray, b: int, v1: float, stretch: float, v2: float, s: float) -> None:
     """Write what the parameters change in the map of a part, for the motion there is."""
     wide_vectors()
@@ -199,7 +199,7 @@ def _pushed(q: FloatArray, M: FloatArray, b: int, v1: float, stretch: float, v2:
         q[_T + i] = (moved + M[m, 2 * _WIDE + i] * v2) + M[m, 3 * _WIDE + i] * s
 
 
-@inlined
+@inline_kernel
 def _step(
     q: FloatArray, phi: FloatArray, M: FloatArray, b: int, v1: float, stretch: float, v2: float, s: float
 ) -> None:
@@ -219,7 +219,7 @@ def _step(
         q[_S + 3 * LANES + j] = (((q[_T + 3 * LANES + j] + p03 * a1) + p23 * a3) + p13 * a) + g3 * d
 
 
-@inlined
+@inline_kernel
 def _written(q: FloatArray, at: np.uint64, du: FloatArray) -> None:
     """Write the derivatives of the law's output: all are read first, so that the machine need not fear an overlap."""
     wide_vectors()
@@ -229,7 +229,7 @@ def _written(q: FloatArray, at: np.uint64, du: FloatArray) -> None:
     du[4, at], du[5, at], du[6, at], du[7, at] = e, f, g, h
 
 
-@inlined
+@inline_kernel
 def _glide(
     q: FloatArray, law: _Law, phi: FloatArray, M: FloatArray, mode: int, k: int, end: int, limit: float,
     states: FloatArray, modes: NDArray[np.int16], u: FloatArray, post: FloatArray, explicit: FloatArray,
@@ -268,7 +268,7 @@ def _glide(
     return k
 
 
-@inlined
+@inline_kernel
 def _rest(
     q: FloatArray, law: _Law, mode: int, k: int, end: int, limit: float, modes: NDArray[np.int16], u: FloatArray,
     explicit: FloatArray, first_explicit: int, du: FloatArray,
@@ -291,13 +291,13 @@ def _rest(
     return k
 
 
-@inlined
+@inline_kernel
 def _acceleration(side: FloatArray, mass: int, m: int, force: float, v: float) -> float:
     """Return the acceleration of a mass in a mode under the torque and the spring's force."""
     return (force + side[mass, 2, m] - side[mass, 1, m] * v) * side[mass, 0, m]
 
 
-@compiled
+@compile_kernel
 def _through_events(
     q: FloatArray, part: int, row: int, s: float, tape: FloatArray, rows: int, drives: FloatArray, seeds: FloatArray,
     sides: FloatArray, dsides: FloatArray,
@@ -329,7 +329,7 @@ def _through_events(
     return row
 
 
-@inlined
+@inline_kernel
 def _take(q: FloatArray, seeds: FloatArray, segment: int) -> None:
     """Write the derivatives of stiffness and damping in a segment of the spring where the maps are made."""
     for i in range(2):
@@ -337,7 +337,7 @@ def _take(q: FloatArray, seeds: FloatArray, segment: int) -> None:
             q[_SPRING + i * LANES + j] = seeds[segment, 2 + i, j]
 
 
-@inlined
+@inline_kernel
 def _over_edge(
     q: FloatArray, drives: FloatArray, seeds: FloatArray, side: FloatArray, sides: FloatArray, now: int, code: int,
     one: int, two: int, s: float, motion: Motion,
@@ -363,7 +363,7 @@ def _over_edge(
         q[_S + 3 * LANES + j] += kicks[1] * lead
 
 
-@inlined
+@inline_kernel
 def _hang(
     q: FloatArray, gravity: FloatArray, stiffness: float, x: float, v: float, slid: float, h: float, since: float
 ) -> tuple[float, float]:
@@ -388,7 +388,7 @@ def _hang(
     return force, compliance * force
 
 
-@inlined
+@inline_kernel
 def begin_small(q: FloatArray, feedback: Feedback, nz: int, Z: FloatArray, dlimits: FloatArray) -> _Law:
     """Write the first derivatives of the states of a law of two at most and of its limit; return that law."""
     law, seen = _law(feedback, nz)
@@ -400,7 +400,7 @@ def begin_small(q: FloatArray, feedback: Feedback, nz: int, Z: FloatArray, dlimi
     return law
 
 
-@inlined
+@inline_kernel
 def control_small(
     q: FloatArray, law: _Law, u: float, limit: float, explicit: FloatArray, first_explicit: int, at: int,
     du: FloatArray,
@@ -429,7 +429,7 @@ def control_small(
     _written(q, row, du)
 
 
-@compiled
+@compile_kernel
 def control_slopes(
     q: FloatArray, z: FloatArray, e: FloatArray, feedback: Feedback, excess: FloatArray, explicit: FloatArray,
     first_explicit: int, dlimits: FloatArray, at: int, du: FloatArray, dtapped: FloatArray,
@@ -473,7 +473,7 @@ def control_slopes(
         assign(z[i], z[nz + i])
 
 
-@inlined
+@inline_kernel
 def _law(feedback: Feedback, nz: int) -> tuple[_Law, FloatArray]:
     """Return a feedback of two states at most, one limit and one phase; and its states, (2, nz), of those it was in."""
     A, C, d = feedback.A, feedback.C, feedback.D[0, 0]
@@ -493,7 +493,7 @@ def _law(feedback: Feedback, nz: int) -> tuple[_Law, FloatArray]:
     return _Law(trace, -determinant, b0, b1, e0, e1, d), seen
 
 
-@inlined
+@inline_kernel
 def _fill_modes(drive: FloatArray, seeds: FloatArray, side: FloatArray, dside: FloatArray) -> None:
     """Write a drive by the modes of its masses, and the derivatives of that.
 
@@ -510,7 +510,7 @@ def _fill_modes(drive: FloatArray, seeds: FloatArray, side: FloatArray, dside: F
                 dside[mass, 1, mode, j] = sign * seeds[coulomb, j] - seeds[offset, j]
 
 
-@inlined
+@inline_kernel
 def _rate(drive: FloatArray, side: FloatArray) -> float:
     """Bound in 1/s on how fast a drive's own motion can change."""
     inverse1, inverse2 = side[0, 0, 2], side[1, 0, 2]
@@ -520,7 +520,7 @@ def _rate(drive: FloatArray, side: FloatArray) -> float:
     return rate
 
 
-@inlined
+@inline_kernel
 def aligned(size: int) -> FloatArray:
     """Return so many zeros that begin with a line of the cache, as every row of a wide vector then does."""
     room = np.zeros(size + _LINE)
@@ -528,7 +528,7 @@ def aligned(size: int) -> FloatArray:
     return room[first : first + size]
 
 
-@compiled
+@compile_kernel
 def follow(
     loop: SampledLoop,
     before: float,

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.compiled import compiled, inlined
+from jointid.common.compiled import compile_kernel, inline_kernel
 
 ORDER = 10  # of the polynomials
 _DEPTH = 40  # of the halvings that isolate a root
@@ -35,7 +35,7 @@ def _bernstein_table() -> FloatArray:
 _BERNSTEIN = _bernstein_table()
 
 
-@inlined
+@inline_kernel
 def value_at(c: FloatArray, row: int, t: float) -> float:
     """Return a polynomial's value: Estrin's scheme, whose chain is half as long as Horner's."""
     t2 = t * t
@@ -46,7 +46,7 @@ def value_at(c: FloatArray, row: int, t: float) -> float:
     return float(low + (middle + high * t4) * t4)
 
 
-@inlined
+@inline_kernel
 def first_root(c: FloatArray) -> float:
     """Return the first root in (0, 1] of the polynomial in row SOUGHT; 2.0 if there is none.
 
@@ -93,7 +93,7 @@ def first_root(c: FloatArray) -> float:
     return root
 
 
-@compiled
+@compile_kernel
 def _isolate(c: FloatArray) -> tuple[float, float]:
     """Return an interval in which the polynomial in row SOUGHT has its first sign change, and only that; 2.0: none.
 

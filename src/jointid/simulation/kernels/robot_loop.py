@@ -43,7 +43,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.compiled import assign, compiled, inlined
+from jointid.common.compiled import assign, compile_kernel, inline_kernel
 from jointid.models.robots.equations import ROOM, equations_of_motion
 from jointid.models.robots.robot import Tree
 from jointid.simulation.kernels.drive import CHATTERING, DIVERGED, FINISHED, Feedback, IntArray, control_any
@@ -181,10 +181,10 @@ class RobotTape(NamedTuple):
     @classmethod
     def empty(cls, parts: int, pieces: int, bodies: Bodies) -> RobotTape:
         """Return one to be filled."""
-        places, speeds, begun, ended, directions = (np.empty((pieces, len(bodies.masses))) for _ in range(5))
+        places, speeds, started, ended, directions = (np.empty((pieces, len(bodies.masses))) for _ in range(5))
         laws = np.empty((pieces, *shape_of_laws(bodies)))
         whole = np.zeros(parts, dtype=np.int64), np.empty(pieces)
-        return cls(*whole, places, speeds, begun, ended, directions, laws, np.empty(pieces, dtype=np.int64))
+        return cls(*whole, places, speeds, started, ended, directions, laws, np.empty(pieces, dtype=np.int64))
 
     def until(self, parts: int, pieces: int) -> RobotTape:
         """Return what was filled of it."""
@@ -241,13 +241,13 @@ class Room(NamedTuple):
     slopes: FloatArray
 
 
-@inlined
+@inline_kernel
 def wound_up(wound: float, since: float, direction: float, x: float, over: float) -> float:
     """Return what is wound up at a place, in a direction since the last reversal, over a displacement."""
     return direction - (direction - wound) * math.exp(-direction * (x - since) / over)
 
 
-@compiled
+@compile_kernel
 def _load_laws(
     bodies: Bodies, laws: FloatArray, modes: FloatArray, time: float, q: FloatArray, v: FloatArray, grip: FloatArray,
     springs: FloatArray, push: FloatArray,
@@ -281,7 +281,7 @@ def _load_laws(
             grip[i] = 0.0
 
 
-@inlined
+@inline_kernel
 def _load_lines(
     rotors: IntArray, masses: FloatArray, bands: FloatArray, pieces: FloatArray, plain: bool, bias: FloatArray,
     q: FloatArray, v: FloatArray, M: FloatArray, push: FloatArray, grip: FloatArray,
@@ -306,7 +306,7 @@ def _load_lines(
             push[r] -= spring
 
 
-@compiled
+@compile_kernel
 def load_forces(
     tree: Tree, bodies: Bodies, laws: FloatArray, modes: FloatArray, time: float, at: State, room: Room
 ) -> None:
@@ -321,7 +321,7 @@ def load_forces(
         _load_laws(bodies, laws, modes, time, at.q, at.v, at.grip, at.spring, room.push)
 
 
-@compiled
+@compile_kernel
 def _watch_laws(bodies: Bodies, laws: FloatArray, modes: FloatArray, at: State) -> None:
     """Fill the guards of edges, reversals and torques of laws that are not one line each."""
     nd, n, guard, slope, masses, bands = modes.size, bodies.rotors.size, at.guard, at.slope, bodies.masses, bodies.bands
@@ -361,7 +361,7 @@ def _watch_laws(bodies: Bodies, laws: FloatArray, modes: FloatArray, at: State) 
             guard[first + 3 * n] = laws[SIGN, i] * spring[i]
 
 
-@inlined
+@inline_kernel
 def _watch(
     rests: NDArray[np.bool_], modes: FloatArray, v: FloatArray, a: FloatArray, held: FloatArray, grip: FloatArray,
     guard: FloatArray, slope: FloatArray,
@@ -375,7 +375,7 @@ def _watch(
             guard[i] = _HOLD * grip[i] - abs(held[i])
 
 
-@inlined
+@inline_kernel
 def _turn(bodies: Bodies, laws: FloatArray, modes: FloatArray, at: State, i: int) -> None:
     """Let the friction of a mass wind up the other way."""
     over = bodies.masses[i, PRESLIDING]
@@ -383,7 +383,7 @@ def _turn(bodies: Bodies, laws: FloatArray, modes: FloatArray, at: State, i: int
     laws[SINCE, i], modes[i] = at.q[i], -modes[i]
 
 
-@inlined
+@inline_kernel
 def _turn_slider(bodies: Bodies, laws: FloatArray, at: State, i: int) -> None:
     """Let the slider of a spring wind up the other way."""
     e, over = at.q[bodies.rotors[i]] - at.q[i], bodies.bends[i, SLIPS] / bodies.bends[i, SLIDER]
@@ -391,7 +391,7 @@ def _turn_slider(bodies: Bodies, laws: FloatArray, at: State, i: int) -> None:
     laws[TURNED, i], laws[RATE, i] = e, -laws[RATE, i]
 
 
-@compiled
+@compile_kernel
 def _align(bodies: Bodies, laws: FloatArray, modes: FloatArray, at: State) -> None:
     """Turn what stands still, and now begins to move the other way, or where another torque has begun to act.
 
@@ -413,7 +413,7 @@ def _align(bodies: Bodies, laws: FloatArray, modes: FloatArray, at: State) -> No
             laws[SIGN, i] = -laws[SIGN, i]
 
 
-@compiled
+@compile_kernel
 def _begin_laws(bodies: Bodies, laws: FloatArray, modes: FloatArray, at: State) -> None:
     """Fill where the laws are at the first sample: friction is wound up where a mass moves, no slider is."""
     rests = bodies.rests
@@ -432,7 +432,7 @@ def _begin_laws(bodies: Bodies, laws: FloatArray, modes: FloatArray, at: State) 
                 laws[PIECE, i] = math.copysign(float(k), e)
 
 
-@inlined
+@inline_kernel
 def accelerate(
     rotors: IntArray, masses: FloatArray, M: FloatArray, L: FloatArray, push: FloatArray, links: IntArray,
     torque: FloatArray, modes: FloatArray, grip: FloatArray, a: FloatArray, held: FloatArray,
@@ -492,7 +492,7 @@ def accelerate(
     return True
 
 
-@compiled
+@compile_kernel
 def settle(bodies: Bodies, room: Room, torque: FloatArray, modes: FloatArray, at: State) -> bool:
     """Decide which masses that stand still rest and which way the others begin to slide; arguments of `accelerate`."""
     push, v, a, held, grip, rests = room.push, at.v, at.a, at.held, at.grip, bodies.rests
@@ -515,7 +515,7 @@ def settle(bodies: Bodies, room: Room, torque: FloatArray, modes: FloatArray, at
     return True
 
 
-@compiled
+@compile_kernel
 def _step(
     tree: Tree, bodies: Bodies, laws: FloatArray, torque: FloatArray, time: float, h: float, now: State,
     modes: FloatArray, room: Room, ahead: State,
@@ -558,7 +558,7 @@ def _step(
     return True
 
 
-@compiled
+@compile_kernel
 def _watch_again(bodies: Bodies, laws: FloatArray, modes: FloatArray, at: State) -> None:
     """Fill the guards of a state whose modes have changed."""
     _watch(bodies.rests, modes, at.v, at.a, at.held, at.grip, at.guard, at.slope)
@@ -566,7 +566,7 @@ def _watch_again(bodies: Bodies, laws: FloatArray, modes: FloatArray, at: State)
         _watch_laws(bodies, laws, modes, at)
 
 
-@compiled
+@compile_kernel
 def _earliest(h: float, now: State, ahead: State) -> tuple[int, float]:
     """Return the guard that seems to have the first event in a step, and where: 1 if it is negative at the end.
 
@@ -593,7 +593,7 @@ def _earliest(h: float, now: State, ahead: State) -> tuple[int, float]:
     return found, at
 
 
-@compiled
+@compile_kernel
 def _go_over(bodies: Bodies, laws: FloatArray, modes: FloatArray, at: State, event: int) -> None:
     """Let a law go over an edge, a mass stop, or what winds up turn; one that comes loose is settled with all."""
     nd, n = modes.size, bodies.rotors.size
@@ -620,7 +620,7 @@ def _go_over(bodies: Bodies, laws: FloatArray, modes: FloatArray, at: State, eve
             laws[SIGN, i] = -laws[SIGN, i]
 
 
-@compiled
+@compile_kernel
 def _advance(
     tree: Tree, bodies: Bodies, laws: FloatArray, torque: FloatArray, time: float, length: float,
     steps: int, now: State, modes: FloatArray, room: Room, ahead: State, tape: RobotTape, counts: IntArray,
@@ -729,7 +729,7 @@ def _advance(
     return FINISHED
 
 
-@compiled
+@compile_kernel
 def run(
     tree: Tree, bodies: Bodies, clock: Clock, steps: int, controllers: Controllers, driven: Driven, z: FloatArray,
     q: FloatArray, v: FloatArray, seen: Seen, tape: RobotTape, counts: IntArray,

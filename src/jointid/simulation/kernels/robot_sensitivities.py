@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jointid.common.arrays import FloatArray
-from jointid.common.compiled import assign, compiled, inlined
+from jointid.common.compiled import assign, compile_kernel, inline_kernel
 from jointid.models.robots.dynamics import regressor
 from jointid.models.robots.equations import ROOM, linearised_equations, of_joints
 from jointid.models.robots.robot import Tree
@@ -99,7 +99,7 @@ class Moved(NamedTuple):
 _TURNING = 1e-9  # of the largest acceleration: a velocity that comes to 0 with less of its own hardly turns
 
 
-@compiled
+@compile_kernel
 def _solve(A: FloatArray, rows: FloatArray) -> None:
     """Solve A x = rows in place by elimination with pivots; both are overwritten."""
     n = len(A)
@@ -130,7 +130,7 @@ def _solve(A: FloatArray, rows: FloatArray) -> None:
                 rows[i, c] -= factor * rows[k, c]
 
 
-@inlined
+@inline_kernel
 def _control(
     laws: Controllers, j: int, phase: int, cut: NDArray[np.bool_], moved: FloatArray, dz: FloatArray,
     fresh: FloatArray, raw: FloatArray, command: FloatArray, tapped: FloatArray,
@@ -171,14 +171,14 @@ def _control(
         tapped[c] = 0.0 if cut[tap] else raw[tap, c]
 
 
-@inlined
+@inline_kernel
 def _winding(wound: float, since: float, way: float, x: float, over: float) -> tuple[float, float]:
     """Return the derivatives of what is wound up, by what it was at the last reversal and by its displacement."""
     faded = math.exp(-way * (x - since) / over)
     return faded, -(way - wound) * faded * way * (x - since) / (over * over)
 
 
-@compiled
+@compile_kernel
 def spring_torque(bodies: Bodies, laws: FloatArray, q: FloatArray, v: FloatArray, i: int) -> float:
     """Return the torque of a spring."""
     e, rate, piece = q[bodies.rotors[i]] - q[i], v[bodies.rotors[i]] - v[i], int(abs(laws[PIECE, i]))
@@ -193,7 +193,7 @@ def spring_torque(bodies: Bodies, laws: FloatArray, q: FloatArray, v: FloatArray
     return float(torque)
 
 
-@compiled
+@compile_kernel
 def _grip(bodies: Bodies, laws: FloatArray, q: FloatArray, v: FloatArray, i: int, time: float) -> float:
     """Return the Coulomb force of a mass."""
     grip = bodies.bands[i, int(laws[BAND, i]), COULOMB] + bodies.masses[i, COULOMB_DRIFT] * time
@@ -202,7 +202,7 @@ def _grip(bodies: Bodies, laws: FloatArray, q: FloatArray, v: FloatArray, i: int
     return float(grip)
 
 
-@compiled
+@compile_kernel
 def _by_spring(bodies: Bodies, laws: FloatArray, seeds: Seeds, q: FloatArray, v: FloatArray, i: int, c: int) -> float:
     """Return the derivative of a spring's torque by one of its numbers, the motion held."""
     r = bodies.rotors[i]
@@ -224,7 +224,7 @@ def _by_spring(bodies: Bodies, laws: FloatArray, seeds: Seeds, q: FloatArray, v:
     return float(torque)
 
 
-@compiled
+@compile_kernel
 def _over_edge(
     bodies: Bodies, tape: RobotTape, seeds: Seeds, parameters: IntArray, piece: int, event: int, dq: FloatArray,
     turned: FloatArray,
@@ -245,7 +245,7 @@ def _over_edge(
     return float(side * rate)
 
 
-@compiled
+@compile_kernel
 def _turn(
     bodies: Bodies, tape: RobotTape, seeds: Seeds, parameters: IntArray, piece: int, dq: FloatArray, wound: FloatArray,
     since: FloatArray, stretched: FloatArray, stretch_since: FloatArray,
@@ -281,7 +281,7 @@ def _turn(
                 stretch_since[i, c] = moved
 
 
-@compiled
+@compile_kernel
 def _add_moved_links(
     rotors: IntArray, stiff: FloatArray, damped: FloatArray, M: FloatArray, Cv: FloatArray, K: FloatArray, h: float,
     whole: float,
@@ -305,7 +305,7 @@ def _add_moved_links(
                 moved_links[i, c] += inert * gained[j, c] + damping * rate[j, c] + stiffness * middle
 
 
-@compiled
+@compile_kernel
 def differentiate_run(
     tree: Tree, bodies: Bodies, clock: Clock, controllers: Controllers, cuts: NDArray[np.bool_], tape: RobotTape,
     parameters: IntArray, seeds: Seeds, moved: Moved, command: FloatArray, tapped: FloatArray, moved_links: FloatArray,
@@ -333,7 +333,7 @@ def differentiate_run(
     lags, every, dq, dv, dz = clock.lags, clock.every, moved.dq, moved.dv, moved.dz
     before = moved.before
     first, lasting, places, speeds = tape.first, tape.lasting, tape.places, tape.speeds
-    begun, ended, directions, stopped = tape.begun, tape.ended, tape.directions, tape.stopped
+    started, ended, directions, stopped = tape.begun, tape.ended, tape.directions, tape.stopped
     n, nd, count = rotors.size, len(dq), len(parameters)
     parts, steps, pieces = lags.shape[1], command.shape[1], lasting.size
     dtau, rows, other = np.zeros((n, count)), np.zeros((n, count)), np.zeros((nd, count))
@@ -400,8 +400,8 @@ def differentiate_run(
                     for i in range(nd):
                         q0, q1, v0, v1 = places[piece, i], places[piece + 1, i], speeds[piece, i], speeds[piece + 1, i]
                         q[i] = 0.5 * (q0 + q1) + 0.125 * h * (v0 - v1)
-                        v[i] = 0.5 * (v0 + v1) + 0.125 * h * (begun[piece, i] - ended[piece, i])
-                        a[i] = 0.5 * (begun[piece, i] + ended[piece, i])
+                        v[i] = 0.5 * (v0 + v1) + 0.125 * h * (started[piece, i] - ended[piece, i])
+                        a[i] = 0.5 * (started[piece, i] + ended[piece, i])
                     linearised_equations(tree, bodies.inertials, place, speed, turn, room, M, K, Cv)
                     # G, and what the motors do.
                     if linked and coupled:
@@ -564,7 +564,7 @@ def differentiate_run(
                     for c in range(count):
                         turned[c] /= slowing
                     for i in range(nd):
-                        jump = begun[piece + 1, i] - ended[piece, i]
+                        jump = started[piece + 1, i] - ended[piece, i]
                         for c in range(count):
                             dv[i, c] += jump * turned[c]
                             if prescribed and i < n:

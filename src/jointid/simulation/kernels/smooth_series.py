@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.compiled import inlined
+from jointid.common.compiled import inline_kernel
 from jointid.models.smooth import SmoothLaws
 from jointid.simulation.kernels.drive import Drive
 
@@ -64,7 +64,7 @@ class Known(NamedTuple):
     torque: int
 
 
-@inlined
+@inline_kernel
 def _product(c: FloatArray, one: int, other: int, k: int) -> float:
     """Return the coefficient of order k of the product of two series."""
     total = 0.0
@@ -73,7 +73,7 @@ def _product(c: FloatArray, one: int, other: int, k: int) -> float:
     return total
 
 
-@inlined
+@inline_kernel
 def _square(c: FloatArray, k: int) -> float:
     """Return the coefficient of order k of the deflection's square."""
     total = 0.0
@@ -82,7 +82,7 @@ def _square(c: FloatArray, k: int) -> float:
     return total
 
 
-@inlined
+@inline_kernel
 def _cube(c: FloatArray, k: int) -> float:
     """Return the coefficient of order k of the deflection's cube, from that of its square."""
     total = 0.0
@@ -91,13 +91,13 @@ def _cube(c: FloatArray, k: int) -> float:
     return total
 
 
-@inlined
+@inline_kernel
 def _winding(c: FloatArray, velocity: int, wound: int, direction: int, k: int) -> float:
     """Return the coefficient of order k of how fast what is wound up changes, times its length."""
     return float(c[velocity, k] - direction * _product(c, velocity, wound, k))
 
 
-@inlined
+@inline_kernel
 def _held_back(c: FloatArray, places: FloatArray, turns: FloatArray, side: int, k: int, h: float) -> float:
     """Return the coefficient of the force on a side that follows its position, and go on with its phases."""
     force = 0.0
@@ -114,7 +114,7 @@ def _held_back(c: FloatArray, places: FloatArray, turns: FloatArray, side: int, 
     return force
 
 
-@inlined
+@inline_kernel
 def fill_series(
     p: Drive, b: SmoothLaws, places: FloatArray, m: Modes, known: Known, y: FloatArray, time: float, torque: float,
     h: float, c: FloatArray, turns: FloatArray,

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.compiled import assign, compiled, inlined
+from jointid.common.compiled import assign, compile_kernel, inline_kernel
 from jointid.models.smooth import SmoothLaws
 from jointid.simulation.kernels.drive import (
     CHATTERING,
@@ -59,7 +59,7 @@ _WOUND_UP = 1e-8  # of a limit: what is nearer to it than that, and so than step
 STEP_TAPE = 19
 
 
-@inlined
+@inline_kernel
 def _shortened(c: FloatArray, share: float) -> None:
     """Count time in a share of the step."""
     power = 1.0
@@ -69,7 +69,7 @@ def _shortened(c: FloatArray, share: float) -> None:
             c[i, k] *= power
 
 
-@inlined
+@inline_kernel
 def _share(c: FloatArray, fastest: float) -> float:
     """Return how much of the step its series holds for, from its last coefficients; 0 where they are no numbers."""
     last, before, wound = 0.0, 0.0, 0.0
@@ -85,7 +85,7 @@ def _share(c: FloatArray, fastest: float) -> float:
     return share
 
 
-@inlined
+@inline_kernel
 def series_value(c: FloatArray, row: int, t: float) -> float:
     """Return a series' value at a share of its step."""
     total = 0.0
@@ -94,7 +94,7 @@ def series_value(c: FloatArray, row: int, t: float) -> float:
     return total
 
 
-@inlined
+@inline_kernel
 def _clear(c: FloatArray, row: int, sign: float) -> bool:
     """Prove that a guard is positive throughout a step, from the sum of what could make it fall."""
     lowest = sign * c[row, 0]
@@ -103,7 +103,7 @@ def _clear(c: FloatArray, row: int, sign: float) -> bool:
     return bool(lowest > 0.0)
 
 
-@inlined
+@inline_kernel
 def _first_event(
     p: Drive, b: SmoothLaws, m: Modes, known: Known, c: FloatArray, roots: FloatArray
 ) -> tuple[float, int]:
@@ -158,7 +158,7 @@ def _first_event(
     return first, which
 
 
-@inlined
+@inline_kernel
 def _push(p: Drive, b: SmoothLaws, places: FloatArray, y: FloatArray, mass: int, torque: float) -> tuple[float, float]:
     """Return what pushes a mass but its friction, and the spring's torque."""
     e = y[2] - y[0]
@@ -176,7 +176,7 @@ def _push(p: Drive, b: SmoothLaws, places: FloatArray, y: FloatArray, mass: int,
     return push, spring
 
 
-@inlined
+@inline_kernel
 def _bounds(p: Drive, b: SmoothLaws, mass: int, spring: float, time: float) -> tuple[float, float]:
     """Return the Coulomb force of a mass, forwards and backwards."""
     more = b.motor.coulomb_drift * time if mass == 0 else b.load.coulomb_drift * time + b.load.per_torque * abs(spring)
@@ -184,7 +184,7 @@ def _bounds(p: Drive, b: SmoothLaws, mass: int, spring: float, time: float) -> t
     return forwards + more, backwards + more
 
 
-@inlined
+@inline_kernel
 def _settled(
     p: Drive, b: SmoothLaws, places: FloatArray, mode: int, y: FloatArray, mass: int, time: float, torque: float
 ) -> int:
@@ -203,7 +203,7 @@ def _settled(
     return new
 
 
-@inlined
+@inline_kernel
 def accelerations_of(
     p: Drive, b: SmoothLaws, places: FloatArray, m: Modes, y: FloatArray, time: float, torque: float
 ) -> tuple[float, float]:
@@ -226,7 +226,7 @@ def accelerations_of(
     return found1, found2
 
 
-@inlined
+@inline_kernel
 def _begin_part(
     p: Drive, b: SmoothLaws, places: FloatArray, m: Modes, y: FloatArray, time: float, torque: float
 ) -> tuple[Modes, Known]:
@@ -246,7 +246,7 @@ def _begin_part(
     return Modes(motor, load, rate, sign), Known(known1, known2, int(still), 0)
 
 
-@inlined
+@inline_kernel
 def _after(
     p: Drive, b: SmoothLaws, places: FloatArray, m: Modes, known: Known, y: FloatArray, which: int, time: float,
     torque: float, tape: FloatArray, taped: int,
@@ -285,7 +285,7 @@ def _after(
     return Modes(motor, load, rate, sign), Known(known1, known2, known3, known4)
 
 
-@inlined
+@inline_kernel
 def _advance(b: SmoothLaws, m: Modes, c: FloatArray, t: float, y: FloatArray) -> None:
     """Write the state after a share of a step, in which what is all but wound up is wound up."""
     for i in range(STATES):
@@ -302,7 +302,7 @@ def _advance(b: SmoothLaws, m: Modes, c: FloatArray, t: float, y: FloatArray) ->
             y[i] = direction
 
 
-@inlined
+@inline_kernel
 def _note(row: FloatArray, part: int, h: float, m: Modes, known: Known, y: FloatArray) -> None:
     """Write a step into its row of the tape."""
     row[0], row[1], row[2], row[3], row[4], row[5] = part, h, m.motor, m.load, m.rate, m.torque
@@ -311,7 +311,7 @@ def _note(row: FloatArray, part: int, h: float, m: Modes, known: Known, y: Float
         row[8 + i] = y[i]
 
 
-@compiled
+@compile_kernel
 def run(
     drive: FloatArray,
     b: SmoothLaws,

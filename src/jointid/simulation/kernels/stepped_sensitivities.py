@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from jointid.common.arrays import FloatArray
-from jointid.common.compiled import assign, compiled, inlined, wide_vectors
+from jointid.common.compiled import assign, compile_kernel, inline_kernel, wide_vectors
 from jointid.models.smooth import SmoothLaws
 from jointid.simulation.kernels.drive import Drive, SampledLoop, Trace, drive_of
 from jointid.simulation.kernels.drive_sensitivities import (
@@ -76,14 +76,14 @@ _OF_E, _OF_APART, _OF_MORE, _OF_STATE = 0, 1, 2, 3
 _KEPT = 3 + STATES
 
 
-@inlined
+@inline_kernel
 def _keep(past: FloatArray, series: int, k: int, q: FloatArray, row: int) -> None:
     at = np.uint64(LANES * ((TERMS + 1) * series + k))
     for j in range(LANES):
         past[at + np.uint64(j)] = q[row + j]
 
 
-@inlined
+@inline_kernel
 def _add_product(q: FloatArray, to: int, past: FloatArray, series: int, k: int, factor: float) -> None:
     """Add to a row a factor times the derivatives' coefficient of order k."""
     at = np.uint64(LANES * ((TERMS + 1) * series + k))
@@ -93,7 +93,7 @@ def _add_product(q: FloatArray, to: int, past: FloatArray, series: int, k: int, 
         q[to + j] += factor * q[_PAST + j]
 
 
-@inlined
+@inline_kernel
 def _hang(
     q: FloatArray, to: int, past: FloatArray, k: int, c: FloatArray, places: FloatArray, turns: FloatArray,
     dplaces: FloatArray, side: int,
@@ -115,7 +115,7 @@ def _hang(
             _add_product(q, to, past, _OF_STATE + at, k - i, -slope)
 
 
-@inlined
+@inline_kernel
 def _wind(
     q: FloatArray, past: FloatArray, wound: int, of_rate: int, rate_row: int, direction: int, k: int, c: FloatArray,
     speed: float, relative: int,
@@ -134,7 +134,7 @@ def _wind(
         q[_S + wound * LANES + j] += q[_X + wound * LANES + j]
 
 
-@compiled
+@compile_kernel
 def _tangent(
     q: FloatArray, past: FloatArray, p: Drive, b: SmoothLaws, places: FloatArray, dplaces: FloatArray, m: Modes,
     time: float, h: float, c: FloatArray, turns: FloatArray,
@@ -259,7 +259,7 @@ def _tangent(
         before1, before2 = v1, v2
 
 
-@inlined
+@inline_kernel
 def _cube_alone(c: FloatArray, k: int) -> float:
     """Return the coefficient of order k of the deflection's cube, where the spring has none of it."""
     total = 0.0
@@ -269,7 +269,7 @@ def _cube_alone(c: FloatArray, k: int) -> float:
     return float(total)
 
 
-@inlined
+@inline_kernel
 def _write_relative(p: Drive, b: SmoothLaws, q: FloatArray) -> None:
     """Write the relative derivatives of what divides: inertias of motor, load and what swings, and what winds up."""
     for j in range(LANES):
@@ -291,7 +291,7 @@ def _write_relative(p: Drive, b: SmoothLaws, q: FloatArray) -> None:
         )
 
 
-@inlined
+@inline_kernel
 def _fastest_rate(p: Drive, b: SmoothLaws, places: FloatArray, m: Modes, y: FloatArray) -> float:
     """Bound in 1/s on how fast the motion can change here, that of masses which the run itself hardly moves, too."""
     mobility1, mobility2 = 1.0 / p.inertia1, 1.0 / ((1.0 - b.spring.swing_share) * p.inertia2)
@@ -320,12 +320,12 @@ def _fastest_rate(p: Drive, b: SmoothLaws, places: FloatArray, m: Modes, y: Floa
     return rate
 
 
-@inlined
+@inline_kernel
 def _modes(tape: FloatArray, row: int) -> Modes:
     return Modes(int(tape[row, 2]), int(tape[row, 3]), int(tape[row, 4]), int(tape[row, 5]))
 
 
-@compiled
+@compile_kernel
 def follow_steps(
     loop: SampledLoop,
     before: float,
