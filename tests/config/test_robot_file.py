@@ -14,10 +14,16 @@ from jointid.config.robot_file import RobotFile, RobotFileTable
 from jointid.estimation.robots.idim import RobotIDIM
 from jointid.estimation.robots.torque_estimate import RobotDriveSideFit
 from jointid.models.controllers import PD
-from jointid.models.robots.robot import JointSpring
+from jointid.models.friction import FRICTIONS
+from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
+from jointid.models.springs import SPRINGS
 from jointid.output.export.robot_model import robot_mjcf
 from jointid.planning.robots.motions import JointLimits
+from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
+from jointid.simulation.closed_loop import Initial, simulate
+from jointid.simulation.loop_input import prepare
+from jointid.simulation.robots import simulate_robot
 from tests.models.robots.trees import as_mjcf, chain
 
 pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
@@ -241,10 +247,18 @@ parameters = { viscous_forwards = { start = 3.0 }, viscous_backwards = { start =
     ("said", "lack"),
     [
         (
-            'friction = "drifting"',
-            r'joints\.1\.friction is "drifting", which no robot is simulated with; expected "sym',
+            'friction = "drifting"\nparameters = { viscous_drift = 0.1 }',
+            r"^joints\.1\.parameters\.coulomb_drift is missing; expected a number of the joint's laws: add it\.$",
         ),
-        ('model = "flexible"\nspring = "cubic"', r'joints\.1\.spring is "cubic", which no robot is simulated with'),
+        (
+            'friction = "stribeck"\nspring = { stiffness = 9.0 }\nstribeck_speed = 0.1\n'
+            "parameters = { load_stribeck_force = 0.5 }",
+            r"^joints\.1\.parameters\.load_stribeck_speed is missing; expected a number of the joint's laws: add it\.$",
+        ),
+        (
+            'spring = { law = "elastic-load", stiffness = 9.0 }',
+            r'^joints\.1\.spring is "elastic-load"; in a robot what swings is a link of its own: add a link with a spr',
+        ),
         ('model = "flexible"', r"joints\.1\.spring\.stiffness is missing; expected a positive number"),
         ('friction = "stribeck"', r"joints\.1\.stribeck_speed is missing"),
         ('gravity = { load = "link" }', r"joints\.1\.gravity is that of the masses"),
@@ -262,6 +276,94 @@ def test_what_a_robot_has_not_loads_and_is_said_by_every_verb(folder: Path, said
     for verb in (lambda: file.identify(file.record()), lambda: file.robot):
         with pytest.raises(MethodError, match=lack):
             verb()
+    assert loads(dumps(file), folder).tables() == file.tables() == parse_toml(TEXT.replace("viscous = 3.0", said))
+
+
+LAWS = """friction = "presliding"
+rotor_inertia = 0.5
+viscous = 3.0
+spring = { law = "hysteretic", stiffness = 1e4 }
+parameters.motor_presliding_distance = 1e-3
+parameters.load_presliding_distance = { start = 2e-3 }
+parameters.hysteresis_stiffness = 300.0
+parameters.hysteresis_torque = 1.0
+"""
+
+
+def test_a_robot_takes_the_laws_of_its_joints_and_their_numbers(folder: Path) -> None:
+    file = loads(TEXT.replace("viscous = 3.0\n", LAWS), folder)
+    first = file.robot.joints[0]
+    assert first.friction == FRICTIONS["presliding"]() and first.viscous == 3.0
+    assert first.spring == JointSpring(1e4, law=SPRINGS["hysteretic"]())
+    assert first.numbers == {
+        "motor_presliding_distance": 1e-3, "load_presliding_distance": 2e-3, "hysteresis_stiffness": 300.0,
+        "hysteresis_torque": 1.0,
+    }  # fmt: skip
+    again = loads(dumps(file), folder)
+    assert again.robot.joints == file.robot.joints and again.joints == file.joints
+    with pytest.raises(MethodError, match=r'takes friction and springs for lines; received the law "hysteretic" of j'):
+        file.identify(file.record())
+
+
+def test_a_number_of_another_friction_is_refused(folder: Path) -> None:
+    said = 'friction = "presliding"\nstribeck_force = 1.0\nstribeck_speed = 0.1\n'
+    with pytest.raises(JointFileError, match="joint0 has stribeck_force, stribeck_speed, which presliding friction do"):
+        loads(TEXT.replace("viscous = 3.0\n", f"{said}parameters = {{ presliding_distance = 1e-3 }}\n"), folder)
+
+
+AXIS = """friction = "stribeck"
+model = "flexible"
+spring = "backlash"
+"""
+SHARED = """
+[record]
+sample_time = 1e-3
+[record.channels]
+reference = { column = "r" }
+torque = { column = "i" }
+"""
+NUMBERS = """
+motor_inertia = 0.3
+motor_viscous = 1.1
+motor_coulomb = 1.7
+motor_stribeck_force = 1.2
+motor_stribeck_speed = 0.3
+stiffness = 900.0
+gap = 0.004
+damping = 1.5
+load_viscous = 0.6
+load_coulomb = { start = 0.9 }
+load_stribeck_force = 0.5
+load_stribeck_speed = 0.2
+offset = 0.2
+"""
+LAW = """law = "pd"
+position_gain = 900.0
+derivative_gain = 30.0
+"""
+
+
+def test_a_robot_file_of_one_joint_is_simulated_as_its_joint_file(tmp_path: Path) -> None:
+    """To the integrator's order, 4."""
+    axis, body = np.array([0.0, 0.0, 1.0]), np.zeros(10)
+    body[[0, 4, 7, 9]] = 1.0, 0.5, 0.5, 0.8
+    bare = Robot((Link("arm", -1, axis=axis, inertial=body),), (RobotJoint("one"),), gravity=np.zeros(3))
+    (tmp_path / "arm.xml").write_text(as_mjcf(bare), encoding="utf-8")
+    beside = f"[joints.parameters]{NUMBERS}[joints.controller]\n{LAW}"
+    robot = loads(f'[robot]\nmodel = "arm.xml"\n{SHARED}[[joints]]\nname = "one"\n{AXIS}{beside}', tmp_path)
+    numbers = f"[parameters]{NUMBERS}load_inertia = 0.8\n[controller]\n{LAW}"
+    joint = loads(f'[joint]\nkind = "revolute"\n{AXIS}{SHARED}{numbers}', tmp_path)
+    t = np.arange(1300) * 1e-3
+    x = np.clip(t / 0.3, 0, 1)
+    moved = 0.6 * np.sin(2 * np.pi * 1.5 * np.minimum(t, 0.9)) * x**3 * (10 - 15 * x + 6 * x * x)
+    record = Record(reference=Channel(moved, "rad", 1e-3))
+    runs = [simulate_robot(robot.loop, (record,), steps=steps) for steps in (4, 8)]
+    begun = Initial(float(runs[1].motor_position[0, 0]), 0.0, 0.0)
+    exact = simulate(joint.loop, prepare(joint.loop, record), joint.values(), begun)
+    peak = np.max(np.abs(exact.torque))
+    coarse, fine = (float(np.max(np.abs(run.torque[:, 0] - exact.torque)) / peak) for run in runs)
+    assert fine < 2e-9
+    assert fine < coarse / 10.0 + 3e-11
 
 
 @pytest.mark.parametrize(

@@ -47,8 +47,9 @@ from jointid.estimation.robots.torque_estimate import (
     RobotDriveSideFit,
     RobotTorqueEstimate,
 )
+from jointid.models.joints import FlexibleJoint
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
-from jointid.models.springs import SPRINGS, spring_named
+from jointid.models.springs import SPRINGS, ElasticLoad, spring_named
 from jointid.planning.robots.motions import JointLimits
 from jointid.records.formats import Table as RecordedTable
 from jointid.records.formats import read_table
@@ -295,7 +296,9 @@ class RobotFile:
         bare, method = _robot(said, path.parent), said.method.method(said.method_name)
         files = _joint_files(said, bare, path)
         each = list(zip(said.joints, bare.joints, files, strict=True))
-        unmodelled = [f"joints.{number + 1}{rest}" for number, one in enumerate(each) for rest in _unmodelled(*one)]
+        unmodelled = [
+            f"joints.{n + 1}{rest}" for n, (own, _, file) in enumerate(each) for rest in _unmodelled(own, file)
+        ]
         try:
             robot = bare if unmodelled else replace(bare, joints=tuple(_joint(*one) for one in each))
         except JointidError as error:
@@ -454,6 +457,7 @@ class RobotFile:
         Raises:
             RecordError, MethodError: see `jointid.identify`.
         """
+        self.robot.require_lines("An identification of a robot takes")
         self._require_free()
         setup: Robot | RobotLoop | RobotDriveSide = self.loop if self._simulates else self.robot
         if isinstance(self.method, RobotDriveSideFit):
@@ -494,6 +498,8 @@ class RobotFile:
     def tables(self) -> dict[str, Any]:
         """Return the tables that say the same, with the numbers of this robot's joints."""
         tables = copy.deepcopy(dict(self.raw))
+        if self.unmodelled:  # the model has not what the tables say
+            return tables
         for table, joint in zip(tables["joints"], self.model.joints, strict=True):
             stated = {name: getattr(joint, name) for name in _NUMBERS}
             table.update({name: number for name, number in stated.items() if number is not None})
@@ -597,53 +603,61 @@ _AS_MOTOR = {"inertia": "rotor_inertia", "viscous_forwards": "viscous", "coulomb
 _OF_SPRING = {name: name.removeprefix("load_") for name in ("stiffness", "damping", "load_viscous", "load_coulomb")}
 """Parameters of a joint that are numbers of a robot's spring."""
 
-_FRICTIONS = ("symmetric", "asymmetric", "stribeck", "asymmetric-stribeck")
-"""Laws of friction that a robot is simulated with."""
 
-
-def _starts(file: JointFile) -> tuple[dict[str, float], dict[str, float], list[str]]:
-    """Return starts of a joint file's parameters: of the motor, of the spring, and names of what a robot has not."""
-    motor, spring, others = dict[str, float](), dict[str, float](), list[str]()
+def _starts(file: JointFile) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
+    """Return starts of a joint file's parameters: of the motor, of the spring, and beside these the laws' own."""
+    motor, spring, numbers = dict[str, float](), dict[str, float](), dict[str, float]()
     for name, parameter in file.parameters.items():
         own = name.removeprefix("motor_")
         own = _AS_MOTOR.get(own, own)
-        if own not in _NUMBERS and own not in _OF_SPRING:
-            others.append(name)
-        elif parameter.start is not None:
-            (spring if own in _OF_SPRING else motor)[_OF_SPRING.get(own, own)] = float(parameter.start)
-    return motor, spring, others
+        if parameter.start is None:
+            continue
+        if own in _NUMBERS:
+            motor[own] = float(parameter.start)
+        elif own in _OF_SPRING:
+            spring[_OF_SPRING[own]] = float(parameter.start)
+        else:
+            numbers[name] = float(parameter.start)
+    return motor, spring, numbers
 
 
 def _joint(own: RobotJointTable, joint: RobotJoint, file: JointFile) -> RobotJoint:
     """Return a joint of the model with the numbers and the laws that a robot file says of it."""
-    motor, spring, _ = _starts(file)
-    given = {name: value for name, value in own.settings().items() if name in (*_NUMBERS, "coupling")}
-    found = replace(joint, **given | motor)
-    if file.joint.friction.name.startswith("asymmetric") and not found.asymmetric:
-        found = replace(found, viscous_backwards=found.viscous)
-    stated = {} if own.spring is None else own.spring.settings("law")
-    return replace(found, spring=JointSpring(**stated | spring)) if own.flexible else found
+    motor, spring, numbers = _starts(file)
+    given = {name: value for name, value in own.settings().items() if name in (*_NUMBERS, "coupling")} | motor
+    friction = file.joint.friction
+    if friction.stepped:
+        given["friction"] = friction
+    if friction.name.startswith("asymmetric") and not {"viscous_backwards", "coulomb_backwards"} & set(given):
+        given["viscous_backwards"] = given.get("viscous", joint.viscous)
+    if isinstance(file.joint, FlexibleJoint):
+        stated = {} if own.spring is None else own.spring.settings("law")
+        given["spring"] = JointSpring(**stated | spring, law=file.joint.spring)
+    return replace(joint, **given, numbers=numbers)
 
 
-def _unmodelled(own: RobotJointTable, joint: RobotJoint, file: JointFile) -> Iterator[str]:
-    """Yield the rest of a sentence on each law and number that the model of a robot has not."""
-    motor, excess, others = _starts(file)
+def _unmodelled(own: RobotJointTable, file: JointFile) -> Iterator[str]:
+    """Yield the rest of a sentence on what the model of a robot has not, and on each number that its laws lack."""
+    motor, excess, numbers = _starts(file)
     friction, spring = file.joint.friction.name, getattr(file.joint, "spring", None)
-    for name in others:
-        yield f".parameters.{name} is no number of a robot's joint; leave it out, or change the model of the robot."
-    if friction not in _FRICTIONS:
-        known = messages.either(_FRICTIONS)
-        yield f'.friction is "{friction}", which no robot is simulated with; expected {known}: choose one of them.'
-    elif friction.endswith("stribeck") and own.stribeck_speed is None and "stribeck_speed" not in motor:
+    if "load_inertia" in file.parameters:
+        yield ".parameters.load_inertia is that of the robot's links; leave it out, or change the model of the robot."
+    if friction.endswith("stribeck") and own.stribeck_speed is None and "stribeck_speed" not in motor:
         yield ".stribeck_speed is missing; expected the speed below which friction rises: add it."
-    if spring is not None and not spring.linear:
-        yield f'.spring is "{spring.name}", which no robot is simulated with; expected "linear": choose that.'
-    elif spring is not None and "stiffness" not in excess and (own.spring is None or own.spring.stiffness is None):
+    if spring is not None and "stiffness" not in excess and (own.spring is None or own.spring.stiffness is None):
         yield ".spring.stiffness is missing; expected a positive number (where a search begins): add it."
+    if isinstance(spring, ElasticLoad):
+        yield f'.spring is "{spring.name}"; in a robot what swings is a link of its own: add a link with a spring.'
     if file.joint.gravity is not None:
         yield ".gravity is that of the masses of the robot's model; leave it out."
     if file.joint.ripple is not None:
         yield ".ripple is not simulated with a robot; leave it out."
+    elif not isinstance(spring, ElasticLoad):
+        known = {one.name for one in file.joint.linear.parameters} | set(numbers)
+        for name in [one.name for one in file.joint.parameters if one.name not in known]:
+            force, rises, _ = name.partition("stribeck_")  # friction rises towards standstill where its force is given
+            if not rises or f"{force}stribeck_force" in numbers:
+                yield f".parameters.{name} is missing; expected a number of the joint's laws: add it."
 
 
 def _shared_columns(files: Sequence[JointFile]) -> dict[str, list[str]]:

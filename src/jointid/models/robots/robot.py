@@ -154,6 +154,13 @@ class RobotJoint:
                 f"The joint {self.name} has a stribeck_force, but no stribeck_speed; expected the speed below which "
                 "friction rises: add it."
             )
+        optional = ("viscous_backwards", "coulomb_backwards", "stribeck_force", "stribeck_speed")
+        own = optional if self.friction is None else {p.name for p in self.friction.parameters()}
+        if foreign := [name for name in optional if getattr(self, name) and name not in own]:
+            raise MethodError(
+                f"The joint {self.name} has {', '.join(foreign)}, which {self.law.name} friction does not have; leave "
+                "the numbers out, or choose another friction."
+            )
         known = {p.name for p in self.model.parameters}
         unknown = sorted(set(self.numbers) - known)
         lacks = sorted(known - set(self.values) - {"load_inertia"})
