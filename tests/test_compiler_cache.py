@@ -19,11 +19,11 @@ from jointid.common.compiler_cache import _stamp
 SOURCE = '''
 from __future__ import annotations
 from typing import NamedTuple
-from jointid.common.compiled import compiled, inlined
+from jointid.common.compiled import compile_kernel, inline_kernel
 
 FACTOR = 2.0
 
-@inlined
+@inline_kernel
 def scaled(x):
     """Scale a number."""
     return FACTOR * x
@@ -35,7 +35,7 @@ class Inner(NamedTuple):
 class Outer(NamedTuple):
     inner: Inner
 
-@compiled
+@compile_kernel
 def kernel(x, outer: Outer | None = None):
     """Do it."""
     return scaled(x) + 1.0
@@ -60,8 +60,8 @@ print(sum(kernel.stats.cache_misses.values()))
 def stamp_of(source: str, options: dict[str, Any] | None = None) -> str:
     sys.modules["stamped"] = module = ModuleType("stamped")
     names: dict[str, Any] = vars(module)
-    names |= {"compiled": lambda function: function, "inlined": lambda function: function}
-    exec(source.replace("from jointid.common.compiled import compiled, inlined", ""), names)
+    names |= {"compile_kernel": lambda function: function, "inline_kernel": lambda function: function}
+    exec(source.replace("from jointid.common.compiled import compile_kernel, inline_kernel", ""), names)
     return _stamp(names["kernel"], options or {})
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -162,3 +164,31 @@ def test_an_identification_refuses_what_it_does_not_know() -> None:
     robot = robot_of(FlexibleJoint("revolute", spring=SPRINGS["backlash"]()))
     with pytest.raises(MethodError, match='received the law "backlash" of one'):
         robot.require_lines("An identification of a robot takes")
+
+
+@pytest.mark.parametrize("backwards", [None, 2.0])
+@pytest.mark.parametrize("law", [None, SPRINGS["linear"]()])
+def test_numbers_of_an_axis_become_the_axis_again(backwards: float | None, law: object) -> None:
+    """The viscous friction of a link has one place, whatever that of its motor depends on."""
+    spring = None if law is None else JointSpring(900.0, 1.5, viscous=3.0, coulomb=0.25)
+    joint = RobotJoint("one", 0.3, viscous=1.0, coulomb=0.5, viscous_backwards=backwards, spring=spring)
+    robot = Robot((Link("arm", -1, inertial=np.arange(1.0, 11.0)),), (joint,), gravity=np.zeros(3))
+    numbers = RobotNumbers.of(robot)
+    again = RobotNumbers.of(robot_with(robot, numbers))
+    for one, other in zip(numbers.arrays, again.arrays, strict=True):
+        np.testing.assert_array_equal(one, other)
+    if spring is not None:
+        assert numbers.masses[0, MassNumbers.VISCOUS] == 3.0
+
+
+@pytest.mark.parametrize(
+    ("law", "name", "value"),
+    [("hysteretic", "hysteresis_torque", 0.0), ("three-piece", "torque_2", 2.0)],
+)
+def test_a_spring_that_no_joint_may_have_is_not_simulated(law: str, name: str, value: float) -> None:
+    robot = robot_of(FlexibleJoint("revolute", spring=SPRINGS[law]()))
+    numbers = RobotNumbers.of(robot)
+    assert numbers.possible
+    springs = numbers.springs.copy()
+    springs[0, SPRING_NUMBERS.index(name)] = value
+    assert not replace(numbers, springs=springs).possible

@@ -77,7 +77,9 @@ class History:
         self.begin()
 
         def watch(step: Step) -> None:
-            number = self.note(problem, step.x, step.norm, np.where(step.x != 0.0, np.abs(step.x), 1.0))
+            last = self.trace[-1] if self.trace else None
+            before = None if last is None else (problem.vector(last.values), last.residual_norm)
+            number = self.note(problem, step.x, step.norm, before, np.where(step.x != 0.0, np.abs(step.x), 1.0))
             if number % 100 == 0 or number < 10:  # a simplex takes more than a thousand steps
                 self.tell(number, step.norm / size)
 
@@ -103,21 +105,19 @@ class History:
         problem: ClosedLoopProblem,
         x: FloatArray,
         norm: float,
+        before: tuple[FloatArray, float] | None,
         scales: FloatArray,
         gain_scale: float = 1.0,
-        *,
-        alone: bool = False,
     ) -> int:
         """Add a step to the trace, with the norm of its residual, and return its number.
 
-        Changes of the first parameters are measured against the scales; those of the others do not count. A step that
-        stands `alone` has no change.
+        Changes from the point and norm `before` of the first parameters are measured against the scales; those of the
+        others do not count.
         """
         change = step = None
-        if self.trace and not alone:
-            before = self.trace[-1]
-            change = abs(norm - before.residual_norm) / before.residual_norm if before.residual_norm else 0.0
-            step = float(np.max(np.abs(x - problem.vector(before.values))[: scales.size] / scales))
+        if before is not None:
+            change = abs(norm - before[1]) / before[1] if before[1] else 0.0
+            step = float(np.max(np.abs(x - before[0])[: scales.size] / scales))
         number = len(self.trace)
         self.trace.append(Iteration(number, problem.values(x), norm, change, step, self.tally.evaluations, gain_scale))
         return number

@@ -87,5 +87,8 @@ def _of_mass(motion: MassMotion, row: int, column: int, numbers: RobotNumbers) -
         return 1.0
     if column == 6:
         return motion.direction[:, row] * stribeck_share(numbers.masses[row], velocity)
-    one_way = np.maximum(velocity, 0.0) if column == 4 else np.minimum(velocity, 0.0)
-    return velocity if column == 1 else np.asarray(one_way)
+    if column == 1:
+        return velocity
+    if column not in (4, 5):
+        raise NotImplementedError(f"the equations are not linear in number {column} of a mass")
+    return np.asarray(np.maximum(velocity, 0.0) if column == 4 else np.minimum(velocity, 0.0))

@@ -26,7 +26,7 @@ from jointid.models.robots.robot import Robot, Tree
 from jointid.simulation.kernels.robot_loop import Clock, Controllers, Driven, RobotTape, Seen
 from jointid.simulation.prescribed import spline_of
 from jointid.simulation.robot_columns import columns_of
-from jointid.simulation.robot_numbers import Bools, NumberOf, NumberPlace, RobotNumbers
+from jointid.simulation.robot_numbers import Bools, MassNumbers, NumberOf, NumberPlace, RobotNumbers
 from jointid.simulation.robot_sensitivities import seeds_of, slopes_at_start
 from jointid.simulation.robot_start import places_at_start, speeds_at_start
 from jointid.simulation.robots import MassMotion, RobotOutcome, choose_steps, outcome_of
@@ -271,6 +271,7 @@ def _torque(prescribed: MotorMotion, numbers: RobotNumbers, motion: MassMotion) 
         NumberPlace(of, int(row), int(column))
         for of in (NumberOf.LINK, NumberOf.MASS, NumberOf.SPRING)
         for row, column in np.argwhere(numbers.arrays[of] != 0.0)
+        if of is not NumberOf.MASS or column != MassNumbers.SPEED  # the share of the rise has it
     )
     values = np.array([place.read(numbers) for place in places])
     each = columns_of(prescribed.tree, numbers, places, motion, numbers.rotors)

@@ -96,15 +96,26 @@ class RobotNumbers:
 
     @property
     def possible(self) -> bool:
-        """True if rotors have an inertia, rising friction has a speed, none is negative, and all are numbers."""
+        """Whether all are numbers that a mass and a spring may have.
+
+        Rotors behind springs have an inertia, friction that rises has a speed, a hysteresis slips, pieces of a spring
+        follow each other, and friction per torque is below 1.
+        """
         finite = all(bool(np.all(np.isfinite(values))) for values in self.arrays)
         turning, held = self.masses[self.rotors.size :, 0], self.springs[self.flexible, 0]
         # Of a rigid joint the inertia of the rotor may be negative: motion tells its sum with the link alone.
         signed = [MassNumbers.INERTIA, MassNumbers.OFFSET, MassNumbers.VISCOUS_DRIFT, MassNumbers.COULOMB_DRIFT]
-        positive = np.delete(self.springs, SPRING_NUMBERS.index("cubic_stiffness"), axis=1)
-        least = min(float(np.min(np.delete(self.masses, signed, axis=1))), float(np.min(positive)))
+        unsigned = np.delete(self.springs, SPRING_NUMBERS.index("cubic_stiffness"), axis=1)
+        least = min(float(np.min(np.delete(self.masses, signed, axis=1))), float(np.min(unsigned)))
         risen = self.masses[:, 7][self.masses[:, 6] > 0.0]
-        return finite and least >= 0.0 and bool(np.all(turning > 0.0) and np.all(held > 0.0) and np.all(risen > 0.0))
+        spring = dict(zip(SPRING_NUMBERS, self.springs.T, strict=True))
+        slips = spring["hysteresis_torque"][spring["hysteresis_stiffness"] > 0.0]
+        third = spring["stiffness_3"] > 0.0
+        ascending = spring["torque_2"][third] > spring["torque_1"][third]
+        positive = (turning, held, risen, slips, 1.0 - self.masses[:, MassNumbers.PER_TORQUE])
+        return (
+            finite and least >= 0.0 and all(bool(np.all(each > 0.0)) for each in positive) and bool(np.all(ascending))
+        )
 
 
 class MassNumbers(IntEnum):
@@ -142,10 +153,13 @@ SPRING_NUMBERS = (
 
 
 def _mass_row(law: Friction, values: Mapping[str, float], prefix: str, inertia: float) -> FloatArray:
-    """Return the numbers of a mass: a Coulomb friction of two sizes is one of their mean and a constant friction."""
+    """Return the numbers of a mass: a Coulomb friction of two sizes is one of their mean and a constant friction.
+
+    The viscous friction of a link is one of both directions unless these differ: `JointSpring` has one.
+    """
     row = np.zeros(len(MassNumbers))
     forwards, backwards, coulomb, coulomb_back = law.directions(values, prefix)
-    one = not law.depends_on_direction("viscous")
+    one = not law.depends_on_direction("viscous") or (prefix == "load_" and forwards == backwards)
     row[: MassNumbers.RISE] = (
         inertia, forwards if one else 0.0, 0.5 * (coulomb + coulomb_back),
         values["offset"] + 0.5 * (coulomb - coulomb_back), 0.0 if one else forwards, 0.0 if one else backwards,

@@ -50,7 +50,7 @@ class RobotOutcome(StrEnum):
     TOO_STIFF = "the robot's own motion is too fast for the period of controllers or log to be worth simulating"
     CHATTERING = "joints started and stopped more often within one period than real ones can"
     NOT_POSITIVE = "its mass matrix is not positive definite in a pose that it reached: no robot has such inertias"
-    INVALID = "an inertia of a rotor is not positive, a friction or a spring is negative, or a value is not a number"
+    INVALID = "an inertia of a rotor is not positive, a number of a friction or a spring is impossible, or no number"
 
 
 _OUTCOMES = (
@@ -400,8 +400,8 @@ def add_feed_forward(
     torque = inverse_dynamics_of(loop.robot.tree, numbers.inertials, *motion)
     torque = torque @ joints
     of_motor, n = numbers.masses[numbers.rotors], len(loop.robot.links)
-    of_link = np.where(numbers.flexible, numbers.masses[:n, 1], 0.0)
-    viscous = of_motor[:, 1] + of_link + np.where(v < 0.0, of_motor[:, 5], of_motor[:, 4])
+    both = of_motor + np.where(numbers.flexible[:, np.newaxis], numbers.masses[:n], 0.0)
+    viscous = both[:, 1] + np.where(v < 0.0, both[:, 5], both[:, 4])
     torque += of_motor[:, 0] * a + viscous * v + of_motor[:, 3]
     units = [TORQUE_UNIT["prismatic" if prismatic else "revolute"] for prismatic in loop.robot.tree.kinds]
     return tuple(

@@ -169,12 +169,14 @@ class RegressorSteps:
 
         x = problem.vector(start.values)
         state = self.evaluate(problem, x, scale(x) if scaled else 1.0)
-        self._note(state, first=True)
+        self.history.begin()
+        self._note(state, None)
         for count in range(1, scaled + 1):
             state.require_simulated()
             x = self._inverse_model(state)
-            state = self.evaluate(problem, x, scale(x) if count < scaled else 1.0)
-            self._note(state)
+            after = self.evaluate(problem, x, scale(x) if count < scaled else 1.0)
+            self._note(after, state)
+            state = after
         return state, scaled
 
     def evaluate(self, problem: ClosedLoopProblem, x: FloatArray, gain_scale: float = 1.0) -> State:
@@ -187,10 +189,9 @@ class RegressorSteps:
         scales = problem.scales(x, W_seen, self.size)
         return State(problem, x, simulation, error, W_seen, J_seen, scales, gain_scale)
 
-    def _note(self, state: State, *, first: bool = False) -> None:
-        if first:
-            self.history.begin()
-        number = self.history.note(state.problem, state.x, state.norm, state.scales, state.gain_scale, alone=first)
+    def _note(self, state: State, before: State | None) -> None:
+        last = None if before is None else (before.x, before.norm)
+        number = self.history.note(state.problem, state.x, state.norm, last, state.scales, state.gain_scale)
         self.history.tell(number, state.norm / self.size)
 
     def _solve(self, state: State, step: _Step, solver: GaussNewton) -> _End:
@@ -209,7 +210,7 @@ class RegressorSteps:
         Raises:
             MethodError: the loop cannot be simulated.
         """
-        end = solver.iterate(lambda x: self.evaluate(state.problem, x), state, step, lambda after, _: self._note(after))
+        end = solver.iterate(lambda x: self.evaluate(state.problem, x), state, step, self._note)
         end.at.require_simulated()
         if end.status is Status.EXACT:
             return _End(end.at, end.status, REPRODUCED)
@@ -227,7 +228,8 @@ class RegressorSteps:
         velocity = {"initial_velocity": start.values["initial_velocity"]}
         try:
             state = self.evaluate(problem, problem.vector(resting.problem.values(resting.x) | velocity))
-            self._note(state, first=True)
+            self.history.begin()
+            self._note(state, None)
             return self._solve(state, self._newton_step, solver)
         except MethodError:  # a wrong guess of the velocity may make the loop impossible to simulate
             self.history.progress("the motor cannot have been moving at the first sample")
