@@ -188,3 +188,10 @@ def test_a_spring_that_grew_softer_is_found(tmp_path: Path) -> None:
     assert not names & {"motor_inertia", "load_inertia", "total inertia"}
     row = next(row for row in found.rows if row.name == "stiffness")
     assert row.difference == pytest.approx(-0.05 * 8e5, abs=4 * (row.std or 0.0))
+
+
+def test_an_estimate_in_memory_is_refused_with_the_remedy() -> None:
+    record, loop = reports.rigid_record(1)
+    estimate = ji.identify(record, loop, checks=False)
+    with pytest.raises(ji.MethodError, match="received Estimate: write the estimate to a file, and read it"):
+        ji.compare(estimate, estimate)  # type: ignore[call-overload]

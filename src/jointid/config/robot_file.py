@@ -393,8 +393,8 @@ class RobotFile:
         missing = [file.name for file in self.joints if file.controller is None]
         if missing:
             raise MethodError(
-                f"A robot is simulated under its controllers, and {', '.join(map(str, missing))} has none; add a "
-                "controller to its [[joints]] table, or identify by idim from motor positions."
+                f"A robot is simulated under its controllers; without one: {', '.join(map(str, missing))}. Add a "
+                "controller to the [[joints]] table, or identify by idim from motor positions."
             )
         controllers = tuple(file.controller for file in self.joints if file.controller is not None)
         return RobotLoop(self.robot, controllers, self.in_motion)

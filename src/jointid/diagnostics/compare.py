@@ -117,6 +117,11 @@ def compare(
         return compare_estimates(first, second, level)
     if isinstance(first, ReportedEstimate) or isinstance(second, ReportedEstimate):
         raise MethodError("Two estimates are compared, or candidates for a record; received one of each.")
+    if not isinstance(first, Record):
+        raise MethodError(
+            "Candidates are compared for a record, and estimates as `read_report` returns them; received "
+            f"{type(first).__name__}: write the estimate to a file, and read it by `read_report`."
+        )
     if among == "methods":
         return compare_methods(
             first, second, filtering=filtering, parameters=parameters, didim=didim, progress=progress
