@@ -291,7 +291,7 @@ def test_the_drive_side_of_flexible_joints(tmp_path: Path, capsys: pytest.Captur
         run("payload", joint, "--without", one, "--with", two_)
     with pytest.raises(JointFileError, match="iterations is a setting of another method than drive_side"):
         run("identify", joint, "--record", one, "--set", "method.iterations=3")
-    with pytest.raises(MethodError, match="under its controllers, and joint1, joint2 has none"):
+    with pytest.raises(MethodError, match="under its controllers; without one: joint1, joint2"):
         run("design", joint, "--record", one)
 
 
