@@ -58,8 +58,8 @@ class Limits:
     Attributes:
         upload: bytes of a record.
         joint_file: bytes of a joint file.
-        memory: bytes of address space of each process that reads or identifies, where the system bounds it (not
-            Windows, not macOS); what the compiled simulation reserves is in it.
+        memory: bytes of address space of each process that reads or identifies, beside its libraries, where the
+            system bounds it (not Windows, not macOS); what the compiled simulation reserves is in it.
         seconds: after which an identification is stopped.
         reading: seconds after which the reading of a record is stopped.
         form: seconds after which that of a joint file, or of a form, is.

@@ -225,13 +225,13 @@ def _end_with_the_page() -> None:
 
 
 def _bound_memory(memory: int) -> None:
-    """Take no more address space than so many bytes, where the system can hold a process to it."""
-    if sys.platform == "linux":  # macOS knows the bound and does not keep to it, Windows has none
-        import resource
+    """Limit the address space to so many bytes beside what the libraries take.
 
-        _, most = resource.getrlimit(resource.RLIMIT_AS)
-        least = memory if most == resource.RLIM_INFINITY else min(memory, most)
-        resource.setrlimit(resource.RLIMIT_AS, (least, least))
+    A library that is loaded at the limit fails in ways of its own, not with `MemoryError`.
+    """
+    from jointid.records.formats.reader_program import LIBRARIES, address_space, limit_resource
+
+    limit_resource("RLIMIT_AS", address_space() + LIBRARIES + memory)
 
 
 def main(action: str, folder: Path) -> int:

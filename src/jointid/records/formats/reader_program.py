@@ -18,7 +18,7 @@ import time
 from collections.abc import Iterator
 from typing import IO, Any
 
-_LIBRARIES = 2**29  # bytes of addresses that the libraries of the formats take, most of which are never touched
+LIBRARIES = 2**29  # bytes of addresses that the libraries of the formats take, most of which are never touched
 _TIRED = 2**28  # bytes more than at the beginning: what libraries keep of the files before
 
 
@@ -31,10 +31,10 @@ def main(memory: int, lifeline: int | None) -> None:
     os.dup2(2, 1)  # what a library prints is no answer
     from jointid.records.formats.table import Block
 
-    begin = _address_space()
-    _limit_resource("RLIMIT_AS", begin + memory + _LIBRARIES)
-    _limit_resource("RLIMIT_FSIZE", 0)
-    _limit_resource("RLIMIT_CORE", 0)
+    begin = address_space()
+    limit_resource("RLIMIT_AS", begin + memory + LIBRARIES)
+    limit_resource("RLIMIT_FSIZE", 0)
+    limit_resource("RLIMIT_CORE", 0)
     blocks: Iterator[Block] = iter(())
     block: Block | None = None
     for line in orders:
@@ -56,7 +56,7 @@ def main(memory: int, lifeline: int | None) -> None:
                     _send_table(answers, block.table(order["rows"]))
                 case "close":
                     blocks, block = iter(()), None
-                    _send(answers, {"free": _address_space() <= begin + _LIBRARIES + _TIRED})
+                    _send(answers, {"free": address_space() <= begin + LIBRARIES + _TIRED})
         except Exception as error:  # reported to the parent
             blocks, block = iter(()), None
             _send(answers, {"error": _describe(error)})
@@ -87,7 +87,7 @@ def _prepare(order: dict[str, Any]) -> tuple[Any, Any]:
 
     from jointid.records.formats import format_of
 
-    _limit_resource("RLIMIT_CPU", int(time.process_time()) + 1 + order["seconds"])
+    limit_resource("RLIMIT_CPU", int(time.process_time()) + 1 + order["seconds"])
     return format_of(order["path"], **order["options"]), Path(order["path"])
 
 
@@ -119,7 +119,7 @@ def _send_table(answers: IO[bytes], table: Any) -> None:
     answers.flush()
 
 
-def _address_space() -> int:
+def address_space() -> int:
     """Size of the address space; 0 if unknown."""
     if sys.platform != "linux":
         return 0
@@ -127,7 +127,7 @@ def _address_space() -> int:
         return int(file.read().split()[0]) * os.sysconf("SC_PAGE_SIZE")
 
 
-def _limit_resource(what: str, most: int) -> None:
+def limit_resource(what: str, most: int) -> None:
     """Limit a resource of this process, where possible."""
     if sys.platform == "win32" or (what == "RLIMIT_AS" and sys.platform != "linux"):
         return
