@@ -41,7 +41,8 @@ from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering, window_torque
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.simulation.robots import RobotLoop, RobotOutcome, RobotRun, RobotSimulation, robot_records, simulate_robot
+from jointid.simulation.robots import RobotLoop, RobotOutcome, RobotRun, RobotSimulation
+from jointid.simulation.synthesis import simulate
 from studies.seeds import judge_seeds
 
 _AT_NOISE = 1.05  # times the noise: what a joint's filtered error may be
@@ -102,7 +103,7 @@ def drives(seed: int, flexible: bool) -> Drives | None:
     units = ["rad" if turns else "m" for turns in revolute]
     asked = [Record(reference=Channel(column, unit, period)) for column, unit in zip(q.T, units, strict=True)]
     loop = RobotLoop(robot, laws)
-    run = simulate_robot(loop, asked)
+    run = simulate(loop, asked)
     if run.outcome is not RobotOutcome.FINISHED or not _holds(run, q, travel):
         return None
     noise, coloured = random.standard_normal(run.torque.shape), bool(random.random() < 0.5)
@@ -111,7 +112,7 @@ def drives(seed: int, flexible: bool) -> Drives | None:
         noise = lfilter([1.0], [1.0, -pole], noise, axis=0)
     level = float(10 ** random.uniform(-2.3, -1.3))
     noise *= level * np.std(run.torque, axis=0) / np.std(noise, axis=0)
-    logged = robot_records(loop, asked, replace(run, torque=run.torque + noise))
+    logged = replace(run, torque=run.torque + noise).records(asked)
     return Drives(loop, logged, noise, level, coloured)
 
 

@@ -59,12 +59,11 @@ from .records.record import Channel, Record
 from .records.signals.filtering import Filtering
 from .records.writing import convert, write
 from .simulation import excitation
-from .simulation.closed_loop import simulate
 from .simulation.loop_input import prepare
 from .simulation.prescribed import DriveSide, OpenLoop
 from .simulation.robot_drive_side import RobotDriveSide
-from .simulation.robots import RobotLoop, add_feed_forward, robot_records, simulate_robot
-from .simulation.synthesis import simulated_record
+from .simulation.robots import RobotLoop, add_feed_forward
+from .simulation.synthesis import simulate, simulated_record
 from .tuning.proposals import Tuning
 from .tuning.tune import tune
 
@@ -152,9 +151,7 @@ __all__ = [
     "prepare",
     "read",
     "read_report",
-    "robot_records",
     "simulate",
-    "simulate_robot",
     "simulated_record",
     "state_space",
     "to_dict",

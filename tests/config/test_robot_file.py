@@ -21,9 +21,9 @@ from jointid.output.export.robot_model import robot_mjcf
 from jointid.planning.robots.motions import JointLimits
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.closed_loop import Initial, simulate
+from jointid.simulation.closed_loop import Initial
 from jointid.simulation.loop_input import prepare
-from jointid.simulation.robots import simulate_robot
+from jointid.simulation.synthesis import simulate
 from tests.models.robots.trees import as_mjcf, chain
 
 pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
@@ -357,7 +357,7 @@ def test_a_robot_file_of_one_joint_is_simulated_as_its_joint_file(tmp_path: Path
     x = np.clip(t / 0.3, 0, 1)
     moved = 0.6 * np.sin(2 * np.pi * 1.5 * np.minimum(t, 0.9)) * x**3 * (10 - 15 * x + 6 * x * x)
     record = Record(reference=Channel(moved, "rad", 1e-3))
-    runs = [simulate_robot(robot.loop, (record,), steps=steps) for steps in (4, 8)]
+    runs = [simulate(robot.loop, (record,), steps=steps) for steps in (4, 8)]
     begun = Initial(float(runs[1].motor_position[0, 0]), 0.0, 0.0)
     exact = simulate(joint.loop, prepare(joint.loop, record), joint.values(), begun)
     peak = np.max(np.abs(exact.torque))

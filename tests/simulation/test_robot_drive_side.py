@@ -20,14 +20,15 @@ from jointid.simulation.robot_drive_side import (
     run_drive_side,
 )
 from jointid.simulation.robot_numbers import NumberOf, NumberPlace, RobotNumbers, all_places, with_values
-from jointid.simulation.robots import RobotOutcome, RobotSimulation, simulate_robot
+from jointid.simulation.robots import RobotOutcome, RobotSimulation
+from jointid.simulation.synthesis import simulate
 from tests.robots_plants import Twin, inertial, six, two
 from tests.simulation.test_robots import COUPLED, changed
 
 
 def played(twin: Twin, duration: float = 3.0) -> RobotSimulation:
     """Return a twin in its loops, in steps that leave no error beside that of the drive side."""
-    return simulate_robot(twin.loop(), twin.records(duration, multisine=0.004), steps=6)
+    return simulate(twin.loop(), twin.records(duration, multisine=0.004), steps=6)
 
 
 def prescribed(robot: Robot, run: RobotSimulation, parts: int = 1, first: int = 0) -> MotorMotion:

@@ -14,7 +14,7 @@ from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.models.springs import SPRINGS, ElasticLoad
 from jointid.records.record import Channel, Record
-from jointid.simulation.closed_loop import Initial, simulate
+from jointid.simulation.closed_loop import Initial
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.robot_numbers import (
     SPRING_NUMBERS,
@@ -26,7 +26,8 @@ from jointid.simulation.robot_numbers import (
     with_values,
 )
 from jointid.simulation.robot_sensitivities import differentiate_torque
-from jointid.simulation.robots import RobotLoop, RobotOutcome, prepare_robot, run_robot, simulate_robot
+from jointid.simulation.robots import RobotLoop, RobotOutcome, prepare_robot, run_robot
+from jointid.simulation.synthesis import simulate
 
 LAW = PD(position_gain=900.0, derivative_gain=30.0)
 LINK = 0.8  # kg m2
@@ -89,7 +90,7 @@ def reference() -> Record:
 def test_a_robot_of_one_joint_is_that_joint(joint: Joint) -> None:
     """To the integrator's order, 4, or to rounding where nothing is left of its error."""
     record, loop = reference(), RobotLoop(robot_of(joint), (LAW,))
-    runs = {steps: simulate_robot(loop, (record,), steps=steps) for steps in (4, 8)}
+    runs = {steps: simulate(loop, (record,), steps=steps) for steps in (4, 8)}
     alone = ClosedLoop(joint, LAW)
     begun = Initial(float(runs[8].motor_position[0, 0]), 0.0, 0.0)
     exact = simulate(alone, prepare(alone, record), values_of(joint), begun)

@@ -16,21 +16,14 @@ from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.models.robots.equations import ROOM
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
 from jointid.records.record import Channel, Record
-from jointid.simulation.closed_loop import Initial, simulate
+from jointid.simulation.closed_loop import Initial
 from jointid.simulation.kernels import robot_loop
 from jointid.simulation.loop_input import prepare
 from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.robot_start import begin
-from jointid.simulation.robots import (
-    RobotLoop,
-    RobotOutcome,
-    RobotRun,
-    add_feed_forward,
-    prepare_robot,
-    run_robot,
-    simulate_robot,
-)
+from jointid.simulation.robots import RobotLoop, RobotOutcome, RobotRun, add_feed_forward, prepare_robot, run_robot
 from jointid.simulation.simulated import Simulated, require_success
+from jointid.simulation.synthesis import simulate
 from tests.robots_plants import Twin, inertial, serial, seven, six, two
 from tests.simulation.robot_oracle import simulate_pd
 
@@ -124,7 +117,7 @@ def test_a_robot_of_one_joint_is_that_joint(name: str, flexible: bool) -> None:
     record = Record(reference=Channel(reference, "rad", 1e-3))
     joint = FlexibleJoint("revolute") if flexible else RigidJoint("revolute")
     loop = ClosedLoop(joint, LAWS[name])
-    found = simulate_robot(RobotLoop(robot, (LAWS[name],)), [record], steps=8)
+    found = simulate(RobotLoop(robot, (LAWS[name],)), [record], steps=8)
     begun = Initial(float(found.motor_position[0, 0]), 0.0, 0.0)
     exact = simulate(loop, prepare(loop, record), values, begun)
     peak = float(np.max(np.abs(exact.torque)))
@@ -148,7 +141,7 @@ def test_a_joint_at_rest_stays_where_it_is_while_the_others_move() -> None:
     numbers = RobotNumbers.of(loop.robot)
     masses = numbers.masses.copy()
     masses[[1, 4], 2] = 80.0
-    run = simulate_robot(loop, records, replace(numbers, masses=masses))
+    run = simulate(loop, records, replace(numbers, masses=masses))
     assert run.outcome is RobotOutcome.FINISHED
     assert np.all(run.link_position[:, [1, 4]] == run.link_position[0, [1, 4]])
     assert np.all(run.motion.direction[:, [1, 4]] == 0)
@@ -229,8 +222,8 @@ def test_a_record_that_begins_while_the_robot_moves(twin: Twin) -> None:
     )
     run = held_against_the_reference(replace(twin.loop(), in_motion=True), late, 1e-4)
     assert np.min(np.abs(run.tape.speeds[0])) > 0.05
-    uncut = simulate_robot(twin.loop(), whole).torque[2500:2900]
-    from_rest = simulate_robot(twin.loop(), late).torque
+    uncut = simulate(twin.loop(), whole).torque[2500:2900]
+    from_rest = simulate(twin.loop(), late).torque
     wrong = [float(np.max(np.abs(torque - uncut))) for torque in (run.torque, from_rest)]
     assert wrong[0] < 0.1 * wrong[1]
 
@@ -285,7 +278,7 @@ def test_a_robot_begins_where_its_controllers_hold_its_weight(twin: Twin) -> Non
     numbers = RobotNumbers.of(loop.robot)
     masses = numbers.masses.copy()
     masses[:, 2] = 0.0  # nothing but the controllers hold it
-    run = simulate_robot(loop, records, replace(numbers, masses=masses))
+    run = simulate(loop, records, replace(numbers, masses=masses))
     assert np.max(np.abs(run.motor_velocity)) < 1e-9
     assert np.ptp(run.torque, axis=0).max() < 1e-8
 
@@ -294,7 +287,7 @@ def test_integrators_hold_the_weight_on_the_reference() -> None:
     twin = two()
     laws = tuple(PID(position_gain=800.0, derivative_gain=40.0, integral_gain=2000.0) for _ in range(2))
     records = tuple(Record(reference=Channel(np.full(300, q), "rad", 1e-3)) for q in twin.home)
-    run = simulate_robot(RobotLoop(twin.robot, laws), records)
+    run = simulate(RobotLoop(twin.robot, laws), records)
     assert np.all(run.motor_position == twin.home)
 
 
@@ -304,7 +297,7 @@ def test_a_feed_forward_of_the_inverse_model_tracks_better(twin: Twin) -> None:
     assisted = add_feed_forward(loop, records)
     lag = []
     for driven in (records, assisted):
-        run = simulate_robot(loop, driven)
+        run = simulate(loop, driven)
         references = np.column_stack([r.reference.values for r in records if r.reference])
         lag.append(float(np.sqrt(np.mean((references - run.motor_position) ** 2))))
     assert lag[1] < 0.5 * lag[0]  # what is left is of Coulomb friction
@@ -316,7 +309,7 @@ def test_outcomes() -> None:
     numbers = RobotNumbers.of(loop.robot)
 
     def outcome(loop: RobotLoop, numbers: RobotNumbers | None = None) -> RobotOutcome:
-        return simulate_robot(loop, records, numbers).outcome
+        return simulate(loop, records, numbers).outcome
 
     assert outcome(loop) is RobotOutcome.FINISHED
     negative = numbers.inertials.copy()
@@ -327,7 +320,7 @@ def test_outcomes() -> None:
         masses[1, column] = value
         assert outcome(loop, replace(numbers, masses=masses)) is RobotOutcome.INVALID
     wild = RobotLoop(twin.robot, tuple(PD(position_gain=1e6, derivative_gain=0.0) for _ in range(2)))
-    run = simulate_robot(wild, records)
+    run = simulate(wild, records)
     assert run.outcome is RobotOutcome.DIVERGED
     assert np.all(np.isfinite(run.torque))
     stiff = RobotNumbers.of(two((None, 16.0)).robot)
@@ -340,12 +333,12 @@ def test_faults_are_said() -> None:
     with pytest.raises(MethodError, match="a controller for each joint; received 1 for 2 joints"):
         RobotLoop(twin.robot, loop.controllers[:1])
     with pytest.raises(MethodError, match="a record of each joint; received 1 for 2 joints"):
-        simulate_robot(loop, records[:1])
+        simulate(loop, records[:1])
     odd = RobotLoop(twin.robot, tuple(PD(position_gain=9.0, derivative_gain=1.0, period=1e-3 / n) for n in (18, 19)))
     with pytest.raises(MethodError, match=r"share a clock.*received joint1 0.0555556 ms and joint2 0.0526316 ms"):
-        simulate_robot(odd, records)
+        simulate(odd, records)
     with pytest.raises(MethodError, match="one log; the records of joint2 differ from that of joint1"):
-        simulate_robot(loop, (records[0], twin.records(0.5)[1]))
+        simulate(loop, (records[0], twin.records(0.5)[1]))
 
 
 def test_runs_of_a_joint_and_of_a_robot_answer_alike() -> None:
@@ -356,7 +349,7 @@ def test_runs_of_a_joint_and_of_a_robot_answer_alike() -> None:
         bad, controllers=tuple(replace(c, derivative_gain=100.0 * c.derivative_gain) for c in bad.controllers)
     )
     driven = twin.records(1.0)
-    finished: Simulated = simulate_robot(good, driven)
+    finished: Simulated = simulate(good, driven)
     assert require_success(finished) is finished
     with pytest.raises(MethodError, match=r"stopped after [\d.]+ % of the record because a joint ran away"):
-        require_success(simulate_robot(wild, driven))
+        require_success(simulate(wild, driven))

@@ -24,8 +24,8 @@ from jointid.estimation.robots.idim import KNOWN, RobotEstimate, RobotIDIM
 from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
 from jointid.records.record import Record
 from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.simulation.robots import robot_records, simulate_robot
 from jointid.simulation.simulated import require_success
+from jointid.simulation.synthesis import simulate
 
 
 def embed_model(text: str, folder: Path) -> str:
@@ -114,8 +114,8 @@ def _simulate(file: RobotFile, driven: Sequence[Record], asked: Simulated) -> tu
             "A robot's simulated runs have the numbers of its robot file and noise_log, of the joint with the largest "
             "torque and of the others in proportion; leave values and noise_force out of [monte_carlo]."
         )
-    run = require_success(simulate_robot(file.loop, driven), f"The simulation of {file.robot.name}")
+    run = require_success(simulate(file.loop, driven), f"The simulation of {file.robot.name}")
     sizes = np.std(run.torque, axis=0)
     noise = np.random.default_rng([asked.seed]).standard_normal(run.torque.shape)
     torque = run.torque + asked.noise_log * noise * sizes / np.max(sizes)
-    return robot_records(file.loop, driven, replace(run, torque=torque))
+    return replace(run, torque=torque).records(driven)

@@ -1,4 +1,4 @@
-"""A robot under its controllers, run: `simulate_robot` takes one candidate through the records' references.
+"""Simulation of a robot under its controllers along the references of its records.
 
 Each joint has a controller of its own (`models.controllers`) and a record of its own, whose torque is a mean to know
 the log and need not be there. A feed-forward torque is the record's injected signal: logged, or computed by
@@ -31,7 +31,7 @@ from jointid.simulation.robot_clock import RobotClock, common_clock
 from jointid.simulation.robot_laws import pack_laws
 from jointid.simulation.robot_numbers import Bools, MassNumbers, RobotNumbers
 from jointid.simulation.robot_start import begin, reference_motion
-from jointid.simulation.simulated import FINISHED
+from jointid.simulation.simulated import FINISHED, TORQUE_OF
 
 FINE, COARSE = 0.5, 1.0
 """Rad of the fastest motion of the robot in one step: an error of some 1e-5 of the torque, and of some 1e-3."""
@@ -222,28 +222,16 @@ class RobotSimulation:
     link_velocity: FloatArray
     motion: MassMotion
 
-
-def simulate_robot(
-    loop: RobotLoop, records: Sequence[Record], numbers: RobotNumbers | None = None, *, steps: int | None = None
-) -> RobotSimulation:
-    """Simulate a robot under its controllers; never raises for a candidate's sake: see `RobotSimulation.outcome`.
-
-    Runge-Kutta's method of order 4 between located events, in steps of a part of the controllers' period.
-
-    Args:
-        loop: robot and controllers.
-        records: one for each joint, see `prepare_robot`; torques and positions in them are not read.
-        numbers: of the candidate; those of the robot itself where they are not given.
-        steps: of the integrator per part of a period; None takes as many as keep the fastest motion below 0.5 rad a
-            step.
-
-    Raises:
-        RecordError: a channel that a controller reads is missing, or a clock does not divide the controllers'.
-        MethodError: see `prepare_robot`.
-    """
-    experiment = prepare_robot(loop, records)
-    numbers = numbers or RobotNumbers.of(loop.robot)
-    return simulation_of(run_robot(experiment, numbers, keep=True, steps=steps))
+    def records(self, driven: Sequence[Record]) -> tuple[Record, ...]:
+        """Return the records that drove the run, with its torques and motor positions as drives would log them."""
+        made = []
+        for record, torque, position in zip(driven, self.torque.T, self.motor_position.T, strict=True):
+            assert record.reference is not None
+            unit = record.reference.unit
+            logged = Channel(torque, TORQUE_OF[unit], self.sample_time, Timing.HELD, "simulated")
+            moved = Channel(position, unit, self.sample_time, source="simulated")
+            made.append(replace(record, torque=logged, motor_position=moved))
+        return tuple(made)
 
 
 def run_robot(
@@ -254,7 +242,7 @@ def run_robot(
     steps: int | None = None,
     stride: float = FINE,
 ) -> RobotRun:
-    """Run one candidate, and `keep` its tape and where limits act; other arguments are those of `simulate_robot`.
+    """Run one candidate, and `keep` its tape and where limits act; other arguments are those of `simulate`.
 
     Without steps they are as many as keep the fastest motion within a stride, rad, each.
     """
@@ -429,15 +417,3 @@ def tracking_errors(records: Sequence[Record], run: RobotSimulation) -> dict[int
             if off > _ASTRAY[0] * np.ptp(reference) + _ASTRAY[1]:
                 found[j] = off
     return found
-
-
-def robot_records(loop: RobotLoop, records: Sequence[Record], run: RobotSimulation) -> tuple[Record, ...]:
-    """Return the records with torques and motor positions of a run, as drives would have logged them."""
-    kinds: list[Literal["prismatic", "revolute"]] = ["prismatic" if p else "revolute" for p in loop.robot.tree.kinds]
-    made = []
-    for j, (record, kind) in enumerate(zip(records, kinds, strict=True)):
-        unit = "m" if kind == "prismatic" else "rad"
-        torque = Channel(run.torque[:, j], TORQUE_UNIT[kind], run.sample_time, Timing.HELD, "simulated")
-        position = Channel(run.motor_position[:, j], unit, run.sample_time, source="simulated")
-        made.append(replace(record, torque=torque, motor_position=position))
-    return tuple(made)

@@ -7,9 +7,13 @@ from typing import Protocol, TypeVar
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
 
 FINISHED = "the simulation finished"
 """How a run ended that nothing ended early."""
+
+TORQUE_OF = {POSITION_UNIT[kind]: TORQUE_UNIT[kind] for kind in POSITION_UNIT}
+"""Unit of a torque by the unit of the position it moves."""
 
 
 class Simulated(Protocol):

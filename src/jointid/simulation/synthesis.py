@@ -1,20 +1,74 @@
-"""Simulated records of a loop, as a drive would log them."""
+"""Simulation of a joint or a robot under its controllers, and the records that its drives would log."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from jointid.common.arrays import FloatArray
-from jointid.common.parameters import POSITION_UNIT, TORQUE_UNIT
+from jointid.common.errors import MethodError
+from jointid.common.parameters import POSITION_UNIT
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Channel, Injection, InjectionPoint, Record, Tap, Timing
-from jointid.simulation.closed_loop import Initial, Simulation, simulate
-from jointid.simulation.loop_input import prepare, to_log
-from jointid.simulation.simulated import require_success
+from jointid.simulation.closed_loop import Initial, Simulation
+from jointid.simulation.closed_loop import simulate as simulate_joint
+from jointid.simulation.loop_input import LoopInput, prepare, to_log
+from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.robots import RobotLoop, RobotSimulation, prepare_robot, run_robot, simulation_of
+from jointid.simulation.simulated import TORQUE_OF, require_success
+
+
+@overload
+def simulate(
+    closing: ClosedLoop, record: Record | LoopInput, values: Mapping[str, float], initial: Initial | None = None
+) -> Simulation: ...
+
+
+@overload
+def simulate(
+    closing: RobotLoop, record: Sequence[Record], values: RobotNumbers | None = None, *, steps: int | None = None
+) -> RobotSimulation: ...
+
+
+def simulate(
+    closing: ClosedLoop | RobotLoop,
+    record: Record | LoopInput | Sequence[Record],
+    values: Mapping[str, float] | RobotNumbers | None = None,
+    initial: Initial | None = None,
+    *,
+    steps: int | None = None,
+) -> Simulation | RobotSimulation:
+    """Simulate a joint or a robot under its controllers; a failure is the simulation's `outcome`.
+
+    Args:
+        closing: joint and controller, or robot and controllers.
+        record: with the reference and what is injected, or what `prepare` makes of it; for a robot a record of each
+            joint. Torques and positions in it are not read.
+        values: every parameter of the joint by name; the numbers of a robot, by default its own.
+        initial: where the motor of a joint is at the first sample.
+        steps: of a robot's integrator per part of a period; None keeps the fastest motion below 0.5 rad a step.
+
+    A joint with piecewise linear laws is exact to rounding. Position-dependent gravity is held over each part of a
+    period, with second-order error; smooth laws use Taylor series. A robot is integrated by Runge-Kutta's method of
+    order 4 between located events.
+
+    Raises:
+        RecordError: a channel that a controller reads is missing, or a clock does not divide the controllers'.
+        MethodError: there is not one record for each joint of a robot, or controllers or logs share no clock.
+    """
+    if isinstance(closing, RobotLoop):
+        if not isinstance(record, Sequence) or not isinstance(values, RobotNumbers | None):
+            raise MethodError("A robot is simulated from a record of each joint, with RobotNumbers; give both so.")
+        numbers = RobotNumbers.of(closing.robot) if values is None else values
+        return simulation_of(run_robot(prepare_robot(closing, record), numbers, keep=True, steps=steps))
+    if isinstance(record, Sequence) or not isinstance(values, Mapping):
+        raise MethodError("A joint is simulated from one record, with the value of each parameter by name.")
+    prepared = record if isinstance(record, LoopInput) else prepare(closing, record)
+    return simulate_joint(closing, prepared, values, initial)
 
 
 def simulated_record(
@@ -73,12 +127,12 @@ def simulated_record(
     )
     experiment = prepare(loop, driven)
     if disturbance is None:
-        run = require_success(simulate(loop, experiment, values, initial))
+        run = require_success(simulate_joint(loop, experiment, values, initial))
     else:
         extra = np.repeat(np.asarray(disturbance, dtype=np.float64), experiment.every)
         extra = extra[:: experiment.repeat][: experiment.after_limit.size]
         forced = replace(experiment, after_limit=experiment.after_limit + extra)
-        run = require_success(simulate(loop, forced, values, initial))
+        run = require_success(simulate_joint(loop, forced, values, initial))
         # A force from outside is in no current of the motor, though it acts as an injected signal does.
         run = replace(run, torque=run.torque - to_log(experiment, forced.shown - experiment.shown))
     return as_record(driven, run, torque_noise=torque_noise, encoder_step=encoder_step)
@@ -93,7 +147,7 @@ def as_record(
     """
     assert driven.reference is not None
     logged, position = driven.torque, driven.reference.unit
-    unit, timing = (_TORQUE_OF[position], Timing.HELD) if logged is None else (logged.unit, logged.timing)
+    unit, timing = (TORQUE_OF[position], Timing.HELD) if logged is None else (logged.unit, logged.timing)
     torque = run.torque if torque_noise is None else run.torque + np.asarray(torque_noise, dtype=np.float64)
 
     def channel(values: FloatArray, unit: str, timing: Timing = Timing.SAMPLED) -> Channel:
@@ -107,9 +161,6 @@ def as_record(
         if run.load_position is None
         else channel(_quantise(run.load_position, encoder_step), position),
     )
-
-
-_TORQUE_OF = {POSITION_UNIT[kind]: TORQUE_UNIT[kind] for kind in POSITION_UNIT}
 
 
 def _quantise(position: FloatArray, step: float) -> FloatArray:

@@ -17,7 +17,8 @@ from jointid.estimation.robots.idim import RobotIDIM, identify_robot
 from jointid.estimation.robots.torque_estimate import identify_robot_from_torques
 from jointid.models.controllers import Controller
 from jointid.records.record import Record
-from jointid.simulation.robots import RobotLoop, add_feed_forward, robot_records, simulate_robot
+from jointid.simulation.robots import RobotLoop, add_feed_forward
+from jointid.simulation.synthesis import simulate
 from tests.estimation.robots.twin import arm, motion, records_of
 from tests.robots_plants import two
 
@@ -33,7 +34,7 @@ def with_torque(records: Sequence[Record], joint: int, added: FloatArray) -> tup
 def logged_by(loop: RobotLoop, drives: Sequence[Record] | None = None) -> tuple[Record, ...]:
     """Return what the drives of two joints log, with a thousandth of noise."""
     driven = two().records(6.0) if drives is None else drives
-    made, rng = robot_records(loop, driven, simulate_robot(loop, driven)), np.random.default_rng(3)
+    made, rng = simulate(loop, driven).records(driven), np.random.default_rng(3)
     noisy = []
     for one in made:
         assert one.torque is not None

@@ -12,7 +12,8 @@ from jointid.estimation.robots.flexible import FlexibleRobotFit, identify_flexib
 from jointid.estimation.robots.torque_estimate import identify_robot_from_torques
 from jointid.models.robots.robot import JointSpring
 from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.simulation.robots import RobotLoop, simulate_robot
+from jointid.simulation.robots import RobotLoop
+from jointid.simulation.synthesis import simulate
 from tests.estimation.robots.test_rigid_robots import deviations, recorded
 from tests.robots_plants import Twin, six, two
 from tests.simulation.test_robots import COUPLED, RISING, changed
@@ -70,7 +71,7 @@ def test_springs_come_back_with_their_intervals() -> None:
         assert spring.deviation is not None
         assert spring.deviation < 0.03 * stiffness
         assert abs(spring.stiffness - stiffness) < 3 * spring.deviation
-    again = simulate_robot(
+    again = simulate(
         RobotLoop(found.fit.robot(twin.robot), twin.loop().controllers), twin.records(6.0, multisine=0.004)
     )
     assert again.torque == pytest.approx(found.fit.run.torque, abs=1e-9)

@@ -18,7 +18,8 @@ from jointid.estimation.robots.validation import RobotValidation, validate_robot
 from jointid.models.robots.base_parameters import base_parameters
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
-from jointid.simulation.robots import RobotLoop, robot_records, simulate_robot
+from jointid.simulation.robots import RobotLoop
+from jointid.simulation.synthesis import simulate
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.estimation.robots.twin import COULOMB, OFFSETS, VISCOUS, arm, records_of
 from tests.robots_plants import two
@@ -185,7 +186,7 @@ def test_instruments_begin_in_motion_where_the_loop_does() -> None:
     for one in two().records(6.0):
         assert one.reference is not None
         driven.append(Record(reference=replace(one.reference, values=one.reference.values[2000:].copy())))
-    records = robot_records(loop, driven, simulate_robot(loop, driven))
+    records = simulate(loop, driven).records(driven)
     base, motion = base_parameters(loop.robot), motion_of_robot(loop.robot, records, Filtering())
     measured = base_rows(loop.robot, base, motion).W
     made = robot_instruments(loop, records, base, motion)(base.with_friction(loop.robot))

@@ -13,7 +13,8 @@ from jointid.estimation.robots.didim import RobotFit, identify_rigid_robot
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.records.record import Channel, Record
 from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.simulation.robots import RobotLoop, prepare_robot, robot_records, run_robot, simulate_robot
+from jointid.simulation.robots import RobotLoop, prepare_robot, run_robot
+from jointid.simulation.synthesis import simulate
 from tests.robots_plants import Twin, seven, six, two
 from tests.simulation.test_robots import COUPLED, ONE_WAY, RISING, changed
 
@@ -22,9 +23,9 @@ def recorded(
     loop: RobotLoop, records: Sequence[Record], noise: float = 0.0, seed: int = 0
 ) -> tuple[tuple[Record, ...], np.ndarray]:
     """Return what the drives would have logged, the noise a share of each torque's deviation; and the noise alone."""
-    run = simulate_robot(loop, records)
+    run = simulate(loop, records)
     added = noise * np.std(run.torque, axis=0) * np.random.default_rng(seed).normal(size=run.torque.shape)
-    return robot_records(loop, records, replace(run, torque=run.torque + added)), added
+    return replace(run, torque=run.torque + added).records(records), added
 
 
 def deviations(fit: RobotFit, twin: Twin) -> np.ndarray:
@@ -84,7 +85,7 @@ def test_they_come_back_of_what_robots_may_have(what: str) -> None:
     assert np.max(fit.relative_error) < 1e-6
     assert fit.values == pytest.approx(truth, abs=2e-5 * np.max(np.abs(truth)))
     assert ("joint1.viscous_backwards" in fit.names) == (what == "friction another backwards")
-    again = simulate_robot(replace(loop, robot=fit.robot(twin.robot)), records)
+    again = simulate(replace(loop, robot=fit.robot(twin.robot)), records)
     assert again.torque == pytest.approx(fit.run.torque, abs=1e-8)
 
 
@@ -121,7 +122,7 @@ def test_friction_is_never_let_below_nothing() -> None:
     for name in ("joint1.coulomb", "joint2.coulomb"):
         value, deviation = fit.value(name)
         assert 0.0 <= value < 3 * deviation
-    run = simulate_robot(loop, records)
+    run = simulate(loop, records)
     assert np.array_equal(run.motion.direction, np.sign(run.motion.velocity))
 
 

@@ -16,7 +16,7 @@ from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.robot_numbers import RobotNumbers
-from jointid.simulation.robots import simulate_robot
+from jointid.simulation.synthesis import simulate
 from tests.estimation.robots.test_rigid_robots import recorded
 from tests.robots_plants import Twin, six, two
 from tests.simulation.test_robots import COUPLED, RISING, changed
@@ -35,7 +35,7 @@ def logged(
 ) -> tuple[Record, ...]:
     """Return torques with noise, seen so many samples late, and motor positions; neither reference nor controller."""
     loop, asked = twin.loop(), twin.records(duration, seed=seed, multisine=multisine)
-    run = simulate_robot(loop, asked)
+    run = simulate(loop, asked)
     found = []
     for record, position in zip(recorded(loop, asked, level)[0], run.motor_position.T, strict=True):
         assert record.torque is not None

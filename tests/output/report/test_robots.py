@@ -13,7 +13,7 @@ from jointid.estimation.robots.torque_estimate import RobotDIDIM, RobotTorqueEst
 from jointid.estimation.robots.torque_estimate import identify_robot_from_torques as identify
 from jointid.output.report.robots import RobotReport
 from jointid.records.record import Record
-from jointid.simulation.robots import robot_records, simulate_robot
+from jointid.simulation.synthesis import simulate
 from tests.estimation.robots.twin import arm, records_of
 from tests.robots_plants import two
 
@@ -21,7 +21,7 @@ from tests.robots_plants import two
 def test_what_is_refused_is_not_in_the_table() -> None:
     twin = two((9.0, None))
     loop, driven = twin.loop(), twin.records(2.0, multisine=0.01)
-    logged = robot_records(loop, driven, simulate_robot(loop, driven))
+    logged = simulate(loop, driven).records(driven)
     records = tuple(Record(torque=one.torque, reference=one.reference) for one in logged)
     found = identify(loop, records, RobotDIDIM(evaluations=3))
     refused = SpringVerdict("joint1", False, None, None, 1234.0)

@@ -17,7 +17,8 @@ from jointid.planning.robots.design import RobotDesign, _modes, design_robot_tes
 from jointid.planning.robots.first_record import first_record
 from jointid.planning.robots.motions import JointLimits, Motions, complete
 from jointid.records.record import Channel, Record
-from jointid.simulation.robots import RobotLoop, add_feed_forward, robot_records, simulate_robot
+from jointid.simulation.robots import RobotLoop, add_feed_forward
+from jointid.simulation.synthesis import simulate
 from tests.robots_plants import inertial, two
 
 LIMITS = (JointLimits(-0.8, 1.2, 1.5, 6.0, 60.0), JointLimits(-1.0, 1.0, 2.0, 8.0, 20.0))
@@ -87,7 +88,7 @@ def test_what_didim_will_report_is_foretold() -> None:
     )  # fmt: skip
     driven, rng = found.records(), np.random.default_rng(5)
     logged = []
-    for k, one in enumerate(robot_records(loop, driven, simulate_robot(loop, driven))):
+    for k, one in enumerate(simulate(loop, driven).records(driven)):
         assert one.torque is not None
         values = one.torque.values + noise[k] * rng.normal(size=len(one.torque))
         logged.append(replace(one, torque=replace(one.torque, values=values)))
@@ -206,7 +207,7 @@ def test_slow_controllers_are_foretold_with_their_feed_forward() -> None:
     asked = {"duration": 4.0, "sample_time": 1e-3, "loop": loop, "noise": (0.4, 0.2), "motion": q}
     bare = design_robot_test(loop.robot, LIMITS, **asked)  # type: ignore[arg-type]
     fed = design_robot_test(loop.robot, LIMITS, feed_forward="inverse-model", **asked)  # type: ignore[arg-type]
-    swings = [np.ptp(simulate_robot(loop, one).motor_position) for one in (bare.records(), q_fed(loop, q))]
+    swings = [np.ptp(simulate(loop, one).motor_position) for one in (bare.records(), q_fed(loop, q))]
     assert swings[0] > 1.1 * swings[1], "without it they overshoot"
     assert np.mean(np.log(fed.std / bare.std)) > 0.3, "and would tell more of a motion that will not be made"
 

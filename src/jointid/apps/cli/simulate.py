@@ -142,7 +142,6 @@ def simulate(
 
 
 def _simulate_joint(file: JointFile, estimate: Path | None, out: Path | None, options: Options) -> None:
-    from jointid import prepare
     from jointid import simulate as run
     from jointid.common.transmission import transmission_lines
     from jointid.models.disturbances import EncoderOffset
@@ -161,7 +160,7 @@ def _simulate_joint(file: JointFile, estimate: Path | None, out: Path | None, op
         if any(not isinstance(effect, EncoderOffset) for effect in identified.effects):
             options.progress("the estimate's ripple and drift are left out, which the simulated loop does not have")
     ready(options.progress, derivatives=False)
-    simulation = require_success(run(file.loop, prepare(file.loop, logged), values))
+    simulation = require_success(run(file.loop, logged, values))
     peak = float(abs(simulation.torque).max())
     for line in transmission_lines(file.joint.transmission):
         show(line)
@@ -179,7 +178,7 @@ def _simulate_joint(file: JointFile, estimate: Path | None, out: Path | None, op
 
 
 def _simulate_robot(file: RobotFile, estimate: Path | None, out: Path | None, options: Options) -> None:
-    from jointid import robot_records, simulate_robot
+    from jointid import simulate as run
     from jointid.output.json import documents, write
     from jointid.simulation.robots import tracking_errors
     from jointid.simulation.simulated import require_success
@@ -187,7 +186,7 @@ def _simulate_robot(file: RobotFile, estimate: Path | None, out: Path | None, op
     if estimate is not None:
         raise MethodError("--estimate is read for a joint; a robot is simulated as its file says: leave it out.")
     loop, records, robot = file.loop, file.driving(options.record), file.robot
-    found = require_success(simulate_robot(loop, records), f"The simulation of {robot.name}")
+    found = require_success(run(loop, records), f"The simulation of {robot.name}")
     peaks = ", ".join(
         f"{name} {peak:.4g} {robot.torque_unit(k)}"
         for k, (name, peak) in enumerate(zip(robot.names, abs(found.torque).max(axis=0), strict=True))
@@ -203,7 +202,7 @@ def _simulate_robot(file: RobotFile, estimate: Path | None, out: Path | None, op
             "its controller's gains and limit, and its signs."
         )
     if out is not None:
-        file.write(robot_records(loop, records, found), out)
+        file.write(found.records(records), out)
         show(f"Written: {out}")
     if options.json is not None:
         write(documents.robot_simulation_answer(robot, found, astray), options.json)

@@ -49,11 +49,10 @@ from jointid.simulation.robots import (
     RobotLoop,
     add_feed_forward,
     prepare_robot,
-    robot_records,
     run_robot,
-    simulate_robot,
 )
 from jointid.simulation.simulated import require_success
+from jointid.simulation.synthesis import simulate
 
 NOISE = 0.01
 """Of each joint's torque in motions drawn at random: the noise that is foretold with where no first record says it."""
@@ -504,9 +503,9 @@ def _by_simulation(
     Rows that are filtered and thinned hold white noise of the part of its power that passes, so each of them tells as
     much as the samples that it stands for.
     """
-    run = require_success(simulate_robot(loop, driven), "The robot's motion")
+    run = require_success(simulate(loop, driven), "The robot's motion")
     parameters = robot_parameters(loop.robot)
-    problem = robot_problem(loop, robot_records(loop, driven, run), parameters, filtering)
+    problem = robot_problem(loop, run.records(driven), parameters, filtering)
     numbers = RobotNumbers.of(loop.robot)
     values = parameters.group(numbers)
     kept = run_robot(prepare_robot(loop, driven), numbers, keep=True)
