@@ -32,7 +32,6 @@ from .estimation.robots.torque_estimate import (
     validate_robot_torques,
 )
 from .estimation.robots.validation import RobotValidation, validate_robot
-from .estimation.robots.weighing import weigh_payload, weigh_payload_from_torques
 from .models.controllers import PD, PID, Cascade, StateSpaceController, filters
 from .models.friction import AsymmetricFriction, SymmetricFriction
 from .models.gravity import Counterbalance, Gravity
@@ -160,7 +159,5 @@ __all__ = [
     "validate",
     "validate_robot",
     "validate_robot_torques",
-    "weigh_payload",
-    "weigh_payload_from_torques",
     "write",
 ]

@@ -459,10 +459,14 @@ class RobotFile:
         """
         self.robot.require_lines("An identification of a robot takes")
         self._require_free()
-        setup: Robot | RobotLoop | RobotDriveSide = self.loop if self._simulates else self.robot
+        return fit_robot(records, self.closing, self.method, filtering=self.filtering, progress=progress)
+
+    @property
+    def closing(self) -> Robot | RobotLoop | RobotDriveSide:
+        """The robot as its method takes it: alone, under its controllers, or along its motors' motion."""
         if isinstance(self.method, RobotDriveSideFit):
-            setup = RobotDriveSide(self.robot)
-        return fit_robot(records, setup, self.method, filtering=self.filtering, progress=progress)
+            return RobotDriveSide(self.robot)
+        return self.loop if self._simulates else self.robot
 
     def _require_free(self) -> None:
         """Raise a `MethodError` if a parameter of a joint has a value or bounds to keep."""

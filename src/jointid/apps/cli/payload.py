@@ -23,7 +23,7 @@ def payload(
     json: Path | None = None,
     quiet: bool = False,
 ) -> None:
-    """Weigh what a robot carries: mass, centre and inertia, from a record without it and one with it.
+    """Identify what a robot carries: mass, centre and inertia, from a record without it and one with it.
 
     By IDIM from motor positions and torques, by DIDIM from torques and references, or on the drive side from torques
     and motor positions of a flexible robot, as the robot file asks.
@@ -40,15 +40,7 @@ def payload(
         json: also write the answer as JSON to this file.
         quiet: say nothing of the progress of searches.
     """
-    from jointid import (
-        RobotDIDIM,
-        RobotDriveSide,
-        RobotFile,
-        RobotIDIM,
-        identify_drive_gains,
-        weigh_payload,
-        weigh_payload_from_torques,
-    )
+    from jointid import RobotFile, RobotIDIM, identify_drive_gains, identify_payload
 
     outputs = Outputs({"--json": json})
     outputs.spare("--without", without)
@@ -57,24 +49,22 @@ def payload(
     file = options.load(robot, outputs)
     if not isinstance(file, RobotFile):
         raise MethodError(f"{robot} is no robot file, which has the table [robot]; a payload is weighed by a robot.")
-    if not isinstance(file.method, RobotIDIM):
-        if mass is not None:
-            raise MethodError(
-                "The drives' gains are found by IDIM, from motor positions and torques, and this robot file asks for "
-                "DIDIM or the drive side; add --set method.name=idim, and declare record.channels.motor_position."
-            )
-        setup = file.loop if isinstance(file.method, RobotDIDIM) else RobotDriveSide(file.robot)
+    if mass is None:
         empty, loaded = file.record(without), file.record(with_)
-        found = weigh_payload_from_torques(setup, empty, loaded, file.method, file.filtering, options.progress)
+        found = identify_payload(
+            file.closing, empty, loaded, file.method, filtering=file.filtering, progress=options.progress
+        )
         deliver(found, json)
         return
-    if mass is not None and (file.method.fixed or file.method.estimator != RobotIDIM().estimator):
+    if not isinstance(file.method, RobotIDIM):
+        raise MethodError(
+            "The drives' gains are found by IDIM, from motor positions and torques, and this robot file asks for "
+            "DIDIM or the drive side; add --set method.name=idim, and declare record.channels.motor_position."
+        )
+    if file.method.fixed or file.method.estimator != RobotIDIM().estimator:
         raise MethodError(
             "The drives' gains are searched with all parameters free, each joint weighed by its error; leave "
             "method.fixed and method.estimator out, or add --set method.estimator=weighted --set method.fixed={}."
         )
     empty, loaded = file.records(without), file.records(with_)
-    if mass is None:
-        deliver(weigh_payload(file.robot, empty, loaded, file.method, filtering=file.filtering), json)
-    else:
-        deliver(identify_drive_gains(file.robot, empty, loaded, {"m": mass}, filtering=file.filtering), json)
+    deliver(identify_drive_gains(file.robot, empty, loaded, {"m": mass}, filtering=file.filtering), json)

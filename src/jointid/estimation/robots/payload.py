@@ -1,45 +1,57 @@
 """A payload, from a record with it and one without: mass, centre and inertia of what the last link carries.
 
-Both records are one regression: base parameters and friction are the same in both, and the payload's ten parameters
-act in the second alone. So they are all told, though those of the last link are not [Khalil, Gautier and Lemoine 2007].
-The difference of two estimates gives the same payload, of a wider interval, when the empty robot was identified before.
+By IDIM both records are one regression: base parameters and friction are the same in both, and the payload's ten
+parameters act in the second alone. So all are identifiable, though those of the last link are not [Khalil, Gautier and
+Lemoine 2007]. The difference of two estimates gives the same payload with a wider interval.
 
-From torques and references alone it comes from two estimates by DIDIM, from torques and motor positions of a flexible
-robot from two on the drive side. Where friction is said to be the same in both,
-that is the fit of both records at once, by each one's covariance; where each has its own, it is the difference.
+By DIDIM, and on the drive side of a flexible robot, the payload comes from two estimates. With the same friction in
+both, that is the fit of both records at once, by the covariance of each; otherwise it is the difference.
+
+Both ways read the same records, so their agreement says that the robot was the same in both: its friction and its own
+links. Where they differ by more than three deviations of the difference alone, one of these has changed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray, column_norms
-from jointid.common.document import Document, Documented, Facts
+from jointid.common.document import Document, Documented, Paragraph, Table
 from jointid.common.errors import MethodError
+from jointid.common.messages import Progress, ignore_progress
 from jointid.common.text import interval, join
 from jointid.estimation.methods.linear import Rows
-from jointid.estimation.robots.idim import RobotEstimate, RobotIDIM
-from jointid.estimation.robots.numbers import RobotParameters
+from jointid.estimation.robots.identify import RobotMethod, fit_robot
+from jointid.estimation.robots.idim import KNOWN, RobotEstimate, RobotIDIM, identify_robot
+from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
 from jointid.estimation.robots.regression import base_rows, motion_of_robot, require_reached
 from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
 from jointid.models.robots.base_parameters import base_parameters, inverse_columns
 from jointid.models.robots.friction_terms import offset_places
-from jointid.models.robots.inertial import SYMBOLS, mass_properties
+from jointid.models.robots.inertial import SYMBOLS, is_consistent, mass_properties
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
+from jointid.simulation.robot_drive_side import RobotDriveSide
+from jointid.simulation.robots import RobotLoop
 from jointid.uncertainty.covariance import Covariance, covariance_of
 
 _STEP = 1e-6  # of a difference, relative
 _TOGETHER = 1e-8  # of the largest: a direction in which a payload's ten parameters change nothing
+_ROWS = (
+    *(("mass", "kg"), ("centre x", "m"), ("centre y", "m"), ("centre z", "m")),
+    *((f"inertia {axes}", "kg m2") for axes in ("xx", "yy", "zz", "xy", "xz", "yz")),
+)
+_TWO = 2.0  # standard deviations of an interval
+_FAR = 3.0  # deviations between the two ways, of ten numbers the largest
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Payload(Documented):
-    """What a robot carries, in the frame of the link that carries it.
+class PayloadParameters:
+    """Inertial parameters of a payload, in the frame of the link that carries it.
 
     Attributes:
         link: its name.
@@ -61,39 +73,170 @@ class Payload(Documented):
         ).T
         return values, np.sqrt(np.maximum(np.diag(slopes @ self.covariance.matrix @ slopes.T), 0.0))
 
-    def document(self, *, details: bool = False) -> Document:
-        """Return mass, centre and inertia with their intervals; there are no further details."""
-        del details
-        values, std = self.properties
-        said = [interval(float(value), 2 * float(one)) for value, one in zip(values, std, strict=True)]
-        facts = (
-            ("mass", f"{said[0]} kg"),
-            ("centre", f"{join(said[1:4])} m"),
-            ("inertia there", f"{join(said[4:7])} kg m2 about x, y and z"),
-            ("products", f"{join(said[7:])} kg m2 of xy, xz and yz"),
-        )
-        return Document(f"Payload on {self.link}, in its frame, 2 sigma", (Facts(facts),))
-
 
 def _drawn(inertial: FloatArray) -> FloatArray:
     body = mass_properties(inertial)
     return np.array([body.mass, *body.centre, *body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]])
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Payload(Documented):
+    """A payload by both records at once, and by the difference of an estimate of each.
+
+    Attributes:
+        payload: by both records at once, which is the answer; on the drive side by the difference, too.
+        difference: by two estimates.
+    """
+
+    payload: PayloadParameters
+    difference: PayloadParameters
+
+    @property
+    def link(self) -> str:
+        """The link that carries it, in whose frame it is."""
+        return self.payload.link
+
+    @property
+    def rows(self) -> Mapping[str, Mapping[str, float | str]]:
+        """Value, deviation, unit and verdict of each number, and the same by difference."""
+        values, std = self.payload.properties
+        others, spread = self.difference.properties
+        found: dict[str, Mapping[str, float | str]] = {}
+        for k, (name, unit) in enumerate(_ROWS):
+            found[name] = {
+                "value": float(values[k]), "std": float(std[k]), "unit": unit,
+                "verdict": _verdict(name, float(values[k]), float(std[k])),
+                "by_difference": float(others[k]), "by_difference_std": float(spread[k]),
+            }  # fmt: skip
+        return found
+
+    @property
+    def apart(self) -> FloatArray:
+        """How far the two ways are apart, in deviations of the difference, (10,)."""
+        (values, _), (others, spread) = self.payload.properties, self.difference.properties
+        return np.asarray((values - others) / np.maximum(spread, 1e-300))
+
+    @property
+    def agrees(self) -> bool:
+        """True if both ways say the same."""
+        return bool(np.max(np.abs(self.apart)) <= _FAR)
+
+    @property
+    def possible(self) -> bool:
+        """True if a body can have the ten parameters as they were found."""
+        return is_consistent(self.payload.inertial)
+
+    def document(self, *, details: bool = False) -> Document:
+        """Return the verdict first, then each number both ways; there are no further details."""
+        del details
+        rows = self.rows
+        lines = [
+            (
+                name,
+                interval(float(row["value"]), _TWO * float(row["std"])),
+                str(row["unit"]),
+                str(row["verdict"]),
+                interval(float(row["by_difference"]), _TWO * float(row["by_difference_std"])),
+            )
+            for name, row in rows.items()
+        ]
+        mass = rows["mass"]
+        said = f"The payload weighs {interval(float(mass['value']), _TWO * float(mass['std']))} kg, 2 sigma."
+        if self.payload is self.difference:
+            said += " It is the difference of two estimates, each with its own friction."
+        elif self.agrees:
+            said += " The difference of two estimates says the same."
+        else:
+            far = [name for name, one in zip(rows, self.apart, strict=True) if abs(one) > _FAR]
+            said += (
+                f" The difference of two estimates, each with its own friction, says otherwise of {join(far)}: "
+                "something beside the payload changed between the records, as friction does that warms up. Believe the "
+                "difference."
+            )
+        if not self.possible:
+            said += " No body has just these numbers; those that are not known may be far off."
+        header = ("", "both records, 2 sigma", "unit", "verdict", "by difference, 2 sigma")
+        return Document(
+            f"Payload on {self.link}, in its frame",
+            (
+                Paragraph(said, lead=True, tone="good" if self.agrees else "bad"),
+                Table(header, tuple(lines), "inertia at the centre, along the axes of the frame", (0, 1, 2, 3)),
+            ),
+        )
+
+
+def _verdict(name: str, value: float, std: float) -> str:
+    """Return whether a number is known; a centre that is at 0 may be known, too, so there is only its interval."""
+    if name.startswith("centre"):
+        return f"within {1e3 * _TWO * std:.2g} mm"
+    if std <= KNOWN * abs(value):
+        return "known"
+    return "roughly known" if _TWO * std < abs(value) else "not told from 0"
+
+
 def identify_payload(
+    model: Robot | RobotLoop | RobotDriveSide,
+    empty: Sequence[Record],
+    loaded: Sequence[Record],
+    method: RobotMethod | None = None,
+    *,
+    filtering: Filtering | None = None,
+    progress: Progress = ignore_progress,
+) -> Payload:
+    """Identify what the last link carries in the second record and not in the first, in two ways.
+
+    Args:
+        model: the robot's geometry, gravity and coupling for IDIM; the robot under its controllers, whose gains are the
+            same with the payload, for DIDIM; or a flexible robot on the drive side.
+        empty: the record of each joint without the payload.
+        loaded: the record of each joint with it; another motion will do.
+        method: as of `jointid.identify`.
+        filtering: of positions, torques and rows.
+        progress: is told the steps.
+
+    Raises:
+        MethodError: the records or the robot do not determine the payload, its mass comes out negative, the method does
+            not fit the model or does not settle, or the estimator is "iv".
+        RecordError: as of `jointid.identify`.
+    """
+    robot = model if isinstance(model, Robot) else model.robot
+    if isinstance(method, RobotIDIM) or (method is None and isinstance(model, Robot)):
+        together = payload_of_both_records(robot, empty, loaded, method, filtering)
+        # What is fixed is the empty robot's: with the payload it is another number.
+        free = replace(method or RobotIDIM(), fixed={})
+        one, other = (identify_robot(robot, records, free, filtering=filtering) for records in (empty, loaded))
+        return Payload(together, payload_difference(one, other))
+    offsets = method is None or method.offsets
+    require_told(payload_columns(robot_parameters(robot, offsets=offsets)))
+
+    def identify(records: Sequence[Record], which: str) -> RobotTorqueEstimate:
+        estimate = fit_robot(
+            records, model, method, filtering=filtering, progress=lambda text: progress(f"{which}: {text}")
+        )
+        assert isinstance(estimate, RobotTorqueEstimate)
+        return estimate
+
+    first, second = identify(empty, "without the payload"), identify(loaded, "with it")
+    difference = payload_of_torques(first, second, same_friction=False)
+    if isinstance(model, RobotDriveSide):
+        # With one friction for both the centre came out 0.8 % short in seven of seven draws of noise.
+        return Payload(difference, difference)
+    return Payload(payload_of_torques(first, second, same_friction=True), difference)
+
+
+def payload_of_both_records(
     robot: Robot,
     empty: Sequence[Record],
     loaded: Sequence[Record],
     settings: RobotIDIM | None = None,
-    *,
     filtering: Filtering | None = None,
-) -> Payload:
-    """Identify what the last link carries in the second record and not in the first, from both at once.
+) -> PayloadParameters:
+    """Fit the payload to both records in one regression.
 
     Args:
         robot: its geometry, gravity and coupling.
         empty: the record of each joint without the payload.
-        loaded: the record of each joint with it; another motion will do.
+        loaded: the record of each joint with it.
         settings: of the regression.
         filtering: of positions and rows.
 
@@ -103,7 +246,7 @@ def identify_payload(
     """
     if settings is not None and settings.estimator == "iv":
         raise MethodError(
-            'A payload is weighed from two records without a simulation, so the estimator "iv" has no instruments '
+            'A payload is identified from two records without a simulation, so the estimator "iv" has no instruments '
             'there; use "weighted", "robust" or "ols".'
         )
     settings = settings or RobotIDIM()
@@ -149,7 +292,7 @@ def both_records(
     return Rows(np.concatenate([cut(first.Y), cut(second.Y)]), W, names, 2 * n, 2 * n)
 
 
-def payload_difference(empty: RobotEstimate, loaded: RobotEstimate) -> Payload:
+def payload_difference(empty: RobotEstimate, loaded: RobotEstimate) -> PayloadParameters:
     """Return the payload that makes one estimate of a robot into the other, by generalised least squares.
 
     Args:
@@ -175,7 +318,9 @@ def payload_difference(empty: RobotEstimate, loaded: RobotEstimate) -> Payload:
     return _explain_change(empty.robot, columns, (loaded.values - empty.values)[read], matrix)
 
 
-def payload_of_torques(empty: RobotTorqueEstimate, loaded: RobotTorqueEstimate, *, same_friction: bool) -> Payload:
+def payload_of_torques(
+    empty: RobotTorqueEstimate, loaded: RobotTorqueEstimate, *, same_friction: bool
+) -> PayloadParameters:
     """Return the payload that makes one estimate by simulation into the other, by generalised least squares.
 
     Args:
@@ -240,7 +385,7 @@ def require_told(columns: FloatArray) -> None:
         )
 
 
-def _explain_change(robot: Robot, columns: FloatArray, change: FloatArray, matrix: FloatArray) -> Payload:
+def _explain_change(robot: Robot, columns: FloatArray, change: FloatArray, matrix: FloatArray) -> PayloadParameters:
     """Return the payload that changes parameters so, of which the change has this covariance."""
     require_told(columns)
     std = np.sqrt(np.diag(matrix))
@@ -252,10 +397,10 @@ def _explain_change(robot: Robot, columns: FloatArray, change: FloatArray, matri
     return _payload(robot, found, covariance_of(np.linalg.pinv(seen.T @ seen), 0))
 
 
-def _payload(robot: Robot, inertial: FloatArray, covariance: Covariance) -> Payload:
+def _payload(robot: Robot, inertial: FloatArray, covariance: Covariance) -> PayloadParameters:
     if not inertial[0] > 0:
         raise MethodError(
             f"The payload's mass comes out as {inertial[0]:.3g} kg; expected a positive one: check that the second "
             "record is the one with the payload, and that both have the same torque's unit."
         )
-    return Payload(robot.links[-1].name, inertial, covariance)
+    return PayloadParameters(robot.links[-1].name, inertial, covariance)

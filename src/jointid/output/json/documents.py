@@ -240,7 +240,7 @@ SHAPES: Mapping[str, Shape] = {
         "peak_torque": lambda simulation: abs(simulation.torque).max(axis=0),
         "peak_speed": lambda simulation: abs(simulation.motor_velocity).max(axis=0),
     },
-    "WeighedPayload": document("jointid.payload/1", "link parameters=rows ways_agree=agrees body_possible=possible"),
+    "Payload": document("jointid.payload/1", "link parameters=rows ways_agree=agrees body_possible=possible"),
     "DriveGains": document("jointid.drive_gains/1", "gains=rows"),
     # Files and reports
     "Inspection": document("jointid.inspection/1", "file format bytes=size channels scalars not_read=passed"),

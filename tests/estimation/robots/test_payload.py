@@ -12,9 +12,8 @@ from jointid.common.errors import MethodError
 from jointid.estimation.robots.drive_gains import identify_drive_gains
 from jointid.estimation.robots.flexible import SpringVerdict
 from jointid.estimation.robots.idim import RobotIDIM, identify_robot
-from jointid.estimation.robots.payload import payload_difference, payload_of_torques
+from jointid.estimation.robots.payload import Payload, identify_payload, payload_difference, payload_of_torques
 from jointid.estimation.robots.torque_estimate import identify_robot_from_torques
-from jointid.estimation.robots.weighing import WeighedPayload, weigh_payload, weigh_payload_from_torques
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Robot
 from jointid.output import json as answers
@@ -46,7 +45,7 @@ def in_currents(records: Sequence[Record]) -> list[Record]:
 
 
 def test_a_payload_is_weighed_within_a_percent_both_ways() -> None:
-    found = weigh_payload(ARM, *pair(11))
+    found = identify_payload(ARM, *pair(11))
     assert found.rows["mass"]["value"] == pytest.approx(3.0, rel=0.01)
     assert found.rows["mass"]["by_difference"] == pytest.approx(3.0, rel=0.01)
     assert found.rows["mass"]["verdict"] == "known"
@@ -62,7 +61,7 @@ def test_a_payload_is_weighed_within_a_percent_both_ways() -> None:
 def test_a_number_of_the_empty_robot_may_be_fixed() -> None:
     """It is not the loaded one's, so the estimates that are compared leave it free."""
     records, settings = pair(12), RobotIDIM(fixed={"Ia6": 0.3})
-    found = weigh_payload(ARM, *records, settings)
+    found = identify_payload(ARM, *records, settings)
     assert found.agrees
     assert found.rows["mass"]["value"] == pytest.approx(3.0, rel=0.01)
     one, other = (identify_robot(ARM, each, settings) for each in records)
@@ -72,20 +71,20 @@ def test_a_number_of_the_empty_robot_may_be_fixed() -> None:
 
 def test_a_payload_is_not_weighed_by_instruments() -> None:
     with pytest.raises(MethodError, match=r'"iv" has no instruments there; use "weighted", "robust" or "ols"'):
-        weigh_payload(ARM, *pair(12), RobotIDIM(estimator="iv"))
+        identify_payload(ARM, *pair(12), RobotIDIM(estimator="iv"))
 
 
 def test_two_deviations_hold_the_payload() -> None:
     inside = []
     for seed in range(20, 26):
-        found = weigh_payload(ARM, *pair(seed, noise=0.5))
+        found = identify_payload(ARM, *pair(seed, noise=0.5))
         for way in (found.payload, found.difference):
             values, std = way.properties
             inside.append(np.abs(values - TRUTH) < 2 * std)
     assert np.mean(inside) > 0.88
 
 
-def by_torques(seed: int, noise: float = 0.02, warmer: float = 1.0) -> WeighedPayload:
+def by_torques(seed: int, noise: float = 0.02, warmer: float = 1.0) -> Payload:
     """Weigh the payload on an arm of six joints from torques and references, its friction so many times as large."""
     twin = six()
     joints = tuple(replace(joint, coulomb=warmer * joint.coulomb) for joint in twin.robot.joints)
@@ -94,7 +93,7 @@ def by_torques(seed: int, noise: float = 0.02, warmer: float = 1.0) -> WeighedPa
         recorded(each.loop(), each.records(10.0, seed=seed + k), noise, seed=seed + k)[0]
         for k, each in enumerate((twin, loaded))
     )
-    return weigh_payload_from_torques(twin.loop(), one, other)
+    return identify_payload(twin.loop(), one, other)
 
 
 def test_a_payload_is_weighed_from_torques_and_references_alone() -> None:
@@ -130,7 +129,7 @@ def test_a_payload_on_a_flexible_robot_acts_behind_its_springs() -> None:
         recorded(each.loop(), each.records(5.0, seed=k, multisine=0.004), 0.02, seed=k)[0]
         for k, each in enumerate((twin, loaded), start=1)
     )
-    found = weigh_payload_from_torques(twin.loop(), one, other)
+    found = identify_payload(twin.loop(), one, other)
     assert found.rows["mass"]["value"] == pytest.approx(3.0, rel=0.01)
 
 
@@ -140,7 +139,7 @@ def test_a_payload_is_weighed_on_the_drive_side() -> None:
     twin = six((False, True, True, False, False, False))
     loaded = replace(twin, robot=with_payload(twin.robot, BODY.inertial))
     one, other = logged(twin, 5.0, seed=1), logged(loaded, 6.0, seed=2, first=1000)
-    found = weigh_payload_from_torques(RobotDriveSide(twin.robot), one, other)
+    found = identify_payload(RobotDriveSide(twin.robot), one, other)
     for way in ("value", "by_difference"):
         assert found.rows["mass"][way] == pytest.approx(3.0, rel=0.01)
     values, std = found.payload.properties
@@ -152,7 +151,7 @@ def test_what_is_not_told_of_a_payload_is_said() -> None:
     twin = two()
     one, other = (recorded(twin.loop(), twin.records(4.0, seed=k), 0.01)[0] for k in (1, 2))
     with pytest.raises(MethodError, match=r"does not tell all of a payload: my, .* expected joints that turn and tilt"):
-        weigh_payload_from_torques(twin.loop(), one, other)
+        identify_payload(twin.loop(), one, other)
     estimate = identify_robot_from_torques(twin.loop(), one)
     for same_friction in (True, False):  # of few rows, too
         with pytest.raises(MethodError, match="does not tell all of a payload"):
@@ -168,7 +167,7 @@ def test_friction_that_changed_beside_the_payload_is_said() -> None:
     """By both records at once one friction is both robots', by the difference each has its own."""
     joints = tuple(replace(joint, coulomb=0.7 * joint.coulomb) for joint in ARM.joints)
     warm = with_payload(replace(ARM, joints=joints), BODY.inertial)
-    found = weigh_payload(ARM, *pair(13, noise=0.05, loaded=warm))
+    found = identify_payload(ARM, *pair(13, noise=0.05, loaded=warm))
     assert found.rows["mass"]["by_difference"] == pytest.approx(3.0, rel=0.01)
     assert not found.agrees
     assert "something beside the payload changed between the records" in " ".join(found.summary().split())
