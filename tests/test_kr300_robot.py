@@ -14,10 +14,10 @@ from jointid import Cascade, MethodError
 from jointid.config import load
 from jointid.config.robot_file import RobotFile
 from jointid.diagnostics.robots.diagnose import diagnose_robot
+from jointid.diagnostics.validation import validate
 from jointid.estimation.robots.consistent import mass_matrix_at
 from jointid.estimation.robots.idim import identify_robot
 from jointid.estimation.robots.torque_estimate import identify_robot_drive_side
-from jointid.estimation.robots.validation import validate_robot
 from jointid.models.robots.base_parameters import base_parameters, inverse_columns
 from jointid.models.robots.robot import JointSpring, Robot
 
@@ -78,7 +78,7 @@ def test_its_masses_are_those_of_the_nominal_model(file: RobotFile, data_dir: Pa
 @pytest.mark.parametrize(("first", "second", "cells"), ROWS)
 def test_the_table_is_what_comes_out(file: RobotFile, data_dir: Path, first: str, second: str, cells: str) -> None:
     records = {name: file.records(data_dir / "kr300" / f"rec_{name}.mat") for name in "AB"}
-    found = validate_robot(identify_robot(file.robot, records[first]), records[second])
+    found = validate(identify_robot(file.robot, records[first]), records[second])
     assert found.body_errors is not None
     errors = np.concatenate([found.joint_errors, found.nominal_errors, found.body_errors])
     said = [float(text) for text in re.findall(r"[\d.]+", cells)]

@@ -29,9 +29,7 @@ from .estimation.robots.torque_estimate import (
     RobotDIDIM,
     RobotDriveSideFit,
     RobotTorqueEstimate,
-    validate_robot_torques,
 )
-from .estimation.robots.validation import RobotValidation, validate_robot
 from .models.controllers import PD, PID, Cascade, StateSpaceController, filters
 from .models.friction import AsymmetricFriction, SymmetricFriction
 from .models.gravity import Counterbalance, Gravity
@@ -115,7 +113,6 @@ __all__ = [
     "RobotLoop",
     "RobotReport",
     "RobotTorqueEstimate",
-    "RobotValidation",
     "SeveralRecords",
     "StateSpaceController",
     "SymmetricFriction",
@@ -157,7 +154,5 @@ __all__ = [
     "tune",
     "twin",
     "validate",
-    "validate_robot",
-    "validate_robot_torques",
     "write",
 ]

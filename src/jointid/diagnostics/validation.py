@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple, overload
 
 import numpy as np
 
@@ -50,6 +50,10 @@ from jointid.uncertainty.verdict import POOR_FIT
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
+
+    from jointid.diagnostics.robots.validation import RobotValidation
+    from jointid.estimation.robots.idim import RobotEstimate
+    from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
 
 _LAGS = 40  # of the residual's autocorrelation
 _NEGLIGIBLE = 0.01  # of the torque: a joint that adds less to the error predicts a record that has no noise
@@ -203,18 +207,37 @@ def _percent(share: float) -> str:
     return f"{number(100 * share, 3)} %"
 
 
-def validate(estimate: Estimate | IdentifiedJoint, record: Record) -> Validation:
-    """Compare an identified joint with a record: direct test on its own record, cross test on another.
+@overload
+def validate(estimate: Estimate | IdentifiedJoint, record: Record) -> Validation: ...
+
+
+@overload
+def validate(estimate: RobotEstimate | RobotTorqueEstimate, record: Sequence[Record]) -> RobotValidation: ...
+
+
+def validate(
+    estimate: Estimate | IdentifiedJoint | RobotEstimate | RobotTorqueEstimate, record: Record | Sequence[Record]
+) -> Validation | RobotValidation:
+    """Compare an identified joint or robot with a record.
 
     Args:
-        estimate: new or read back from a file.
-        record: with the channels its method uses.
+        estimate: new or, of a joint, read back from a file.
+        record: with the channels its method uses: that of the estimate for a direct test of a joint, or another for a
+            cross test. Of a robot another record of each joint; the nominal robot is compared with it, too.
 
     Raises:
         RecordError: a channel is missing, or the record contradicts its description.
-        MethodError: the loop cannot be simulated on this record, or the estimate is of the drive side or the open
-            loop.
+        MethodError: the loop cannot be simulated on this record, the estimate of a joint is of the drive side or the
+            open loop, or the record is the own one of a robot's estimate.
     """
+    if not isinstance(estimate, Estimate | IdentifiedJoint):
+        from jointid.diagnostics.robots.validation import validate_robot
+
+        if not isinstance(record, Sequence):
+            raise MethodError("The estimate of a robot is validated on a record of each joint; give them in order.")
+        return validate_robot(estimate, record)
+    if isinstance(record, Sequence):
+        raise MethodError("The estimate of a joint is validated on one record; validate it on each alone.")
     record.require(("torque",), "Validation")
     check_record(record)
     identified = estimate.identified if isinstance(estimate, Estimate) else estimate

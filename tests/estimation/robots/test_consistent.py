@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
+from jointid.diagnostics.validation import validate
 from jointid.estimation.robots.consistent import consistent_robot, least_inertia
 from jointid.estimation.robots.flexible import SpringVerdict
 from jointid.estimation.robots.idim import identify_robot
 from jointid.estimation.robots.payload import payload_difference, payload_of_both_records
-from jointid.estimation.robots.torque_estimate import identify_robot_from_torques, validate_robot_torques
+from jointid.estimation.robots.torque_estimate import identify_robot_from_torques
 from jointid.models.robots.inertial import (
     MassProperties,
     from_log_cholesky,
@@ -88,7 +89,7 @@ def test_bodies_fit_an_estimate_from_torques_alone(twin: Twin) -> None:
     found = consistent_robot(estimate)
     assert found.misfit < 0.2 and found.least_inertia > 0.0
     assert all(is_consistent(link.inertial) for link in found.robot.links)
-    held_out = validate_robot_torques(estimate, other)
+    held_out = validate(estimate, other)
     assert held_out.body_errors == pytest.approx(held_out.joint_errors, rel=0.05)
     assert held_out.bodies_better and held_out.better
     for mine, truth in zip(found.robot.joints, twin.robot.joints, strict=True):

@@ -10,11 +10,12 @@ import pytest
 
 import jointid as ji
 from jointid.common.errors import MethodError, RecordError
+from jointid.diagnostics.robots.validation import RobotValidation
+from jointid.diagnostics.validation import validate
 from jointid.estimation.robots.consistent import consistent_robot
 from jointid.estimation.robots.idim import RobotIDIM, identify_robot
 from jointid.estimation.robots.instruments import robot_instruments
 from jointid.estimation.robots.regression import base_rows, motion_of_robot
-from jointid.estimation.robots.validation import RobotValidation, validate_robot
 from jointid.models.robots.base_parameters import base_parameters
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -137,13 +138,13 @@ def test_outliers_do_not_reach_the_robust_estimate() -> None:
 def test_an_estimate_is_held_beside_the_nominal_model() -> None:
     nominal = replace(ARM, links=tuple(replace(one, inertial=1.2 * one.inertial) for one in ARM.links))
     estimate = identify_robot(nominal, records_of(ARM, 2, noise=0.5))
-    held_out = validate_robot(estimate, records_of(ARM, 9, noise=0.5))
+    held_out = validate(estimate, records_of(ARM, 9, noise=0.5))
     assert held_out.better and np.all(held_out.joint_errors[:3] < held_out.nominal_errors[:3])
     assert "better than the nominal model" in held_out.summary().splitlines()[2]
     assert held_out.bodies_better and held_out.body_errors is not None
     assert np.all(held_out.body_errors[:3] < held_out.nominal_errors[:3])
     bare = replace(estimate, robot=nominal.with_inertials(0.0 * nominal.inertials))
-    alone = validate_robot(bare, records_of(ARM, 9))
+    alone = validate(bare, records_of(ARM, 9))
     assert alone.body_errors is None and "no masses to compare it with" in " ".join(alone.summary().split())
 
 

@@ -175,7 +175,7 @@ def test_the_answer_is_held_against_another_record() -> None:
     text = estimate.document().text()
     assert "drive side of a robot, from motor torques and motor positions" in text
     assert estimate.rows["log_delay"]["unit"] == "s"
-    held = ji.validate_robot_torques(estimate, logged(twin, seed=4))
+    held = ji.validate(estimate, logged(twin, seed=4))
     assert held.better
     assert np.all(held.joint_errors < 0.03)
     told = ji.diagnose_robot(estimate, logged(twin))
@@ -196,7 +196,7 @@ def test_where_links_are_at_first_is_no_merit_of_an_estimate() -> None:
     assert "joint1.initial_link_velocity" in estimate.fit.names
     assert np.all(estimate.joint_errors < 0.015)
     assert np.all(estimate.nominal_errors < 1.1 * estimate.joint_errors)
-    held = ji.validate_robot_torques(estimate, logged(twin, duration=7.0, seed=4, first=1500))
+    held = ji.validate(estimate, logged(twin, duration=7.0, seed=4, first=1500))
     assert np.all(held.joint_errors < 0.02)
 
 

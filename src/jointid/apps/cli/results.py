@@ -27,11 +27,8 @@ if TYPE_CHECKING:
     from jointid import (
         JointFile,
         Report,
-        RobotEstimate,
         RobotFile,
         RobotReport,
-        RobotTorqueEstimate,
-        RobotValidation,
     )
 
 Language = Literal["joint-file", "state-space", "matlab", "mjcf", "urdf", "modelica"]
@@ -145,7 +142,7 @@ def _robot_report(
     file: RobotFile, options: Options, choices: dict[str, str | None], held_out: Path | None, html: str
 ) -> RobotReport:
     """Identify a robot, and report it, held against another record where one is given."""
-    from jointid import RobotReport
+    from jointid import RobotReport, validate
     from jointid.output.report import repetition
 
     records = file.record(options.record, judged=True)
@@ -155,19 +152,10 @@ def _robot_report(
         estimate,
         records,
         [one.controller for one in file.joints],
-        None if held_out is None else _held_out(file, estimate, held_out),
+        None if held_out is None else validate(estimate, file.record(held_out)),
         feed_forward=file.feed_forward,
         repetition=repetition(file.path, Path(file.record_path(options.record)), asked, options.changes, html, "robot"),
     )
-
-
-def _held_out(file: RobotFile, estimate: RobotEstimate | RobotTorqueEstimate, other: Path) -> RobotValidation:
-    """Hold the estimate of a robot against another record than its own."""
-    from jointid import RobotEstimate, validate_robot, validate_robot_torques
-
-    if isinstance(estimate, RobotEstimate):
-        return validate_robot(estimate, file.records(other))
-    return validate_robot_torques(estimate, file.record(other))
 
 
 def _require_goal(file: JointFile, plan: str) -> None:
@@ -223,7 +211,7 @@ def validate(
                 "A robot's estimate is held against a record that it has not seen; expected --record OTHER, beside the "
                 "record that the robot file names."
             )
-        deliver(_held_out(file, file.identify(file.record(), options.progress), options.record), options.json)
+        deliver(run(file.identify(file.record(), options.progress), file.record(options.record)), options.json)
         return
     estimate = _needed(estimate)
     identified = answers.read_identified(estimate, file.joint, file.loop)

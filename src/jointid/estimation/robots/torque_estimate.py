@@ -21,14 +21,13 @@ from jointid.common.parameters import TORQUE_UNIT, unit_of
 from jointid.common.settings import add_settings_to_docstring, check_settings, declare, setting
 from jointid.common.text import interval, join, number
 from jointid.common.units import Kind
-from jointid.estimation.robots.consistent import Sums, can_be_near, consistent_robot
+from jointid.estimation.robots.consistent import Sums
 from jointid.estimation.robots.didim import RobotFit, identify_rigid_robot
 from jointid.estimation.robots.drive_side import RobotDriveSideProblem, drive_side_problem, identify_flexible_drive_side
 from jointid.estimation.robots.flexible import SpringVerdict, identify_flexible_robot
 from jointid.estimation.robots.idim import KNOWN, errors_table, much_left
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
 from jointid.estimation.robots.problem import RobotLoopProblem, robot_problem
-from jointid.estimation.robots.validation import RobotValidation, require_unseen
 from jointid.models.robots.inertial import SYMBOLS, UNITS
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
@@ -363,36 +362,12 @@ def _held_beside_nominal(
     settings: RobotDIDIM | RobotDriveSideFit,
     filtering: Filtering | None,
 ) -> RobotTorqueEstimate:
-    nominal = _nominal(setup.robot, fit.parameters.numbers(fit.values))
-    errors, resolved = _errors(setup, records, filtering, nominal)
+    nominal = nominal_numbers(setup.robot, fit.parameters.numbers(fit.values))
+    errors, resolved = simulated_errors(setup, records, filtering, nominal)
     return RobotTorqueEstimate(setup, fit, errors, springs, settings, resolved)
 
 
-def validate_robot_torques(estimate: RobotTorqueEstimate, records: Sequence[Record]) -> RobotValidation:
-    """Hold an estimate against another record, simulated as it was identified, beside the robot that one had before.
-
-    Args:
-        estimate: from another record.
-        records: of each joint, as `identify_robot_from_torques` or `identify_robot_drive_side` takes them.
-
-    Raises:
-        MethodError: the estimate cannot be simulated along that record, or it is the estimate's own.
-    """
-    setup, found = estimate.closing, estimate.numbers()
-    mine, _ = _errors(setup, records, estimate.filtering, found)
-    require_unseen(mine, estimate.joint_errors)
-    nominal, _ = _errors(setup, records, estimate.filtering, _nominal(estimate.robot, found))
-    if not np.all(np.isfinite(mine)):
-        what = "references" if isinstance(setup, RobotLoop) else "motor positions"
-        raise MethodError(f"The robot that was identified cannot be simulated along this record; check its {what}.")
-    bodies = None
-    if can_be_near(estimate.robot) and all(spring.shown for spring in estimate.springs):
-        near = replace(RobotNumbers.of(consistent_robot(estimate).robot), log=found.log)
-        bodies, _ = _errors(setup, records, estimate.filtering, near)
-    return RobotValidation(estimate.robot, mine, nominal, bodies, settled=estimate.fit.converged)
-
-
-def _nominal(robot: Robot, found: RobotNumbers) -> RobotNumbers:
+def nominal_numbers(robot: Robot, found: RobotNumbers) -> RobotNumbers:
     """Return the robot that one had before, with the friction that was found: one without friction is no opponent.
 
     The log's delay is not the robot's, and is as it was found, too.
@@ -403,7 +378,7 @@ def _nominal(robot: Robot, found: RobotNumbers) -> RobotNumbers:
     return replace(numbers, masses=masses, log=found.log)
 
 
-def _errors(
+def simulated_errors(
     setup: RobotLoop | RobotDriveSide, records: Sequence[Record], filtering: Filtering | None, numbers: RobotNumbers
 ) -> tuple[FloatArray, Filtering]:
     """Return what a robot leaves of each joint's filtered torque, (n,), infinite if it cannot be simulated."""

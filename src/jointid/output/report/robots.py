@@ -13,9 +13,9 @@ from jointid.common.text import interval, number
 from jointid.diagnostics.report_data import Spectra, estimate_spectra
 from jointid.diagnostics.robots.diagnose import FeedForwardName, RobotDiagnosis, diagnose_robot
 from jointid.diagnostics.robots.parameters import ParameterOfJoint, Told
+from jointid.diagnostics.robots.validation import RobotValidation
 from jointid.estimation.robots.idim import RobotEstimate
 from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
-from jointid.estimation.robots.validation import RobotValidation
 from jointid.models.controllers import Controller
 from jointid.models.robots.robot import Robot
 from jointid.output.figures.charts import AxisSignals, residual_chart, spectra_chart, torques_chart
@@ -60,7 +60,7 @@ class RobotReport(Pages):
             estimate: by IDIM or DIDIM.
             records: of each joint, that it was identified from.
             controllers: as declared, see `diagnose_robot`.
-            validation: of the estimate on another record, from `validate_robot` or `validate_robot_torques`.
+            validation: of the estimate on another record, from `validate`.
             feed_forward: as declared, see `diagnose_robot`.
             repetition: what it takes to do it again, where the files are known.
 

@@ -1,14 +1,14 @@
-"""An estimate of a robot on a motion that it has not seen, beside the model that one had before.
+"""Validation of a robot's estimate on another record, with the nominal robot for comparison.
 
-A model is worth having if it predicts such a motion better. Three are compared: the estimate, which its own record may
-have led astray; bodies near the model's that fit it (`consistent`); and the model's own masses, with friction fitted to
-the estimate's record.
+An estimate is worth having if it predicts that record better. Three models are compared: the estimate; bodies near the
+nominal ones that fit it (`consistent`); and the nominal masses, rotors and springs, with friction fitted to the
+estimate's record. By IDIM the inverse models are compared, otherwise simulations.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,8 +18,11 @@ from jointid.common.errors import MethodError
 from jointid.estimation.robots.consistent import can_be_near, consistent_robot
 from jointid.estimation.robots.idim import RobotEstimate, errors_table
 from jointid.estimation.robots.regression import base_rows, motion_of_robot, relative_errors
+from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate, nominal_numbers, simulated_errors
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
+from jointid.simulation.robot_numbers import RobotNumbers
+from jointid.simulation.robots import RobotLoop
 
 _ALIKE = 0.02  # of an error: two models whose errors differ by less are as good as each other
 _SAME = 1e-9  # relative: errors of two records never agree so closely
@@ -27,7 +30,7 @@ _SAME = 1e-9  # relative: errors of two records never agree so closely
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotValidation(Documented):
-    """What an estimate, bodies that fit it and the nominal model leave of another record's torque.
+    """Shares of another record's torque that an estimate, bodies near the nominal ones and the nominal robot leave.
 
     Attributes:
         robot: whose joints they are.
@@ -97,34 +100,34 @@ class RobotValidation(Documented):
         )
 
 
-def validate_robot(estimate: RobotEstimate, records: Sequence[Record]) -> RobotValidation:
-    """Hold an estimate's torque against another record, beside the nominal model's.
-
-    Args:
-        estimate: from another record.
-        records: of each joint, as `identify_robot` takes them.
-
-    Raises:
-        MethodError: the record is the estimate's own.
-        RecordError: as of `identify_robot`.
-    """
-    motion = motion_of_robot(estimate.robot, records, estimate.filtering)
-    rows = base_rows(estimate.robot, estimate.base, motion)
-    mine = relative_errors(rows, estimate.values)
-    require_unseen(mine, estimate.joint_errors)
+def validate_robot(estimate: RobotEstimate | RobotTorqueEstimate, records: Sequence[Record]) -> RobotValidation:
+    """Compare an estimate, the nominal robot and bodies near it with another record; see `jointid.validate`."""
+    robot, filtering = estimate.robot, estimate.filtering
+    if isinstance(estimate, RobotEstimate):
+        rows = base_rows(robot, estimate.base, motion_of_robot(robot, records, filtering))
+        mine, nominal = (relative_errors(rows, values) for values in (estimate.values, estimate.nominal))
+        _require_unseen(mine, estimate.joint_errors)
+        bodies = None
+        if can_be_near(robot):
+            bodies = relative_errors(rows, estimate.base.with_friction(consistent_robot(estimate).robot))
+        return RobotValidation(robot, mine, nominal, bodies)
+    closing, found = estimate.closing, estimate.numbers()
+    mine, nominal = (
+        simulated_errors(closing, records, filtering, numbers)[0] for numbers in (found, nominal_numbers(robot, found))
+    )
+    _require_unseen(mine, estimate.joint_errors)
+    if not np.all(np.isfinite(mine)):
+        what = "references" if isinstance(closing, RobotLoop) else "motor positions"
+        raise MethodError(f"The robot that was identified cannot be simulated along this record; check its {what}.")
     bodies = None
-    if can_be_near(estimate.robot):
-        bodies = relative_errors(rows, estimate.base.with_friction(consistent_robot(estimate).robot))
-    return RobotValidation(estimate.robot, mine, relative_errors(rows, estimate.nominal), bodies)
+    if can_be_near(robot) and all(spring.shown for spring in estimate.springs):
+        near = replace(RobotNumbers.of(consistent_robot(estimate).robot), log=found.log)
+        bodies = simulated_errors(closing, records, filtering, near)[0]
+    return RobotValidation(robot, mine, nominal, bodies, settled=estimate.fit.converged)
 
 
-def require_unseen(errors: FloatArray, own: FloatArray) -> None:
-    """Raise a `MethodError` if an estimate leaves of a record to the last digits what it leaves of its own.
-
-    Args:
-        errors: (n,) that it leaves of the record.
-        own: (n,) that it leaves of the one that it is from.
-    """
+def _require_unseen(errors: FloatArray, own: FloatArray) -> None:
+    """Raise a `MethodError` if the errors, (n,), are those of the estimate's own record."""
     if np.allclose(errors, own, rtol=_SAME, atol=0.0):
         raise MethodError(
             "This record is the one that the estimate is from, or a copy of it; expected one that it has not seen, "
