@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from jointid.config import learned_text, load_to_learn, loads
-from jointid.controller_id.intervals import LearnedNumber
-from jointid.controller_id.learned_controller import LearnedController, numbers_in_drive
+from jointid.controller_id.learned_controller import LearnedController, LearnedNumber, numbers_in_drive
 from jointid.controller_id.limitations import LimitationCode
 from jointid.controller_id.structures import Structure
 from jointid.models.controllers import PD, PID, Cascade, Controller, FirstOrder

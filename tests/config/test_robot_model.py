@@ -10,7 +10,7 @@ import pytest
 
 from jointid.common.errors import JointFileError
 from jointid.config.robot_model import load_robot, read_robot
-from jointid.models.robots.dynamics import inverse_dynamics_of
+from jointid.models.robots.dynamics import inverse_dynamics
 from tests.models.robots.trees import as_mjcf, by_mujoco, random_robot
 
 pytest.importorskip("mujoco", reason="reads models with MuJoCo, which is not installed")
@@ -46,9 +46,9 @@ def test_a_tree_written_as_mjcf_comes_back(seed: int) -> None:
     order = [robot.names.index(name) for name in found.names]
     random = np.random.default_rng(seed)
     q, v, a = random.normal(size=(3, 4, 6))
-    expected = inverse_dynamics_of(robot.tree, robot.inertials, q, v, a)
+    expected = inverse_dynamics(robot.tree, robot.inertials, q, v, a)
     moved = [np.ascontiguousarray(one[:, order]) for one in (q, v, a)]
-    torque = inverse_dynamics_of(found.tree, found.inertials, *moved)
+    torque = inverse_dynamics(found.tree, found.inertials, *moved)
     assert np.abs(torque - expected[:, order]).max() < by_mujoco(1e-11) * np.abs(expected).max()
     assert found.of_joints("rotor_inertia") == pytest.approx(robot.of_joints("rotor_inertia")[order])
 
@@ -62,7 +62,7 @@ def test_a_urdf_without_its_meshes_in_order_of_its_tree() -> None:
     # A fixed tool is a part of the rod, which says no mass of its own.
     assert robot.links[1].inertial == pytest.approx([5, 0, 0, 1.5, 1.45, 0, 0, 1.45, 0, 1], abs=1e-11)
     rest = np.zeros((1, 2))
-    torque = inverse_dynamics_of(robot.tree, robot.inertials, rest, rest, rest)
+    torque = inverse_dynamics(robot.tree, robot.inertials, rest, rest, rest)
     assert torque[0] == pytest.approx([-9.81 * (2 * 0.5 + 5 * 1.3), 0.0], abs=1e-9)
 
 
@@ -78,7 +78,7 @@ def test_joints_of_one_body_and_a_position_that_does_not_begin_at_zero() -> None
     data, (q, v, a) = mujoco.MjData(model), np.array([[0.4, -0.3, 0.7], [1.0, 2.0, -1.5], [3.0, -1.0, 2.0]])
     data.qpos[:], data.qvel[:], data.qacc[:] = q, v, a
     mujoco.mj_inverse(model, data)
-    found = inverse_dynamics_of(robot.tree, robot.inertials, q[None], v[None], a[None])
+    found = inverse_dynamics(robot.tree, robot.inertials, q[None], v[None], a[None])
     assert found[0] == pytest.approx(data.qfrc_inverse, rel=1e-12)
 
 

@@ -19,8 +19,7 @@ from jointid.apps.cli import main
 from jointid.apps.cli.streams import finish_outputs, prepare_outputs
 from jointid.common.document import Document
 from jointid.config import JointFile, loads
-from jointid.controller_id.intervals import LearnedNumber
-from jointid.controller_id.learned_controller import LearnedController
+from jointid.controller_id.learned_controller import LearnedController, LearnedNumber
 from jointid.controller_id.structures import Structure
 from jointid.records.formats import Table, write_table
 from jointid.simulation.excitation import trapezoids

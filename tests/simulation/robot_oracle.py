@@ -1,7 +1,7 @@
 """Slow reference simulator of robots for tests: error-controlled (DOP853), events located, friction by enumeration.
 
-It shares the links' dynamics with jointid and nothing else: the controllers are PD laws written out, the modes of
-friction at rest are found by trying all of them, and the events by SciPy's own.
+It takes the links' dynamics from jointid's regressor and shares nothing else: the controllers are PD laws written out,
+the modes of friction at rest are found by trying all of them, and the events by SciPy's own.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from scipy.integrate import solve_ivp
 
 from jointid.common.arrays import FloatArray
 from jointid.models.friction import low_speed_share
-from jointid.models.robots.dynamics import inverse_dynamics, mass_matrix
 from jointid.models.robots.robot import Tree
 from jointid.simulation.robot_numbers import RobotNumbers
+from tests.models.robots.trees import mass_matrix_by_regressor, torque_by_regressor
 
 
 def simulate_pd(
@@ -56,9 +56,9 @@ def simulate_pd(
     torque, waiting = np.zeros(n), list[tuple[float, int, float]]()
 
     def forces(q: FloatArray, v: FloatArray, torque: FloatArray) -> tuple[FloatArray, FloatArray]:
-        M, bias, links = np.zeros((size, size)), np.empty(n), np.empty((n, n))
-        inverse_dynamics(tree, numbers.inertials, joints @ q[:n], joints @ v[:n], still, bias)
-        mass_matrix(tree, numbers.inertials, joints @ q[:n], links)
+        M = np.zeros((size, size))
+        bias = torque_by_regressor(tree, numbers.inertials, joints @ q[:n], joints @ v[:n], still)
+        links = mass_matrix_by_regressor(tree, numbers.inertials, joints @ q[:n])
         M[:n, :n] = joints.T @ links @ joints
         M[np.diag_indices(size)] += numbers.masses[:, 0]
         viscous = numbers.masses[:, 1] + np.where(v < 0, numbers.masses[:, 5], numbers.masses[:, 4])

@@ -191,7 +191,10 @@ class _CheckedFile(IndexDataCacheFile):
         stamp = str(self._source_stamp).encode()
         if not content.startswith(stamp):
             return None
-        return pickle.loads(content[len(stamp) :])  # noqa: S301 - the user's own folder, as Python's compiled modules are
+        try:
+            return pickle.loads(content[len(stamp) :])  # noqa: S301 - the user's own folder, as compiled modules are
+        except (AttributeError, ModuleNotFoundError):  # the same code stood in another module
+            return None
 
     def _save_data(self, name: str, data: Any) -> None:
         content = str(self._source_stamp).encode() + dumps(data)

@@ -13,7 +13,7 @@ with its sum, a6. Each law has some of the coefficients, or couples them: a casc
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -66,10 +66,14 @@ def columns(log: LoopRecord, structure: Structure, numbers: Mapping[str, float])
         fed = (r[last] - r[np.maximum(last - structure.every, 0)]) / (structure.every * period)
         e, w = e[last], w[last]
     e_sum, fed_sum, speed_sum, w_sum = (_running_sum(one, lead) * period for one in (e, fed, speed[:, 0], w))
+    later_taps: list[FloatArray] = []
+    for tap in range(1, structure.taps):
+        later = np.vstack([np.zeros((tap, 2)), speed[:-tap]])
+        later_taps += [later[:, 0], later[:, 1], _running_sum(later[:, 0], lead) * period]
     found = np.column_stack([
         e, speed[:, 0], fed, speed[:, 1], e_sum, fed_sum, speed_sum, w, w_sum,
         viscous, bent, direction, np.ones(r.size),
-        *_later_taps(speed, structure.taps, period, lead),
+        *later_taps,
     ])  # fmt: skip
     return log.to_log(_filter_signals(torque, found, period)[lead:], rate)
 
@@ -191,13 +195,6 @@ def law_coefficients(structure: Structure, numbers: Mapping[str, float], gain: f
 def _filters(structure: Structure, numbers: Mapping[str, float]) -> tuple[Filter | tuple[float, ...], ...]:
     """Filters of a structure, without free taps."""
     return filters_of(replace(structure, velocity_filter="none") if structure.taps else structure, numbers)
-
-
-def _later_taps(speed: FloatArray, taps: int, period: float, lead: int) -> Iterator[FloatArray]:
-    """Yield the columns of each later tap: speed of position and reference, position sum."""
-    for at in range(1, taps):
-        later = np.vstack([np.zeros((at, 2)), speed[:-at]])
-        yield from (later[:, 0], later[:, 1], _running_sum(later[:, 0], lead) * period)
 
 
 def _prepend_line(signal: FloatArray, lead: int, slope: int) -> FloatArray:

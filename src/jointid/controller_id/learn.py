@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
@@ -10,15 +11,15 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.transmission import Transmission
 from jointid.controller_id.fitting import FittedLaw, Task, covariance, order_rates
-from jointid.controller_id.intervals import numbers_with_intervals
-from jointid.controller_id.learned_controller import Alternative, LearnedController
+from jointid.controller_id.learned_controller import Alternative, LearnedController, LearnedNumber
 from jointid.controller_id.limitations import INTERRUPTED, fill_from_declaration, list_equivalents, list_limitations
 from jointid.controller_id.loop_record import prepare_loop_record
 from jointid.controller_id.ranking import ALIKE, Rival
 from jointid.controller_id.regression import compare_with_regression
 from jointid.controller_id.search import search
+from jointid.controller_id.structures import INTEGRAL, Structure, is_tap
 from jointid.diagnostics.faults.forces import find_steps
-from jointid.models.controllers import Controller, shift_start
+from jointid.models.controllers import Controller, shift_start, unit_of_number
 from jointid.records.record import Record
 from jointid.uncertainty.covariance import Covariance
 
@@ -74,19 +75,12 @@ def learn_controller(
         raise MethodError(f"The gain of a drive's chain is a positive number; received {gain}.")
     task = Task(prepare_loop_record(record), gain)
     best, rivals, ended = search(task, progress)
-    _check_residual(task, best, record.name, _LEFT if ended else _EXPLAINED)
+    _check_residual(task, best, _LEFT if ended else _EXPLAINED)
     return _build_result(task, order_rates(task, best), rivals, ended, transmission, declared)
 
 
-def _check_residual(task: Task, best: FittedLaw, name: str, most: float) -> None:
-    """Refuse a law that leaves too much, or ignores the position.
-
-    Args:
-        task: the record.
-        best: the law.
-        name: of the record.
-        most: admissible residual share of the torque, averaged over a few samples.
-    """
+def _check_residual(task: Task, best: FittedLaw, most: float) -> None:
+    """Refuse a law that leaves more than `most` of the averaged torque, or ignores the position."""
     residual, torque = task.residual(best.structure, best.numbers), task.log.torque
     lasting = np.convolve(residual, np.full(_LASTING, 1.0 / _LASTING), "same")
     share, lasts = (float(np.sqrt(np.mean(one**2) / np.mean(torque**2))) for one in (residual, lasting))
@@ -102,9 +96,9 @@ def _check_residual(task: Task, best: FittedLaw, name: str, most: float) -> None
         else f"{steps.brief[:1].upper()}{steps.brief[1:]}: add that channel, or log again without it."
     )
     raise MethodError(
-        f"No law that is searched for gives the torque of {name}: the best, {best.structure}{answers} leaves "
-        f"{100 * share:.3g} % of it, {100 * lasts:.3g} % averaged over {_LASTING} samples (at most {100 * most:g} % "
-        f"expected of noise). {remedy}"
+        f"No law that is searched for gives the torque of {task.log.record.name}: the best, {best.structure}{answers} "
+        f"leaves {100 * share:.3g} % of it, {100 * lasts:.3g} % averaged over {_LASTING} samples (at most "
+        f"{100 * most:g} % expected of noise). {remedy}"
     )
 
 
@@ -159,7 +153,7 @@ def _build_result(
     return LearnedController(
         controller=made,
         structure=best.structure,
-        numbers=numbers_with_intervals(task, best, known, like_it),
+        numbers=_numbers_with_intervals(task, best, known, like_it),
         correlation=known.correlation,
         equivalent=(*list_equivalents(best.structure), *(o.structure for o in others if o.apart < SAME)),
         alternatives=others,
@@ -186,3 +180,45 @@ def _build_result(
 def _build_controller(task: Task, one: FittedLaw) -> Controller:
     """Build the controller with the phase of the record's first sample."""
     return shift_start(task.controller(one.structure, one.numbers), -task.log.record.begin)
+
+
+def _numbers_with_intervals(
+    task: Task, best: FittedLaw, known: Covariance, alike: Iterable[FittedLaw]
+) -> tuple[LearnedNumber, ...]:
+    """Numbers of a law, with intervals over all indistinguishable laws that share the number.
+
+    Cascades share numbers, as do PD and PID laws; filters of the same kind share theirs.
+    """
+    made = task.controller(best.structure, best.numbers)
+    spans = {name: [ends] for name, ends in _intervals(best, known)}
+    for other in (order_rates(task, one) for one in alike):
+        if other.structure.cascade != best.structure.cascade:
+            continue
+        for name, ends in _intervals(other, covariance(task, other)):
+            if name in spans and _is_same_part(name, best.structure, other.structure) and math.isfinite(ends[0]):
+                spans[name].append(ends)
+    hulls = [(min(low for low, _ in ends), max(high for _, high in ends)) for ends in spans.values()]
+    return tuple(
+        LearnedNumber(name, value, float(std), _unit_of(made, name, task.log.record), *hull)
+        for (name, value), std, hull in zip(best.numbers.items(), known.std, hulls, strict=True)
+    )
+
+
+def _intervals(one: FittedLaw, known: Covariance) -> Iterator[tuple[str, tuple[float, float]]]:
+    for (name, value), std in zip(one.numbers.items(), map(float, known.std), strict=True):
+        yield name, (value - 2 * std, value + 2 * std)
+
+
+def _is_same_part(name: str, one: Structure, other: Structure) -> bool:
+    """Test whether a number belongs to the same kind of filter, or none."""
+    if name.startswith("velocity_filter"):
+        return one.velocity_filter == other.velocity_filter
+    return not name.startswith("torque_filters") or one.torque_filter == other.torque_filter
+
+
+def _unit_of(made: Controller, name: str, record: Record) -> str:
+    assert record.torque is not None and record.motor_position is not None
+    if is_tap(name):
+        return ""
+    named = "constant_feedforward" if name == INTEGRAL else name  # both are held in the controller's output
+    return unit_of_number(made, named, record.motor_position.unit, record.torque.unit)

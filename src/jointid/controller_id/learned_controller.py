@@ -22,7 +22,6 @@ from jointid.common.document import (
 from jointid.common.messages import Message
 from jointid.common.text import number, pluralise
 from jointid.common.transmission import Transmission
-from jointid.controller_id.intervals import LearnedNumber
 from jointid.controller_id.limitations import LimitationCode
 from jointid.controller_id.structures import Structure
 from jointid.models.controllers import CONTROLLER_UNITS, Controller, in_torque
@@ -31,6 +30,33 @@ from jointid.records.record import Resampled
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+
+
+@dataclass(frozen=True, slots=True)
+class LearnedNumber:
+    """One number of the law.
+
+    Attributes:
+        name: as `jointid.models.controllers.numbers_of` has it; "integral" is what an integral holds at the first
+            sample, in controller units.
+        value: in the law's units.
+        std: standard deviation, if this law is the drive's.
+        unit: of the value; "" for a number without.
+        lower, upper: ends of the interval: 2 deviations either way, in this law and in all that the record does not
+            distinguish from it and that have the same number.
+    """
+
+    name: str
+    value: float
+    std: float
+    unit: str = ""
+    lower: float = math.nan
+    upper: float = math.nan
+
+    @property
+    def spread(self) -> float:
+        """Distance from the value to the further end of its interval."""
+        return max(self.upper - self.value, self.value - self.lower)
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,11 +123,7 @@ class LearnedController(Documented):
     regression_share: float = math.nan
 
     def beside(self, shown: Iterable[DriveNumber]) -> LearnedController:
-        """Add the numbers as the drive shows them.
-
-        Args:
-            shown: conversion, as `jointid.config.JointFile.drive_numbers` of the learned controller returns.
-        """
+        """Add the numbers as the drive shows them; `shown` converts, as `JointFile.drive_numbers` returns it."""
         return replace(self, in_drive=numbers_in_drive(self.numbers, self.correlation, shown))
 
     def __getitem__(self, name: str) -> LearnedNumber:
@@ -131,15 +153,6 @@ class LearnedController(Documented):
         """Whether a plain regression is so much better as to exclude this law."""
         return any(one.code is LimitationCode.ANOTHER_LAW for one in self.limitations)
 
-    @property
-    def _said_of_intervals(self) -> str:
-        """Explanation of intervals and controller units."""
-        said, gain = "+- is 2 deviations", getattr(self.controller, "gain", 1.0)
-        if self.alike:
-            others = pluralise(len(self.alike), "other law")
-            said += f"; it spans {others} that the record does not distinguish from this one"
-        return f"{said}; [controller] has gain = {number(gain)} {self.torque_unit}" if gain != 1.0 else said
-
     def _others(self) -> Iterator[Block]:
         """Yield the indistinguishable laws and the number of rejected ones."""
         if self.alike:
@@ -156,13 +169,12 @@ class LearnedController(Documented):
     @property
     def sentence(self) -> str:
         """The law, and how well it gives the torque."""
-        others = len(self.alike)
-        open_ones = (
-            f" The record does not distinguish it from {pluralise(others, 'other structure')}." if others else ""
-        )
         if self.another_law:
             return next(str(one) for one in self.limitations if one.code is LimitationCode.ANOTHER_LAW)
-        return f"The controller is {self.structure}; it leaves {100 * self.share:.2g} % of the torque.{open_ones}"
+        said = f"The controller is {self.structure}; it leaves {100 * self.share:.2g} % of the torque."
+        if self.alike:
+            said += f" The record does not distinguish it from {pluralise(len(self.alike), 'other structure')}."
+        return said
 
     def to_dataframe(self) -> DataFrame:
         """Pandas data frame of the numbers, with standard errors."""
@@ -186,6 +198,12 @@ class LearnedController(Documented):
         elsewhere = (LimitationCode.INDISTINGUISHABLE, LimitationCode.ANOTHER_LAW)
         left_open = [one for one in self.limitations if one.code not in elsewhere]
         gain, rows = getattr(self.controller, "gain", 1.0), []
+        explanation = "+- is 2 deviations"
+        if self.alike:
+            others = pluralise(len(self.alike), "other law")
+            explanation += f"; it spans {others} that the record does not distinguish from this one"
+        if gain != 1.0:
+            explanation += f"; [controller] has gain = {number(gain)} {self.torque_unit}"
         for n in self.numbers:
             ours = CONTROLLER_UNITS in n.unit
             factor, unit = (gain, in_torque(n.unit, self.torque_unit)) if ours else (1.0, n.unit)
@@ -196,7 +214,7 @@ class LearnedController(Documented):
             Facts(facts),
             *([drive_table(self.in_drive)] if self.in_drive else []),
             Table(("parameter in SI", "value", "+-", "unit", "%"), tuple(rows), words=(0, 3)),
-            Paragraph(self._said_of_intervals),
+            Paragraph(explanation),
             Paragraph(residual),
             *self._others(),
             Listing(tuple(map(str, left_open))),

@@ -120,29 +120,23 @@ def position_response(
         samples: of the log.
         rate: of the law, in periods per sample of the log.
     """
+
+    def cardinal(turns: FloatArray) -> FloatArray:
+        return np.asarray(np.sinc(turns) ** 4 / (1.0 - 2.0 / 3.0 * np.sin(np.pi * turns) ** 2))
+
     shares = _points(samples) * 0.5
     total = np.zeros(shares.size, dtype=np.complex128)
     for m in range(-(rate // 2), rate - rate // 2):
         at = shares + m
-        weight = np.ones(shares.size) if rate == 1 else sum(_cardinal(at + n * rate) for n in range(-2, 3))
+        weight = np.ones(shares.size) if rate == 1 else sum(cardinal(at + n * rate) for n in range(-2, 3))
         found = response(np.abs(at) / sample_time)
         total += weight * np.where(at < 0, found.conj(), found)
-    return np.interp(_shares(samples), _points(samples), np.abs(total))
-
-
-def _cardinal(turns: FloatArray) -> FloatArray:
-    return np.asarray(np.sinc(turns) ** 4 / (1.0 - 2.0 / 3.0 * np.sin(np.pi * turns) ** 2))
+    return np.interp(np.linspace(0.0, 1.0, samples // 2 + 1), _points(samples), np.abs(total))
 
 
 @cache
 def _points(size: int) -> FloatArray:
     return np.unique(np.concatenate([np.geomspace(2.0 / size, 1.0, _LOW), np.linspace(0.0, 1.0, _EVEN + 1)[1:]]))
-
-
-@cache
-def _shares(size: int) -> FloatArray:
-    """Frequencies of a real transform, relative to Nyquist."""
-    return np.linspace(0.0, 1.0, size // 2 + 1)
 
 
 def estimate_noise(

@@ -43,25 +43,21 @@ def score(one: NumberedStructure, rows: float) -> float:
 def rank(task: Task, best: FittedLaw, others: list[FittedLaw]) -> list[Rival]:
     """Rank structures by likelihood.
 
-    Of two with equal filters and torques equal within `MATERIAL`, the one with fewer numbers ranks first, since
-    direction-dependent encoder errors can be significant.
+    Of two with equal filters (free taps equal any difference) and torques equal within `MATERIAL`, the one with fewer
+    numbers ranks first, since direction-dependent encoder errors can be significant.
     """
     own, rivals = criterion(best, best), []
     for one in others:
         worse, distance = criterion(one, best) - own, torque_difference(task, one, best)
         more = one.structure.parts - best.structure.parts
-        if distance < MATERIAL and more and _has_same_filters(one.structure, best.structure):
+        first, second = one.structure, best.structure
+        same_velocity = first.velocity_filter == second.velocity_filter or first.taps or second.taps
+        if distance < MATERIAL and more and same_velocity and first.torque_filter == second.torque_filter:
             if more > 0:
                 continue  # the same law with a part that does nothing
             worse = -max(abs(worse), 1.0)
         rivals.append(Rival(one, worse, distance))
     return sorted(rivals, key=lambda rival: rival.worse)
-
-
-def _has_same_filters(one: Structure, other: Structure) -> bool:
-    """Test for filters of the same kind; free taps match any difference."""
-    differences = one.taps or other.taps
-    return one.filters == other.filters or bool(differences and one.torque_filter == other.torque_filter)
 
 
 def much_simpler(best: FittedLaw, rivals: Iterable[Rival]) -> FittedLaw | None:

@@ -301,11 +301,7 @@ def compare_with_regression(log: LoopRecord, residual: FloatArray) -> BesideRegr
     asked += [lagged_columns(one, _BESIDE) for one in beside if np.ptp(one)]
     _, left = regress(asked, signal_and_past(q, LAGS), log.torque, kept)
     size = math.sqrt(float(np.mean((log.torque * kept) ** 2))) or 1.0
-    law, plain = (_heard(one * kept, log.informative) / size for one in (residual, left))
-    return BesideRegression(law, plain)
-
-
-def _heard(signal: FloatArray, informative: FloatArray) -> float:
-    """Rms of a signal at the informative frequencies."""
-    heard = np.fft.irfft(np.fft.rfft(signal) * (informative > 0), signal.size)
-    return math.sqrt(float(np.mean(heard**2)))
+    informative = np.fft.rfft(np.column_stack([residual, left]) * kept[:, np.newaxis], axis=0)
+    informative *= (log.informative > 0)[:, np.newaxis]
+    rms = np.sqrt(np.mean(np.fft.irfft(informative, log.samples, axis=0) ** 2, axis=0))
+    return BesideRegression(*(float(one) / size for one in rms))

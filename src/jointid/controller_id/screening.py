@@ -11,7 +11,6 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, follow, ignore_progress
 from jointid.controller_id.ranking import score, unique_structures
 from jointid.controller_id.regression import CompressedFrame, Regression, RegressionFit, Weighting, initial_weighting
-from jointid.controller_id.search_time import FRAMES, LAWS
 from jointid.controller_id.structure_moves import list_laws
 from jointid.controller_id.structures import (
     COMMON,
@@ -27,6 +26,7 @@ from jointid.controller_id.structures import (
     starts,
 )
 
+FRAMES, LAWS = "screening clocks and filters, with free gains", "screening all laws with all clocks and filters"
 _FINEST = 8  # frames whose filters' numbers are searched for
 _DELAYS = 2  # of the log's, with which laws are tried
 _COST = attrgetter("cost")

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+import timeit
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+
+import numpy as np
 
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, Work, describe_time, follow, ignore_progress
@@ -29,8 +32,7 @@ from jointid.controller_id.regression import (
     law_numbers,
     regression,
 )
-from jointid.controller_id.screening import rank_candidates, screen_frames, start_law
-from jointid.controller_id.search_time import FITTING, JUDGING, NEARBY, Course, expect_seconds
+from jointid.controller_id.screening import FRAMES, LAWS, rank_candidates, screen_frames, start_law
 from jointid.controller_id.structure_moves import list_neighbours, list_simpler, remove_part
 from jointid.controller_id.structures import (
     LONGEST,
@@ -45,6 +47,18 @@ from jointid.controller_id.structures import (
     starts,
 )
 
+_FITTING, _NEARBY, _JUDGING = (
+    "fitting the likeliest laws",
+    "trying what is near the best",
+    "judging on the whole record",
+)
+
+_PROBED = 4  # periods per sample of the regression that the time of a search is expected from
+_REGRESSIONS = {FRAMES: 500.0, LAWS: 800.0, _FITTING: 3000.0, _NEARBY: 300.0, _JUDGING: 150.0}
+"""Regressions like it that each stage takes as long as, measured on records of 1000 to 60,000 samples."""
+_SMALL = 60000.0  # and those of few rows, by which laws are screened
+_NOT_YET = 99.0  # % at most, before the end
+
 _SEGMENT = 4000  # samples that a search looks at
 _JUDGED = 20  # rivals that the whole record judges
 _REMOVABLE = (
@@ -57,6 +71,48 @@ _DAMPED = 1.01 * bounds("velocity_filter.damping", 1.0, 1)[0]  # what is below h
 _CANCELLING = 3.0  # sum of the sizes of free taps, whose sum is 1
 _SCREENING = 2  # steps of Gauss and Newton after which a candidate is judged, and perhaps left
 _PROMISING = 20  # candidates that are fitted to the end in a round
+
+
+class _Course:
+    """Progress of a search in % of the expected time, from progress of its stages."""
+
+    def __init__(self, progress: Progress, seconds: Mapping[str, float]) -> None:
+        self._progress, self._seconds, self._reached = progress, seconds, 0.0
+        self._work = Work(progress, "learning the controller", 100.0, "%")
+
+    def __call__(self, message: str) -> None:
+        """Pass a sentence on."""
+        self._progress(message)
+
+    def draw(self, what: str, done: float, total: float, unit: str) -> None:
+        """Update a stage's progress; of a repeated one, the increment."""
+        del unit
+        stages = list(self._seconds)
+        before = sum(self._seconds[one] for one in stages[: stages.index(what)])
+        reached = (before + self._seconds[what] * done / (total or 1.0)) / sum(self._seconds.values())
+        if reached > self._reached:
+            self._reached = reached
+            self._work.reach(min(100.0 * reached, _NOT_YET))
+
+    def end(self) -> None:
+        """Report completion."""
+        self._work.reach(100.0)
+
+
+def _expect_seconds(task: Task, stretch: Task) -> dict[str, float]:
+    """Predict the time of each stage from a few timed regressions."""
+    own = replace(regression(stretch.log), own=True)
+    weighting, frame, longer = initial_weighting(own), Structure(rate=_PROBED), task.log.samples / stretch.log.samples
+    compressed = own.compress(frame, {}, weighting, [0])
+    each = _time_work(partial(own.fit_gains, frame, {}, weighting))
+    seconds = {stage: many * each for stage, many in _REGRESSIONS.items()}
+    of_few_rows = _time_work(partial(compressed.costs, frame, None))
+    return seconds | {LAWS: seconds[LAWS] + _SMALL * of_few_rows, _JUDGING: longer * seconds[_JUDGING]}
+
+
+def _time_work(work: Callable[[], object]) -> float:
+    """Median time of a few runs, s."""
+    return float(np.median(timeit.repeat(work, number=1, repeat=7)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,12 +184,12 @@ def search(task: Task, progress: Progress = ignore_progress) -> tuple[FittedLaw,
     """
     channel = task.log.record.reference_velocity is not None
     stretch = task.segment(_SEGMENT)
-    seconds = expect_seconds(task, stretch)
+    seconds = _expect_seconds(task, stretch)
     progress(
         f"learning the controller from {task.log.samples} samples; this takes some "
         f"{describe_time(sum(seconds.values()))}, and an interrupt keeps the best law so far"
     )
-    course = Course(progress, seconds)
+    course = _Course(progress, seconds)
     data, likeliest, best, ended = _start_search(stretch, channel, course)
     whole = replace(data, task=task, regression=replace(regression(task.log), own=True))
     path = [best]
@@ -162,7 +218,7 @@ def _search_nearby(
         seen.add(best.structure)
         best = data.refit(best, data.weighting(best)) or best
         near = list(list_neighbours(best.structure, channel))
-        rivals = rank(data.task, best, _fit_nearby(data, best, follow(near, progress, NEARBY, len(near), "laws")))
+        rivals = rank(data.task, best, _fit_nearby(data, best, follow(near, progress, _NEARBY, len(near), "laws")))
         if not rivals or rivals[0].worse >= 0.0:
             weighting = data.weighting(best)
             fresh = drop_failures(data.fit_gains(one.structure, one.numbers, weighting) for one in likeliest)
@@ -194,7 +250,7 @@ def _start_search(
     except KeyboardInterrupt:
         progress("interrupted before any law was fitted: there is none to keep yet")
         raise
-    work, ended = Work(progress, FITTING, sum(keep for keep, _ in _SIEVE), "laws"), True
+    work, ended = Work(progress, _FITTING, sum(keep for keep, _ in _SIEVE), "laws"), True
     try:
         for keep, evaluations in _SIEVE:
             refined = (
@@ -300,7 +356,7 @@ def _judge_on_whole_record(
             *(partial(data.refit, one, weighting) for one in others),
             *(partial(data.refine, one, weighting) for one in fewer),
         ]
-        known = drop_failures(fit_again() for fit_again in follow(refitted, progress, JUDGING, len(refitted), "laws"))
+        known = drop_failures(fit_again() for fit_again in follow(refitted, progress, _JUDGING, len(refitted), "laws"))
         rivals = rank(data.task, own, unique_structures(known))
         if not rivals or decided:
             break

@@ -80,11 +80,6 @@ class Structure:
         return int(count) if kind == "taps" else 0
 
     @property
-    def filters(self) -> tuple[str, str]:
-        """Those of the velocity and of the torque."""
-        return self.velocity_filter, self.torque_filter
-
-    @property
     def frame(self) -> Structure:
         """The plain law with its clocks and filters."""
         return replace(
@@ -257,8 +252,9 @@ def starts(structure: Structure, known: Mapping[str, float], sample_time: float)
         if all(name in known for name in names):
             places.append([{name: known[name] for name in names}])
         else:
+            scale = {"time_constant": sample_time, "damping": 1.0, "depth": 1.0}
             grid = product(
-                *([_add_dimension(n, v, sample_time) for v in values] for n, values in _FILTERS[kind].items())
+                *([v * scale.get(n, 1.0 / sample_time) for v in values] for n, values in _FILTERS[kind].items())
             )
             places.append([dict(zip(names, one, strict=True)) for one in grid])
     if structure.cascade and structure.integrates:
@@ -289,12 +285,6 @@ def convert_numbers(structure: Structure, known: Mapping[str, float]) -> dict[st
         given["position_gain"] = given["position_gain"] * given["derivative_gain"]
         given["integral_gain"] = given.get("integral_gain", 0.0) * given["position_gain"]
     return {name: given.get(name, 0.0) for name in structure.names}
-
-
-def _add_dimension(name: str, value: float, sample_time: float) -> float:
-    if name == "time_constant":
-        return value * sample_time
-    return value if name in ("damping", "depth") else value / sample_time
 
 
 def bounds(name: str, sample_time: float, rate: int) -> tuple[float, float]:

@@ -371,7 +371,7 @@ def add_feed_forward(
     Raises:
         MethodError: a record has no reference, or references differ in rate or length.
     """
-    from jointid.models.robots.dynamics import inverse_dynamics_of
+    from jointid.models.robots.dynamics import inverse_dynamics
 
     channels = [record.reference for record in records]
     if any(channel is None for channel in channels) or len({(c.sample_time, len(c)) for c in channels if c}) != 1:
@@ -385,7 +385,7 @@ def add_feed_forward(
         v, a = np.zeros_like(q), np.zeros_like(q)
     joints = np.linalg.inv(loop.robot.coupling)  # the references are those of the shafts
     motion = (np.ascontiguousarray(x @ joints.T) for x in (q, v, a))
-    torque = inverse_dynamics_of(loop.robot.tree, numbers.inertials, *motion)
+    torque = inverse_dynamics(loop.robot.tree, numbers.inertials, *motion)
     torque = torque @ joints
     of_motor, n = numbers.masses[numbers.rotors], len(loop.robot.links)
     both = of_motor + np.where(numbers.flexible[:, np.newaxis], numbers.masses[:n], 0.0)

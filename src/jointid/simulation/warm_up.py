@@ -85,7 +85,6 @@ def compile_smooth_laws() -> None:
 def compile_robot() -> None:
     """Compile the simulation of a robot, its derivatives and its regressor."""
     from jointid.models.robots.base_parameters import base_parameters
-    from jointid.models.robots.dynamics import inverse_dynamics_of, mass_matrix
     from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
     from jointid.simulation.robot_numbers import RobotNumbers, all_places
     from jointid.simulation.robot_sensitivities import differentiate_torques
@@ -98,9 +97,6 @@ def compile_robot() -> None:
     loop = RobotLoop(robot, (PD(position_gain=100.0, derivative_gain=2.0),) * 2)
     run = run_robot(prepare_robot(loop, (_at_rest("rad", 1e-3),) * 2), RobotNumbers.of(robot), keep=True)
     differentiate_torques(run, all_places(run.numbers))
-    still = np.zeros((_SAMPLES, 2))
-    inverse_dynamics_of(robot.tree, robot.inertials, still, still, still)
-    mass_matrix(robot.tree, robot.inertials, still[0], np.zeros((2, 2)))
     base_parameters(replace(robot, joints=(joints[0], RobotJoint("two", 0.1))))
 
 

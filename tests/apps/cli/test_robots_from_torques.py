@@ -12,7 +12,7 @@ import pytest
 import jointid as ji
 from jointid.apps.cli.app import app
 from jointid.common.errors import JointFileError, MethodError, RecordError
-from jointid.models.robots.dynamics import inverse_dynamics_of
+from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.inertial import MassProperties
 from jointid.output.export.robot_model import robot_mjcf
 from tests.estimation.robots.twin import with_payload
@@ -78,7 +78,7 @@ def logged(place: Path, name: str, sigma: float, seed: int) -> Path:
 def needed(robot: ji.Robot) -> np.ndarray:
     """Return the torques of random motions, (motions, n), friction apart."""
     q, v, a = np.random.default_rng(2).normal(size=(3, 50, len(robot)))
-    return inverse_dynamics_of(robot.tree, robot.inertials, q, v, a) + robot.of_joints("rotor_inertia") * a
+    return inverse_dynamics(robot.tree, robot.inertials, q, v, a) + robot.of_joints("rotor_inertia") * a
 
 
 def test_rigid_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

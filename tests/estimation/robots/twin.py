@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from jointid.models.robots.dynamics import inverse_dynamics_of
+from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.inertial import MassProperties
 from jointid.models.robots.robot import Link, Robot, RobotJoint
 from jointid.records.record import Channel, Record
@@ -75,7 +75,7 @@ def records_of(robot: Robot, seed: int, noise: float = 0.0) -> tuple[Record, ...
     q, v, a = motion(seed, len(robot))
     coupling = robot.coupling
     motors = [one @ coupling.T for one in (q, v, a)]
-    links = inverse_dynamics_of(robot.tree, robot.inertials, q, v, a) @ np.linalg.inv(coupling)
+    links = inverse_dynamics(robot.tree, robot.inertials, q, v, a) @ np.linalg.inv(coupling)
     numbers = (robot.of_joints(name) for name in ("rotor_inertia", "viscous", "coulomb", "offset"))
     rotor, viscous, coulomb, offset = numbers
     torque = links + rotor * motors[2] + viscous * motors[1] + coulomb * np.sign(motors[1]) + offset

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jointid.models.robots.base_parameters import base_parameters, inverse_columns, standard_values
-from jointid.models.robots.dynamics import inverse_dynamics_of
+from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.friction_terms import friction_columns
 from jointid.models.robots.robot import Link, Robot, RobotJoint
 from tests.models.robots.trees import chain, random_robot
@@ -55,7 +55,7 @@ def test_base_columns_and_parameters_give_the_torque(seed: int) -> None:
     robot = random_robot(seed)
     base = base_parameters(robot)
     q, v, a = np.random.default_rng(seed).normal(size=(3, 50, 6))
-    torque = inverse_dynamics_of(robot.tree, robot.inertials, q, v, a)
+    torque = inverse_dynamics(robot.tree, robot.inertials, q, v, a)
     torque += robot.of_joints("rotor_inertia") * a
     columns = inverse_columns(robot, q, v, a)
     assert columns @ standard_values(robot) == pytest.approx(torque, rel=1e-9, abs=1e-9)
@@ -85,7 +85,7 @@ def test_a_coupled_motor_turns_with_both_joints() -> None:
     torque = inverse_columns(robot, q, v, a) @ standard_values(robot)
     motors = a @ robot.coupling.T
     rotors = motors * robot.of_joints("rotor_inertia")
-    links = inverse_dynamics_of(robot.tree, robot.inertials, q, v, a)
+    links = inverse_dynamics(robot.tree, robot.inertials, q, v, a)
     work = np.sum((torque - rotors) * (v @ robot.coupling.T), axis=1)  # a gear loses no power
     assert work == pytest.approx(np.sum(links * v, axis=1), rel=1e-10)
     assert friction_columns(robot, v)[:, 2, 6] == pytest.approx(v[:, 2] + 0.5 * v[:, 1])

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jointid.models.robots.dynamics import inverse_dynamics, inverse_dynamics_of, mass_matrix, regressor, regressor_of
+from jointid.models.robots.dynamics import inverse_dynamics, regressor, regressor_of
+from jointid.models.robots.equations import ROOM, equations_of_motion
+from jointid.models.robots.robot import Robot
 from tests.models.robots.trees import (
     Array,
     as_mjcf,
@@ -25,6 +27,13 @@ def motion_of(seed: int, size: int, samples: int = 5) -> tuple[Array, Array, Arr
     return q, v, a
 
 
+def equations(robot: Robot, q: Array, v: Array, a: Array) -> tuple[Array, Array]:
+    size = len(robot)
+    matrix, torque = np.empty((size, size)), np.empty(size)
+    equations_of_motion(robot.tree, robot.inertials, q, v, a, np.empty((size, ROOM)), matrix, torque)
+    return matrix, torque
+
+
 def difference(found: Array, expected: Array) -> float:
     return float(np.abs(found - expected).max() / np.abs(expected).max())
 
@@ -39,9 +48,7 @@ def test_torque_and_mass_matrix_are_those_of_mujoco(seed: int) -> None:
     for q, v, a in zip(*motion_of(seed, len(robot)), strict=True):
         data.qpos[order], data.qvel[order], data.qacc[order] = q, v, a
         mujoco.mj_inverse(model, data)
-        full, found, torque = full_mass_matrix(mujoco, model, data), np.zeros((6, 6)), np.zeros(6)
-        mass_matrix(robot.tree, robot.inertials, q, found)
-        inverse_dynamics(robot.tree, robot.inertials, q, v, a, torque)
+        full, (found, torque) = full_mass_matrix(mujoco, model, data), equations(robot, q, v, a)
         assert difference(found + np.diag(rotors), full[np.ix_(order, order)]) < by_mujoco(AGREES)
         assert difference(torque + rotors * a, data.qfrc_inverse[order]) < by_mujoco(AGREES)
 
@@ -50,8 +57,9 @@ def test_torque_and_mass_matrix_are_those_of_mujoco(seed: int) -> None:
 def test_regressor_times_parameters_is_the_torque(seed: int) -> None:
     robot = random_robot(seed)
     q, v, a = motion_of(seed, len(robot))
-    torque = inverse_dynamics_of(robot.tree, robot.inertials, q, v, a)
+    torque = np.array([equations(robot, *one)[1] for one in zip(q, v, a, strict=True)])
     columns = regressor_of(robot.tree, q, v, a)
+    assert difference(inverse_dynamics(robot.tree, robot.inertials, q, v, a), torque) < 1e-12
     assert difference(columns @ robot.inertials.ravel(), torque) < 1e-12
     one = np.empty((6, 60))
     regressor(robot.tree, q[2], v[2], a[2], one)
@@ -62,10 +70,9 @@ def test_regressor_times_parameters_is_the_torque(seed: int) -> None:
 def test_mass_matrix_times_acceleration_is_what_it_adds_to_the_torque(seed: int) -> None:
     robot = random_robot(seed)
     q, v, a = motion_of(seed, len(robot))
-    matrix = np.empty((6, 6))
-    mass_matrix(robot.tree, robot.inertials, q[0], matrix)
+    matrix, _ = equations(robot, q[0], v[0], a[0])
     tree, bodies = robot.tree, robot.inertials
-    added = inverse_dynamics_of(tree, bodies, q, v, a) - inverse_dynamics_of(tree, bodies, q, v, 0 * a)
+    added = inverse_dynamics(tree, bodies, q, v, a) - inverse_dynamics(tree, bodies, q, v, 0 * a)
     assert difference(matrix @ a[0], added[0]) < 1e-12
     assert np.linalg.eigvalsh(matrix)[0] > 0
 
@@ -77,10 +84,7 @@ def test_power_of_a_free_fall_is_the_change_of_energy() -> None:
     t = np.linspace(0.0, 1.0, 20001)[:, np.newaxis]
     rates = np.linspace(1.0, 3.0, 6)
     q, v, a = np.sin(rates * t), rates * np.cos(rates * t), -(rates**2) * np.sin(rates * t)
-    torque = inverse_dynamics_of(tree._replace(gravity=np.zeros(3)), bodies, q, v, a)
-    matrix, kinetic = np.empty((6, 6)), []
-    for k in (0, -1):
-        mass_matrix(tree, bodies, q[k], matrix)
-        kinetic.append(0.5 * v[k] @ matrix @ v[k])
+    torque = inverse_dynamics(tree._replace(gravity=np.zeros(3)), bodies, q, v, a)
+    kinetic = [0.5 * v[k] @ equations(robot, q[k], v[k], a[k])[0] @ v[k] for k in (0, -1)]
     work = np.trapezoid(np.sum(torque * v, axis=1), t[:, 0])
     assert work == pytest.approx(kinetic[1] - kinetic[0], rel=1e-6)

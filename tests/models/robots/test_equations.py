@@ -5,19 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jointid.common.arrays import FloatArray
-from jointid.models.robots.dynamics import inverse_dynamics, mass_matrix, regressor_of
+from jointid.models.robots.dynamics import regressor_of
 from jointid.models.robots.equations import ROOM, equations_of_motion, linearised_equations, regressor_columns
-from jointid.models.robots.robot import Tree
-from tests.models.robots.trees import random_robot
+from tests.models.robots.trees import mass_matrix_by_regressor, random_robot, torque_by_regressor
 
 SIZE = 7
-
-
-def torque_of(tree: Tree, inertials: FloatArray, *motion: FloatArray) -> FloatArray:
-    out = np.empty(SIZE)
-    inverse_dynamics(tree, inertials, *motion, out)
-    return out
 
 
 @pytest.mark.parametrize("coupled", [False, True])
@@ -31,19 +23,17 @@ def test_one_pass_is_inverse_dynamics_and_mass_matrix_and_its_derivatives_are_th
     tree = robot.tree._replace(joints=T if coupled else np.zeros((0, 0)))
     M, torque, room = np.empty((SIZE, SIZE)), np.empty(SIZE), np.empty((SIZE, ROOM))
     equations_of_motion(tree, inertials, q, v, a, room, M, torque)
-    expected = np.empty((SIZE, SIZE))
-    mass_matrix(robot.tree, inertials, T @ q, expected)
-    expected = T.T @ expected @ T
+    expected = T.T @ mass_matrix_by_regressor(robot.tree, inertials, T @ q) @ T
     assert np.max(np.abs(M - expected)) < 1e-12 * np.max(np.abs(expected))
-    whole = T.T @ torque_of(tree, inertials, T @ q, T @ v, T @ a)
+    whole = T.T @ torque_by_regressor(tree, inertials, T @ q, T @ v, T @ a)
     assert np.max(np.abs(torque - whole)) < 1e-12 * np.max(np.abs(whole))
     by_place, by_speed = np.empty((SIZE, SIZE)), np.empty((SIZE, SIZE))
     linearised_equations(tree, inertials, q, v, a, room, M, by_place, by_speed)
     assert np.max(np.abs(M - expected)) < 1e-12 * np.max(np.abs(expected))
     for j, step in enumerate(1e-6 * np.eye(SIZE)):
-        at = [T.T @ torque_of(tree, inertials, T @ (q + s), T @ v, T @ a) for s in (step, -step)]
+        at = [T.T @ torque_by_regressor(tree, inertials, T @ (q + s), T @ v, T @ a) for s in (step, -step)]
         assert by_place[:, j] == pytest.approx((at[0] - at[1]) / 2e-6, abs=2e-8 * np.max(np.abs(whole)))
-        at = [T.T @ torque_of(tree, inertials, T @ q, T @ (v + s), T @ a) for s in (step, -step)]
+        at = [T.T @ torque_by_regressor(tree, inertials, T @ q, T @ (v + s), T @ a) for s in (step, -step)]
         assert by_speed[:, j] == pytest.approx((at[0] - at[1]) / 2e-6, abs=2e-8 * np.max(np.abs(whole)))
 
 

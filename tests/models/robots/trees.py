@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from jointid.models.robots.dynamics import regressor
 from jointid.models.robots.inertial import MassProperties, mass_properties
-from jointid.models.robots.robot import Link, Robot, RobotJoint
+from jointid.models.robots.robot import Link, Robot, RobotJoint, Tree
 
 Array = NDArray[np.float64]
 
@@ -107,3 +108,16 @@ def as_mjcf(robot: Robot) -> str:
 def order_in_mujoco(mujoco: Any, model: Any, robot: Robot) -> list[int]:
     """Return the place of each joint of the robot among MuJoCo's, which go down one branch first."""
     return [int(model.jnt_dofadr[model.joint(name).id]) for name in robot.names]
+
+
+def torque_by_regressor(tree: Tree, inertials: Array, q: Array, v: Array, a: Array) -> Array:
+    """Return the torque of one motion, (n,), from the regressor: it shares nothing with `equations`."""
+    columns = np.empty((q.size, 10 * q.size))
+    regressor(tree, q, v, a, columns)
+    return np.asarray(columns @ inertials.ravel())
+
+
+def mass_matrix_by_regressor(tree: Tree, inertials: Array, q: Array) -> Array:
+    """Return the mass matrix, (n, n), from torques of unit accelerations without gravity."""
+    weightless, still = tree._replace(gravity=np.zeros(3)), np.zeros(q.size)
+    return np.array([torque_by_regressor(weightless, inertials, q, still, unit) for unit in np.eye(q.size)])

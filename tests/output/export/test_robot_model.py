@@ -10,7 +10,7 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.config.robot_model import read_robot
-from jointid.models.robots.dynamics import inverse_dynamics_of
+from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import JointSpring, Robot
 from jointid.output.export.robot_model import write_robot
 from tests.estimation.robots.twin import arm
@@ -23,7 +23,7 @@ DOWN = np.array([0.0, 0.0, -9.81])
 def torque(robot: Robot, names: tuple[str, ...]) -> np.ndarray:
     order = [names.index(name) for name in robot.names]
     q, v, a = (np.ascontiguousarray(one[:, order]) for one in np.random.default_rng(1).normal(size=(3, 6, len(names))))
-    found = inverse_dynamics_of(robot.tree, robot.inertials, q, v, a)
+    found = inverse_dynamics(robot.tree, robot.inertials, q, v, a)
     return found[:, [robot.names.index(name) for name in names]]
 
 

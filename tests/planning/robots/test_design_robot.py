@@ -11,7 +11,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.estimation.robots.didim import identify_rigid_robot
 from jointid.estimation.robots.idim import identify_robot
-from jointid.models.robots.dynamics import inverse_dynamics_of
+from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.planning.robots.design import RobotDesign, _modes, design_robot_test
 from jointid.planning.robots.first_record import first_record
@@ -30,7 +30,7 @@ def measured(q: FloatArray, noise: FloatArray, seed: int) -> tuple[Record, ...]:
     robot = two().robot
     v = np.gradient(q, T, axis=0)
     a = np.gradient(v, T, axis=0)
-    torque = inverse_dynamics_of(robot.tree, robot.inertials, q, v, a)
+    torque = inverse_dynamics(robot.tree, robot.inertials, q, v, a)
     torque += robot.of_joints("rotor_inertia") * a + robot.of_joints("viscous") * v
     torque += robot.of_joints("coulomb") * np.sign(v) + noise * np.random.default_rng(seed).normal(size=q.shape)
     return tuple(
@@ -160,7 +160,7 @@ def played() -> tuple[FloatArray, FloatArray, FloatArray]:
 
 def needed(robot: Robot, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
     """Return the torques of links, rotors and friction by direction, of motors that are not coupled."""
-    torque = inverse_dynamics_of(robot.tree, robot.inertials, q, v, a)
+    torque = inverse_dynamics(robot.tree, robot.inertials, q, v, a)
     torque += robot.of_joints("rotor_inertia") * a + robot.of_joints("offset")
     for k, joint in enumerate(robot.joints):
         back = joint.coulomb if joint.coulomb_backwards is None else joint.coulomb_backwards

@@ -159,11 +159,14 @@ def can_be_near(prior: Robot) -> bool:
 
 def mass_matrix_at(robot: Robot, q: FloatArray) -> FloatArray:
     """Return the mass matrix of links and rotors, (n, n), at a pose, (n,)."""
-    from jointid.models.robots.dynamics import mass_matrix
+    from jointid.models.robots.equations import ROOM, equations_of_motion
 
-    found, coupling = np.empty((len(robot), len(robot))), robot.coupling
-    mass_matrix(robot.tree, robot.inertials, np.ascontiguousarray(q, dtype=np.float64), found)
-    return np.asarray(found + coupling.T @ np.diag(robot.of_joints("rotor_inertia")) @ coupling)
+    n, coupling = len(robot), robot.coupling
+    links, still = np.empty((n, n)), np.zeros(n)
+    tree = robot.tree._replace(joints=np.zeros((0, 0)))  # the pose is of the joints, not of the motors' shafts
+    pose = np.ascontiguousarray(q, dtype=np.float64)
+    equations_of_motion(tree, robot.inertials, pose, still, still, np.empty((n, ROOM)), links, np.empty(n))
+    return np.asarray(links + coupling.T @ np.diag(robot.of_joints("rotor_inertia")) @ coupling)
 
 
 def least_inertia(robot: Robot, poses: int = _POSES, seed: int = 0) -> float:

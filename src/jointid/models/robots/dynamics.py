@@ -1,4 +1,4 @@
-"""The rigid dynamics of a tree of links: torques, mass matrix, and the regressor of the inertial parameters.
+"""Regressor of the inertial parameters of a tree of links, and the vectors that the equations are written in.
 
 ::
 
@@ -9,9 +9,8 @@ Link i has its frame on its joint. At q = 0 that frame stands in the parent's at
 ``m, mx, my, mz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz`` are about the origin of the link's frame, so the dynamics are linear in
 them [Khalil and Dombre 2002, ch. 9]. What a rotor adds behind its gear, and friction, is not in here.
 
-The torque is the recursion of Newton and Euler [Luh, Walker and Paul 1980], the mass matrix that of composite rigid
-bodies [Walker and Orin 1982; Featherstone 2008, ch. 6]. The regressor carries the axis of every joint out to the links
-that it moves, one twist for each pair, rather than ten wrenches of each link back to the base [Atkeson, An and
+`equations` has the mass matrix and the torque in one pass. The regressor carries the axis of every joint out to the
+links that it moves, one twist for each pair, rather than ten wrenches of each link back to the base [Atkeson, An and
 Hollerbach 1986 for the linear form].
 
 All arrays are contiguous, of float64 and int64; nothing is checked here (`robot.Robot` does).
@@ -28,8 +27,9 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import compile_kernel, inline_kernel
 from jointid.models.robots.robot import Tree
-from jointid.models.robots.spatial import Vector, add, cross, dot, get, inertia_times, put, times
 
+Vector: TypeAlias = tuple[float, float, float]
+ZERO: Vector = (0.0, 0.0, 0.0)
 IntArray: TypeAlias = NDArray[np.int64]
 
 REVOLUTE, PRISMATIC = 0, 1
@@ -38,8 +38,52 @@ PARAMETERS = 10
 
 
 @inline_kernel
-def _to_parent(place: FloatArray, i: int, a: Vector) -> Vector:
-    return dot(get(place, i, 0), a), dot(get(place, i, 3), a), dot(get(place, i, 6), a)
+def get(values: FloatArray, i: int, j: int) -> Vector:
+    """Return three numbers of a row."""
+    return values[i, j], values[i, j + 1], values[i, j + 2]
+
+
+@inline_kernel
+def put(values: FloatArray, i: int, j: int, a: Vector) -> None:
+    """Write three numbers into a row."""
+    values[i, j], values[i, j + 1], values[i, j + 2] = a
+
+
+@inline_kernel
+def add(a: Vector, b: Vector) -> Vector:
+    """Return the sum."""
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+@inline_kernel
+def times(factor: float, a: Vector) -> Vector:
+    """Return a multiple."""
+    return factor * a[0], factor * a[1], factor * a[2]
+
+
+@inline_kernel
+def dot(a: Vector, b: Vector) -> float:
+    """Return the inner product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@inline_kernel
+def cross(a: Vector, b: Vector) -> Vector:
+    """Return the vector product."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@inline_kernel
+def rotate(x: Vector, y: Vector, z: Vector, a: Vector) -> Vector:
+    """Return a vector by the matrix of these rows."""
+    return dot(x, a), dot(y, a), dot(z, a)
+
+
+@inline_kernel
+def inertia_times(body: FloatArray, i: int, j: int, a: Vector) -> Vector:
+    """Return the inertia ``xx, xy, xz, yy, yz, zz`` in a row, from column j on, times a vector."""
+    xx, xy, xz, yy, yz, zz = body[i, j], body[i, j + 1], body[i, j + 2], body[i, j + 3], body[i, j + 4], body[i, j + 5]
+    return xx * a[0] + xy * a[1] + xz * a[2], xy * a[0] + yy * a[1] + yz * a[2], xz * a[0] + yz * a[1] + zz * a[2]
 
 
 @inline_kernel
@@ -109,47 +153,6 @@ def _move(tree: Tree, place: FloatArray, v: FloatArray, a: FloatArray, motion: F
 
 
 @compile_kernel
-def inverse_dynamics(
-    tree: Tree,
-    inertials: FloatArray,
-    q: FloatArray,
-    v: FloatArray,
-    a: FloatArray,
-    torque: FloatArray,
-) -> None:
-    """Fill `torque`, (n,), with what the joints exert for the accelerations `a` at positions `q` and velocities `v`.
-
-    Args:
-        tree: of the links.
-        inertials: (n, 10) see the module.
-        q: (n,) rad or m.
-        v: (n,) rad/s or m/s.
-        a: (n,) rad/s2 or m/s2.
-        torque: (n,) N m or N, out.
-    """
-    n, parents, kinds, axes = q.size, tree.parents, tree.kinds, tree.axes
-    place, motion, wrench = np.empty((n, 12)), np.empty((n, 9)), np.empty((n, 6))
-    _place(tree, q, place)
-    _move(tree, place, v, a, motion)
-    for i in range(n):
-        w, dw, rising = get(motion, i, 0), get(motion, i, 3), get(motion, i, 6)
-        h = get(inertials, i, 1)
-        swing = add(cross(dw, h), cross(w, cross(w, h)))
-        put(wrench, i, 0, add(times(inertials[i, 0], rising), swing))
-        turn = add(inertia_times(inertials, i, 4, dw), cross(w, inertia_times(inertials, i, 4, w)))
-        put(wrench, i, 3, add(turn, cross(h, rising)))
-    for i in range(n - 1, -1, -1):
-        force, moment = get(wrench, i, 0), get(wrench, i, 3)
-        torque[i] = dot(get(axes, i, 0), moment if kinds[i] == REVOLUTE else force)
-        parent = parents[i]
-        if parent >= 0:
-            force = _to_parent(place, i, force)
-            moment = add(_to_parent(place, i, moment), cross(get(place, i, 9), force))
-            put(wrench, parent, 0, add(get(wrench, parent, 0), force))
-            put(wrench, parent, 3, add(get(wrench, parent, 3), moment))
-
-
-@compile_kernel
 def regressor(
     tree: Tree,
     q: FloatArray,
@@ -159,7 +162,12 @@ def regressor(
 ) -> None:
     """Fill `out`, (n, 10 n), with the regressor: times the inertials, link by link, it is the torque.
 
-    The arguments are those of `inverse_dynamics`.
+    Args:
+        tree: of the links.
+        q: (n,) rad or m.
+        v: (n,) rad/s or m/s.
+        a: (n,) rad/s2 or m/s2.
+        out: (n, 10 n) N m or N per unit of each parameter.
     """
     n, parents, kinds, axes = q.size, tree.parents, tree.kinds, tree.axes
     place, motion, twist = np.empty((n, 12)), np.empty((n, 9)), np.empty((n, 6))
@@ -198,72 +206,6 @@ def regressor(
             out[i, at + 9] = turn[2] * dw[2] + u[2] * w[2]
 
 
-@inline_kernel
-def _carry(place: FloatArray, i: int, parent: int, body: FloatArray) -> None:
-    """Add a link's inertials to its parent's, seen from the parent's frame."""
-    m, r = body[i, 0], get(place, i, 9)
-    h = _to_parent(place, i, get(body, i, 1))
-    body[parent, 0] += m
-    put(body, parent, 1, add(get(body, parent, 1), add(h, times(m, r))))
-    x, y, z = get(place, i, 0), get(place, i, 3), get(place, i, 6)
-    of_x, of_y, of_z = inertia_times(body, i, 4, x), inertia_times(body, i, 4, y), inertia_times(body, i, 4, z)
-    reach = 2.0 * dot(r, h) + m * dot(r, r)
-    body[parent, 4] += dot(x, of_x) + reach - 2.0 * r[0] * h[0] - m * r[0] * r[0]
-    body[parent, 5] += dot(x, of_y) - r[0] * h[1] - h[0] * r[1] - m * r[0] * r[1]
-    body[parent, 6] += dot(x, of_z) - r[0] * h[2] - h[0] * r[2] - m * r[0] * r[2]
-    body[parent, 7] += dot(y, of_y) + reach - 2.0 * r[1] * h[1] - m * r[1] * r[1]
-    body[parent, 8] += dot(y, of_z) - r[1] * h[2] - h[1] * r[2] - m * r[1] * r[2]
-    body[parent, 9] += dot(z, of_z) + reach - 2.0 * r[2] * h[2] - m * r[2] * r[2]
-
-
-@compile_kernel
-def mass_matrix(
-    tree: Tree,
-    inertials: FloatArray,
-    q: FloatArray,
-    out: FloatArray,
-) -> None:
-    """Fill `out`, (n, n), with the mass matrix of the links, symmetric.
-
-    The arguments are those of `inverse_dynamics`.
-    """
-    n, parents, kinds, axes = q.size, tree.parents, tree.kinds, tree.axes
-    place, body = np.empty((n, 12)), inertials.copy()
-    _place(tree, q, place)
-    out[:] = 0.0
-    for i in range(n - 1, -1, -1):
-        axis, h = get(axes, i, 0), get(body, i, 1)
-        if kinds[i] == REVOLUTE:
-            force, moment = cross(axis, h), inertia_times(body, i, 4, axis)
-            out[i, i] = dot(axis, moment)
-        else:
-            force, moment = times(body[i, 0], axis), cross(h, axis)
-            out[i, i] = dot(axis, force)
-        j = i
-        while parents[j] >= 0:
-            force = _to_parent(place, j, force)
-            moment = add(_to_parent(place, j, moment), cross(get(place, j, 9), force))
-            j = parents[j]
-            out[i, j] = out[j, i] = dot(get(axes, j, 0), moment if kinds[j] == REVOLUTE else force)
-        if parents[i] >= 0:
-            _carry(place, i, parents[i], body)
-
-
-@compile_kernel
-def inverse_dynamics_of(
-    tree: Tree,
-    inertials: FloatArray,
-    q: FloatArray,
-    v: FloatArray,
-    a: FloatArray,
-) -> FloatArray:
-    """Return the torques of a motion, (samples, n); positions, velocities and accelerations are (samples, n)."""
-    torque = np.empty(q.shape)
-    for t in range(q.shape[0]):
-        inverse_dynamics(tree, inertials, q[t], v[t], a[t], torque[t])
-    return torque
-
-
 @compile_kernel
 def regressor_of(
     tree: Tree,
@@ -277,3 +219,8 @@ def regressor_of(
     for t in range(samples):
         regressor(tree, q[t], v[t], a[t], out[t])
     return out
+
+
+def inverse_dynamics(tree: Tree, inertials: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+    """Return the torques of a motion, (samples, n); `inertials` (n, 10), the motion (samples, n) each."""
+    return regressor_of(tree, q, v, a) @ inertials.ravel()

@@ -31,10 +31,11 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.compiled import assign, compile_kernel, inline_kernel
-from jointid.models.robots.dynamics import PARAMETERS, REVOLUTE, IntArray, regressor
-from jointid.models.robots.robot import Tree
-from jointid.models.robots.spatial import (
+from jointid.models.robots.dynamics import (
+    PARAMETERS,
+    REVOLUTE,
     ZERO,
+    IntArray,
     Vector,
     add,
     cross,
@@ -42,9 +43,11 @@ from jointid.models.robots.spatial import (
     get,
     inertia_times,
     put,
-    rotated,
+    regressor,
+    rotate,
     times,
 )
+from jointid.models.robots.robot import Tree
 
 ROOM = 64
 """Numbers of scratch for each link."""
@@ -82,24 +85,10 @@ def to_shafts(joints: FloatArray, matrix: FloatArray) -> None:
 
 
 @inline_kernel
-def _frame(room: FloatArray, parent: int) -> tuple[Vector, Vector, Vector, Vector]:
-    """Return the rows of a link's rotation to the base, and its origin there."""
-    if parent < 0:
-        return (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), ZERO
-    return get(room, parent, 0), get(room, parent, 3), get(room, parent, 6), get(room, parent, _ORIGIN)
-
-
-@inline_kernel
-def _columns(rotations: FloatArray, i: int) -> tuple[Vector, Vector, Vector]:
-    r = rotations[i]
-    return (r[0, 0], r[1, 0], r[2, 0]), (r[0, 1], r[1, 1], r[2, 1]), (r[0, 2], r[1, 2], r[2, 2])
-
-
-@inline_kernel
 def _body(inertials: FloatArray, i: int, x: Vector, y: Vector, z: Vector, p: Vector, room: FloatArray) -> None:
     """Write the inertia of a link about the base's origin: x, y, z are the rows of its rotation, p its origin."""
     m = inertials[i, 0]
-    h = rotated(x, y, z, get(inertials, i, 1))
+    h = rotate(x, y, z, get(inertials, i, 1))
     of_x, of_y, of_z = (
         inertia_times(inertials, i, 4, x),
         inertia_times(inertials, i, 4, y),
@@ -130,18 +119,21 @@ def _outwards(tree: Tree, inertials: FloatArray, q: FloatArray, v: FloatArray, a
     gravity = tree.gravity
     for i in range(parents.size):
         parent = parents[i]
-        x, y, z, p = _frame(room, parent)
+        x, y, z, p = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), ZERO
         w, u, dw, du = ZERO, ZERO, ZERO, (-gravity[0], -gravity[1], -gravity[2])
         if parent >= 0:
+            x, y, z = get(room, parent, 0), get(room, parent, 3), get(room, parent, 6)
+            p = get(room, parent, _ORIGIN)
             w, u = get(room, parent, _VELOCITY), get(room, parent, _VELOCITY + 3)
             dw, du = get(room, parent, _ACCELERATION), get(room, parent, _ACCELERATION + 3)
-        p = add(p, rotated(x, y, z, get(origins, i, 0)))
-        first, second, third = _columns(rotations, i)
+        p = add(p, rotate(x, y, z, get(origins, i, 0)))
+        r = rotations[i]
+        first, second, third = (r[0, 0], r[1, 0], r[2, 0]), (r[0, 1], r[1, 1], r[2, 1]), (r[0, 2], r[1, 2], r[2, 2])
         x = dot(x, first), dot(x, second), dot(x, third)
         y = dot(y, first), dot(y, second), dot(y, third)
         z = dot(z, first), dot(z, second), dot(z, third)
         axis = get(axes, i, 0)
-        s = rotated(x, y, z, axis)
+        s = rotate(x, y, z, axis)
         if kinds[i] == REVOLUTE:
             cosine, sine = math.cos(q[i]), math.sin(q[i])
             x = _about(x, axis, cosine, sine, s[0])
@@ -169,7 +161,7 @@ def _outwards(tree: Tree, inertials: FloatArray, q: FloatArray, v: FloatArray, a
 
 @inline_kernel
 def _about(row: Vector, axis: Vector, cosine: float, sine: float, along: float) -> Vector:
-    """Return a row of a rotation that is turned about an axis, on which the row is `along`."""
+    """Turn a row of a rotation about an axis; `along` is its component on the axis."""
     return add(add(times(cosine, row), times(sine, cross(row, axis))), times((1.0 - cosine) * along, axis))
 
 
@@ -184,8 +176,8 @@ def _force(room: FloatArray, i: int) -> None:
 
 
 @inline_kernel
-def _hand_down(room: FloatArray, i: int, parent: int, first: int, last: int) -> None:
-    """Add columns of a link to those of the link that carries it."""
+def _accumulate(room: FloatArray, i: int, parent: int, first: int, last: int) -> None:
+    """Add columns of a link to those of its parent."""
     for column in range(first, last):
         room[parent, column] += room[i, column]
 
@@ -214,7 +206,7 @@ def equations_of_motion(
             M[i, j] = M[j, i] = dot(moment, get(room, j, _JOINT)) + dot(force, get(room, j, _JOINT + 3))
             j = parents[j]
         if parents[i] >= 0:
-            _hand_down(room, i, parents[i], _MASS, _W)
+            _accumulate(room, i, parents[i], _MASS, _W)
     if coupled:
         to_shafts(joints, M)
         assign(torque, of_joints(joints.T, torque))
@@ -275,13 +267,13 @@ def linearised_equations(
         p = get(room, i, _MOMENTUM)
         # B' S and B S
         c = add(add(times(s[0], x), add(times(s[1], y), times(s[2], z))), cross(p, t))
-        d, e = rotated(x, y, z, s), cross(s, p)
+        d, e = rotate(x, y, z, s), cross(s, p)
         # 2 B P + I R + S x* f, and B S + I P
         turning, sliding = get(room, i, _TURNING), get(room, i, _TURNING + 3)
         spinning, swaying = _changing(room, i, parents[i], tree.gravity)
         pulled, pushed = _times_inertia(room, i, spinning, swaying)
         moment, force = get(room, i, _FORCE), get(room, i, _FORCE + 3)
-        pulled = add(add(pulled, times(2.0, rotated(x, y, z, turning))), add(cross(s, moment), cross(t, force)))
+        pulled = add(add(pulled, times(2.0, rotate(x, y, z, turning))), add(cross(s, moment), cross(t, force)))
         pushed = add(add(pushed, times(2.0, cross(turning, p))), cross(s, force))
         turned, slid = _times_inertia(room, i, turning, sliding)
         d, e = add(d, turned), add(e, slid)
@@ -297,7 +289,7 @@ def linearised_equations(
             by_speed[i, j] = 2.0 * (dot(c, a_j) + dot(g, P) + dot(h, Q))
             j = parents[j]
         if parents[i] >= 0:
-            _hand_down(room, i, parents[i], _MASS, ROOM)
+            _accumulate(room, i, parents[i], _MASS, ROOM)
     if coupled:
         to_shafts(joints, M)
         to_shafts(joints, by_place)
