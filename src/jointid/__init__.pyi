@@ -6,13 +6,12 @@ from .config import JointFile, load
 from .config.robot_file import RobotFile
 from .config.robot_model import load_robot
 from .controller_id.learn import learn_controller
-from .diagnostics.check_loop import check_loop
 from .diagnostics.compare import compare
+from .diagnostics.diagnose import diagnose
 from .diagnostics.examine_record import examine
 from .diagnostics.experiment_design import advise
 from .diagnostics.identify import identify
 from .diagnostics.intervals import intervals
-from .diagnostics.robots.diagnose import RobotDiagnosis, diagnose_robot
 from .diagnostics.validation import Validation, validate
 from .estimation.methods.didim import DIDIM
 from .estimation.methods.flexible import FlexibleDIDIM
@@ -103,7 +102,6 @@ __all__ = [
     "RigidJoint",
     "Robot",
     "RobotDIDIM",
-    "RobotDiagnosis",
     "RobotDriveSide",
     "RobotDriveSideFit",
     "RobotEstimate",
@@ -122,13 +120,12 @@ __all__ = [
     "Windowing",
     "add_feed_forward",
     "advise",
-    "check_loop",
     "compare",
     "consistent_robot",
     "convert",
     "design_robot_test",
     "design_test",
-    "diagnose_robot",
+    "diagnose",
     "examine",
     "excitation",
     "export",

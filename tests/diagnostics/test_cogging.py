@@ -47,7 +47,7 @@ def test_a_joint_that_has_its_ripple_is_asked_for_no_other() -> None:
     assert made is not None
     joint = replace(made.axis.loop.joint, ripple=PositionHarmonics(made.truth["pitch"]))
     loop = replace(made.axis.loop, joint=joint)
-    check = ji.check_loop(identify(made.record, loop), made.record)
+    check = ji.diagnose(identify(made.record, loop), made.record)
     assert COGGING not in {one.fault for one in check.tests}
 
 

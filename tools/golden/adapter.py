@@ -1064,7 +1064,7 @@ def total(found: Any, names: Sequence[str]) -> list[Any]:
 def check_loop(found: Any, record: Any) -> Json:
     """Return the check of loop and log, and the verdict on it."""
     verdicts = {code(v.subject): v.good for v in found.checks.verdicts}
-    return _loop_check(ji.to_dict(ji.check_loop(found, record))) | {"verdicts": verdicts}
+    return _loop_check(ji.to_dict(ji.diagnose(found, record))) | {"verdicts": verdicts}
 
 
 def intervals(

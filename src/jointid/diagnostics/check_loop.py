@@ -107,14 +107,6 @@ def check_loop(
     Raises:
         MethodError: the estimate did not simulate a loop, is of another record, or has a parameter that is not
             identifiable.
-
-    Example:
-        >>> import jointid as ji
-        >>> axis = ji.twin(noise="white")
-        >>> record = axis.record.without("motor_position", "load_position")
-        >>> estimate = ji.identify(record, axis.loop, ji.FlexibleDIDIM(frequency=30.0))
-        >>> ji.check_loop(estimate, record).as_declared
-        True
     """
     if estimate.settings.loop is None:
         raise MethodError("IDIM simulates no loop, so there is none to check; identify with DIDIM and the controller.")

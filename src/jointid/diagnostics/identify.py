@@ -96,8 +96,8 @@ def identify(
         checks: whether to check controller and log, what else may cause a misfit, and what the model lacks: of one
             record, by a DIDIM that ends at the least squares. The checks of a rigid joint take several times as
             long as its identification.
-            Without them, the verdict on the loop says so. Those of a robot are made by `diagnose_robot`.
-        shown: how the drive shows the numbers of its controller, see `check_loop`.
+            Without them, the verdict on the loop says so. Those of a robot are made by `diagnose`.
+        shown: how the drive shows the numbers of its controller, see `diagnose`.
         torque_constant: with its unit, where all values are proportional to it, see `Estimate.data`.
         unchecked: is called with the estimate before its checks.
         progress: is told each step in a sentence.

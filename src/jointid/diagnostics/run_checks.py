@@ -31,7 +31,7 @@ def run_checks(fit: FitResult, progress: Progress = ignore_progress, shown: Sequ
     Args:
         fit: the result of a method.
         progress: is told each step in a sentence.
-        shown: how the drive shows the numbers of its controller, see `check_loop`.
+        shown: how the drive shows the numbers of its controller, see `diagnose`.
     """
     record, problem, x = fit.record, fit.problem, fit.x
     if record is None or problem is None or x is None:

@@ -178,7 +178,7 @@ def test_the_answer_is_held_against_another_record() -> None:
     held = ji.validate(estimate, logged(twin, seed=4))
     assert held.better
     assert np.all(held.joint_errors < 0.03)
-    told = ji.diagnose_robot(estimate, logged(twin))
+    told = ji.diagnose(estimate, logged(twin))
     assert told.explained
     assert "log_delay" not in {one.name for joint in told.joints for one in joint.parameters}
     assert told.method == "drive_side"

@@ -31,7 +31,7 @@ def robot(joint: Path, /, *, options: Options = DEFAULTS) -> None:
         joint: a robot file, which has the table [robot].
         options: those that most commands have.
     """
-    from jointid import MethodError, RobotFile, diagnose_robot
+    from jointid import MethodError, RobotFile, diagnose
 
     file = options.load(joint, options.outputs)
     if not isinstance(file, RobotFile):
@@ -42,7 +42,8 @@ def robot(joint: Path, /, *, options: Options = DEFAULTS) -> None:
     records = file.record(options.record, judged=True)
     estimate = file.identify(records, options.progress)
     controllers = [one.controller for one in file.joints]
-    deliver(diagnose_robot(estimate, records, controllers, feed_forward=file.feed_forward), options.json)
+    found = diagnose(estimate, records, controllers=controllers, feed_forward=file.feed_forward)
+    deliver(found, options.json)
 
 
 def methods(joint: Path, /, *, options: Options = DEFAULTS, filtering: FilteringName | None = None) -> None:
@@ -136,11 +137,11 @@ def loop(joint: Path, /, *, options: Options = DEFAULTS) -> None:
         joint: the joint file (TOML); its method is didim.
         options: those that most commands have.
     """
-    from jointid import check_loop
+    from jointid import diagnose
 
     file = options.load_joint(joint, options.outputs, method="didim")
     record, estimate = options.identify(file, checks=False)
-    deliver(check_loop(estimate, record, shown=file.declared_numbers), options.json)
+    deliver(diagnose(estimate, record, shown=file.declared_numbers), options.json)
 
 
 def advise(

@@ -1,4 +1,4 @@
-"""The verb `diagnose_robot`: what a robot's record tells, joint by joint, and whether its loops are as declared.
+"""Diagnosis of a robot: what a robot's record tells, joint by joint, and whether its loops are as declared.
 
 Three questions, and a remedy with each answer that is no. Which parameters does the record tell? Is what the model
 leaves of a joint's torque noise, or does it follow the motion, and then what of it? And where the motor's position was
@@ -312,17 +312,7 @@ def diagnose_robot(
     *,
     feed_forward: FeedForwardName = "none",
 ) -> RobotDiagnosis:
-    """Say what a robot's record tells of each joint, whether its model holds, and its controllers are as declared.
-
-    Args:
-        estimate: of the robot, by IDIM or DIDIM.
-        records: of each joint, that it was identified from; with motor position and reference for the controllers.
-        controllers: as declared, of each joint, None of one without; those of the estimate where there are none here.
-        feed_forward: what the records' injected signals are, as the robot file says; with "none" it is tried whether
-            the controllers leave less with one.
-
-    Raises:
-        RecordError, MethodError: as of the identification.
+    """Diagnose the estimate of a robot by any method; see `jointid.diagnose`.
 
     The share of a residual that follows a shape is told from chance by shifts in time (`residual_tests.coupling`); one
     that is told as following one shape may follow others that look alike on this motion.

@@ -264,7 +264,7 @@ def to_dict(result: object) -> Json:
     """Return a result as a dict of numbers, words, lists and dicts, with its `schema`: what `--json` writes.
 
     Args:
-        result: of `identify`, `validate`, `compare`, `check_loop`, `advise`, `tune`,
+        result: of `identify`, `validate`, `compare`, `diagnose`, `advise`, `tune`,
             `learn_controller`, `inspect`.
 
     Raises:

@@ -59,9 +59,9 @@ class RobotReport(Pages):
         Args:
             estimate: by IDIM or DIDIM.
             records: of each joint, that it was identified from.
-            controllers: as declared, see `diagnose_robot`.
+            controllers: as declared, see `diagnose`.
             validation: of the estimate on another record, from `validate`.
-            feed_forward: as declared, see `diagnose_robot`.
+            feed_forward: as declared, see `diagnose`.
             repetition: what it takes to do it again, where the files are known.
 
         Raises:
