@@ -156,7 +156,7 @@ def test_every_key_of_its_own_is_on_the_page() -> None:
         (
             'column = "i_{index}"',
             'column = "i_0"',
-            'joint0, joint1, joint2: all read torque from "i_0"; give each joint',
+            'torque from "i_0" is one column of several joints; give each one of its own',
         ),
         (
             'ratio = 100, side = "load"',
@@ -174,7 +174,7 @@ def test_every_key_of_its_own_is_on_the_page() -> None:
 )
 def test_what_would_be_another_robot_is_refused(folder: Path, old: str, new: str, said: str) -> None:
     (folder / "robot.toml").write_text(TEXT.replace(old, new, 1), encoding="utf-8")
-    with pytest.raises(JointFileError, match=said.replace("joint0, joint1, joint2: all", "all")):
+    with pytest.raises(JointFileError, match=said):
         load(folder / "robot.toml")
 
 
@@ -217,8 +217,14 @@ def test_a_feed_forward_that_was_logged_is_there(folder: Path) -> None:
         load(folder / "robot.toml").driving()
 
 
+def test_remedies_name_the_tables_of_a_robot_file(folder: Path) -> None:
+    text = TEXT.replace("viscous = 3.0\n", "parameters = { stiffness = 1e4 }\n")
+    with pytest.raises(JointFileError, match=r'^joint0: parameters.stiffness .* set joints\.model = "flexible"'):
+        RobotFile.of(parse_toml(text), folder / "robot.toml")
+
+
 def test_other_commands_say_that_it_is_a_robot_file(folder: Path) -> None:
-    with pytest.raises(MethodError, match=r"Learning a controller takes a joint file; .*is a robot file, as it has"):
+    with pytest.raises(MethodError, match=r"Learning a controller takes one joint, and .*is a robot file"):
         load_to_learn(folder / "robot.toml")
 
 

@@ -43,7 +43,7 @@ _BESIDE_LOAD = (
 _KNOWN = " is known, and not identified; give it a value, or change it in gravity.counterbalance."
 _BESIDE_FRICTION = (
     " cannot be identified beside {} friction: a constant adds to the Coulomb force forwards and takes as much "
-    'from it backwards, so the two cannot be told apart; give it a value, or set joint.friction = "symmetric".'
+    'from it backwards, so the two cannot be told apart; give it a value, or set {}.friction = "symmetric".'
 )
 
 
@@ -112,7 +112,9 @@ def _method_faults(file: FileTable) -> Iterator[Fault]:
     else:
         other = next(default for default in _defaults() if default != name)
         if of_model not in method_of(name, of_model).models:
-            remedy = f'use method.name = "{other}", or set joint.model = {messages.either(_models_of(name))}'
+            remedy = (
+                f'use method.name = "{other}", or set {file.joint.heading}.model = {messages.either(_models_of(name))}'
+            )
             yield fault_at(("method", "name"), f' is "{name}", which is not for a {of_model} joint: {remedy}.')
         for key in lacking(name):
             needing = method_of(name, of_model).called(of_model)
@@ -126,7 +128,7 @@ def _method_faults(file: FileTable) -> Iterator[Fault]:
             for key in [key for key in lacking("didim") if key not in lacking(name)]:
                 rest = ' is missing, but method.estimator = "iv" simulates the loop: add it, or use another.'
                 yield fault_at(tuple(key.split(".")), rest, "missing")
-    for key, sentence in _not_its_own(table, name, file.model):
+    for key, sentence in _not_its_own(table, name, file.model, file.joint.heading):
         yield fault_at(("method", key), sentence)
     yield from _free_faults(("method", "free"), table.free, file)
 
@@ -147,11 +149,11 @@ def _no_method(lacking: Mapping[str, list[str]], file: FileTable, model: str) ->
     """Return the rest of the sentence on a file that has what no method needs."""
     lacks = [f"{method_of(method, model).called(model)} lacks {' and '.join(keys)}" for method, keys in lacking.items()]
     rigid = choose_method(file, None, "rigid") is not None
-    remedy = "add what one of them lacks" + (', or set joint.model = "rigid"' if rigid else "")
+    remedy = "add what one of them lacks" + (f', or set {file.joint.heading}.model = "rigid"' if rigid else "")
     return f" is missing, and no method can be chosen: {', '.join(lacks)}; {remedy}."
 
 
-def _not_its_own(table: MethodTable, name: str | None, model: str | None) -> Iterator[tuple[str, str]]:
+def _not_its_own(table: MethodTable, name: str | None, model: str | None, heading: str) -> Iterator[tuple[str, str]]:
     """Yield the key and the rest of the sentence on settings of the other model or method, or of a preset."""
     for key, value in table.given("name").items():
         owners = [owner for owner in METHODS if _models_of(owner, key)]
@@ -163,7 +165,7 @@ def _not_its_own(table: MethodTable, name: str | None, model: str | None) -> Ite
             remedy = f"leave it out, or use method.name = {messages.either(owners)}"
             yield key, f' is not for the method "{name}": {remedy}.'
         elif model is not None and model not in models:
-            remedy = f'leave it out, or set joint.model = "{models[0]}"'
+            remedy = f'leave it out, or set {heading}.model = "{models[0]}"'
             yield key, f" is for {title} of a {models[0]} joint, but the joint is {model}: {remedy}."
         elif name is not None and strange:
             other = method_of(name, models[0]).title
@@ -274,7 +276,7 @@ def _misgiven(
     """Yield the key and the rest of the sentence on what a parameter cannot be given."""
     if not parameter.free and table.value is None:
         constant_load = gravity is not None and gravity.load == "constant"
-        beside = _BESIDE_LOAD if constant_load else _BESIDE_FRICTION.format(joint.friction)
+        beside = _BESIDE_LOAD if constant_load else _BESIDE_FRICTION.format(joint.friction, joint.heading)
         yield "", beside if parameter.name == "offset" else _KNOWN
         return
     lower, upper = _bounds(parameter, table)
@@ -313,7 +315,7 @@ def _no_parameter(name: str, joint: JointTable, gravity: GravityTable | None, kn
                 continue
             other: Joint = changed.joint(None, gravity=None)
             if name in [parameter.name for parameter in other.parameters]:
-                remedy = f'leave it out, or set joint.{key} = "{choice}".'
+                remedy = f'leave it out, or set {joint.heading}.{key} = "{choice}".'
     for load, names in GRAVITY_PARAMETERS.items():
         if gravity is None and name in names:
             remedy = f'leave it out, or set gravity.load = "{load}".'

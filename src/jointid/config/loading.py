@@ -51,6 +51,7 @@ def load(
     path: str | os.PathLike[str],
     changes: Iterable[str] = (),
     *,
+    axis: str | None = None,
     method: str | None = None,
     filtering: str | None = None,
     friction: str | None = None,
@@ -60,6 +61,7 @@ def load(
     Args:
         path: of the TOML file, in UTF-8.
         changes: keys to set before it is checked, each as ``method.frequency=30``.
+        axis: the joint of a robot file that is returned as a joint file; see `RobotFile.joint_file`.
         method: its name, whatever the file and the changes say; another one than the file's comes with its default
             settings.
         filtering: a preset, likewise.
@@ -72,29 +74,44 @@ def load(
     """
     path = Path(path)
     choices = {"method": method, "filtering": filtering, "friction": friction}
-    return _file(parse_toml(read_text(path)), path, changes, **choices)
+    return _select(_file(parse_toml(read_text(path)), path, changes, **choices), axis)
 
 
 def load_joint(
-    path: str | os.PathLike[str], changes: Iterable[str] = (), *, what: str = "This work", **choices: str | None
+    path: str | os.PathLike[str],
+    changes: Iterable[str] = (),
+    *,
+    what: str = "This work",
+    axis: str | None = None,
+    **choices: str | None,
 ) -> JointFile:
-    """Load a joint file for work that is not done with a robot.
+    """Load a joint file, or one joint of a robot file, for work on a single joint.
 
     Args:
         path: as of `load`.
         changes: as of `load`.
         what: the work, the beginning of the sentence.
+        axis: as of `load`.
         choices: `method`, `filtering` and `friction`, as of `load`.
 
     Raises:
         JointFileError: see `load`.
-        MethodError: it is a robot file.
+        MethodError: it is a robot file, and no axis is named.
     """
     path = Path(path)
     tables = parse_toml(read_text(path))
-    if "robot" in tables:
+    if "robot" in tables and axis is None:
         raise _of_robot(path, what)
-    return require_joint(_file(tables, path, changes, **choices), what)
+    return require_joint(_select(_file(tables, path, changes, **choices), axis), what)
+
+
+def _select(file: JointFile | RobotFile, axis: str | None) -> JointFile | RobotFile:
+    """Return a file, or the joint file of the axis that is named."""
+    if axis is None:
+        return file
+    if isinstance(file, JointFile):
+        raise MethodError(f"{file.path} is a joint file, which has no axis {axis}; leave --axis out.")
+    return file.joint_file(axis)
 
 
 def require_joint(file: JointFile | RobotFile, what: str) -> JointFile:
@@ -113,7 +130,7 @@ def require_joint(file: JointFile | RobotFile, what: str) -> JointFile:
 
 
 def _of_robot(path: Path, what: str) -> MethodError:
-    return MethodError(f"{what} takes a joint file; {path} is a robot file, as it has the table [robot].")
+    return MethodError(f"{what} takes one joint, and {path} is a robot file; name one of its joints by --axis.")
 
 
 def read_text(path: Path) -> str:
@@ -140,7 +157,7 @@ def read_text(path: Path) -> str:
         raise JointFileError(f"{path} is not text in UTF-8 (byte {error.start}); save it as UTF-8.") from error
 
 
-def load_to_learn(path: str | os.PathLike[str], changes: Iterable[str] = ()) -> JointFile:
+def load_to_learn(path: str | os.PathLike[str], changes: Iterable[str] = (), axis: str | None = None) -> JointFile:
     """Load a joint file whose controller is to be learned: it need not have one, nor its gains.
 
     What [controller] says, as the gain of the drive's chain, is kept; a gain of the loop that it does not say is 1.
@@ -148,11 +165,14 @@ def load_to_learn(path: str | os.PathLike[str], changes: Iterable[str] = ()) -> 
     Args:
         path: as of `load`.
         changes: as of `load`.
+        axis: as of `load`; the gains of a robot's controllers need to be there.
 
     Raises:
         JointFileError: see `load`.
     """
     path, changes = Path(path), list(changes)
+    if axis is not None:
+        return load_joint(path, changes, what="Learning a controller", axis=axis)
     raw = parse_toml(read_text(path))
     tables = apply_changes(raw, changes)
     said = table_at(tables, "controller")

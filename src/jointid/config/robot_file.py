@@ -20,7 +20,7 @@ from pydantic import Field, ValidationError
 
 from jointid.common import messages
 from jointid.common.arrays import FloatArray
-from jointid.common.errors import JointFileError, JointidError, MethodError, RecordError
+from jointid.common.errors import Fault, JointFileError, JointidError, MethodError, RecordError
 from jointid.common.messages import Progress, Says, ignore_progress
 from jointid.common.settings import settings_of
 from jointid.common.units import Kind
@@ -119,6 +119,12 @@ class JointLimitsTable(LimitsTable):
             yield "", refused
 
 
+class _OneOfJoints(JointTable):
+    """One of [[joints]] as [joint] of a joint file."""
+
+    heading: ClassVar = "joints"
+
+
 @keys_from(RobotJoint, without=("spring",), types={"coupling": (NumbersByName, dict)})
 class RobotJointTable(JointTable):
     """[[joints]]: one joint, in the order in which they are reported; what is left out is as the model says it."""
@@ -158,7 +164,9 @@ class RobotJointTable(JointTable):
         if self.spring is not None:
             said["spring"] = self.spring.law
         own = self.given(*said, "spring")
-        return JointTable.model_construct(**said, **{n: getattr(self, n) for n in own if n in JointTable.model_fields})
+        return _OneOfJoints.model_construct(
+            **said, **{n: getattr(self, n) for n in own if n in JointTable.model_fields}
+        )
 
 
 RobotMethod: TypeAlias = RobotIDIM | RobotDIDIM | RobotDriveSideFit
@@ -231,11 +239,14 @@ class RobotFileTable(Table):
         axis = {} if self.drive.profile is None or "axis" in self.drive.model_fields_set else {"axis": number + 1}
         # What a joint of a robot is identified by is not its own method, but says which channels must be there.
         method = "didim" if self.method_name == "didim" else "drive_side" if own.flexible else "idim"
+        limits = {} if own.limits is None else own.limits.given()
         return FileTable.model_construct(
             joint=own.table(kind),
             record=record,
             drive=self.drive.model_copy(update=axis),
             method=MethodTable.model_construct(name=method),
+            filtering=self.filtering,
+            limits=LimitsTable(**{name: limit for name, limit in limits.items() if name in LimitsTable.model_fields}),
             **{name: getattr(own, name) for name in _OF_JOINT_FILE if name in own.model_fields_set},
         )
 
@@ -343,6 +354,22 @@ class RobotFile:
                 )
         return tuple(table.limits() for table in self.stated_limits)
 
+    def joint_file(self, name: str) -> JointFile:
+        """Return the joint file of one joint, identified alone, as if no other joint moved.
+
+        The method has its default settings. Gravity is what `joints.gravity` says.
+
+        Args:
+            name: of the joint.
+
+        Raises:
+            MethodError: the robot has no such joint.
+        """
+        names = [str(file.name) for file in self.joints]
+        if name not in names:
+            raise MethodError(f"The axis{messages.no_choice(name, names)}")
+        return self.joints[names.index(name)]
+
     def records(self, path: str | os.PathLike[str] | None = None) -> tuple[Record, ...]:
         """Read the record of every joint, from one reading of the file.
 
@@ -359,7 +386,7 @@ class RobotFile:
     ) -> tuple[Record, ...]:
         path = self.joints[0].record_path(path)
         table = read_table(path, **self.joints[0].source.options)
-        found, faults = list[Record](), dict[str, list[str]]()
+        found, faults = list[Record](), dict[Fault, list[str]]()
         for file in self.joints:
             try:
                 found.append(cut(file, table, Path(path).stem))
@@ -574,7 +601,7 @@ def _base(angles: list[float]) -> FloatArray:
 
 
 def _joint_files(said: RobotFileTable, robot: Robot, path: Path) -> tuple[JointFile, ...]:
-    files, faults = list[JointFile](), dict[str, list[str]]()
+    files, faults = list[JointFile](), dict[Fault, list[str]]()
     for number, (own, link) in enumerate(zip(said.joints, robot.links, strict=True)):
         if own.kind not in (None, link.kind):
             rest = f' is "{own.kind}", but the model says "{link.kind}": leave it out, or correct the model.'
@@ -587,17 +614,20 @@ def _joint_files(said: RobotFileTable, robot: Robot, path: Path) -> tuple[JointF
     for file in files:
         if file.joint.transmission is not None and file.joint.transmission.side == "motor":
             side = 'transmission.side is "motor"; all numbers of a robot are behind its gears: leave side out.'
-            faults.setdefault(side, []).append(str(file.name))
+            faults.setdefault(Fault(side), []).append(str(file.name))
     for name, joints in _shared_columns(files).items():
-        faults.setdefault(f"all read {name}; give each joint a column of its own, as with {{axis}}.", []).extend(joints)
+        shared = Fault(f"{name} is one column of several joints; give each one of its own, as with {{axis}}.")
+        faults.setdefault(shared, []).extend(joints)
     if faults:
         raise JointFileError(_by_joints(faults, len(robot)))
     return tuple(files)
 
 
-def _by_joints(faults: Mapping[str, Sequence[str]], count: int) -> list[str]:
+def _by_joints(faults: Mapping[Fault, Sequence[str]], count: int) -> list[Fault]:
     """Return sentences, each after the names of its joints where it is not of all."""
-    return [f if len(names) == count else f"{', '.join(names)}: {f}" for f, names in faults.items()]
+    return [
+        f if len(names) == count else Fault(f"{', '.join(names)}: {f}", f.place, f.code) for f, names in faults.items()
+    ]
 
 
 _NUMBERS = [one.name for one in settings_of(RobotJoint) if one.name not in ("spring", "coupling")]

@@ -88,6 +88,9 @@ CONSTANT = "N/A, N m/A, N/V or N m/V"
 class JointTable(Table):
     """[joint]: what is identified."""
 
+    heading: ClassVar = "joint"
+    """What remedies call the table."""
+
     kind: units.Kind = Field(description="how the joint moves: m and N, or rad and N m")
     model: Literal["rigid", "flexible"] = Field("rigid", description="one inertia, or two joined by a spring")
     friction: Annotated[Text, accept_by(friction_named)] = Field(
@@ -137,7 +140,10 @@ class JointTable(Table):
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield that a rigid joint has no spring, or why a joint cannot have its friction."""
         if self.model == "rigid" and self.spring != LinearSpring.name:
-            yield "spring", f' is "{self.spring}", but a rigid joint has no spring; set joint.model = "flexible".'
+            yield (
+                "spring",
+                f' is "{self.spring}", but a rigid joint has no spring; set {self.heading}.model = "flexible".',
+            )
             return
         try:
             self.joint(None)

@@ -128,10 +128,10 @@ def test_export(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 def test_options_of_a_joint_file_are_refused(folder: Path, tmp_path: Path) -> None:
     joint, page = folder / "robot.toml", tmp_path / "a.html"
     for words, said in (
-        (("identify", joint, "--window", "2"), "A log in windows takes a joint file; .*is a robot file"),
+        (("identify", joint, "--window", "2"), "A log in windows takes one joint, and .*is a robot file"),
         (
             ("identify", joint, "--record", "a.csv", "--record", "b.csv"),
-            "several records in one fit takes a joint file",
+            "several records in one fit takes one joint",
         ),
         (("identify", joint, "--figure", tmp_path / "a.png"), "as report --figures draws all joints of a robot"),
         (("simulate", joint, "--estimate", tmp_path / "none.json"), "none.json cannot be"),
@@ -144,9 +144,9 @@ def test_options_of_a_joint_file_are_refused(folder: Path, tmp_path: Path) -> No
             "bodies behind their gears.*--fixed is for a joint",
         ),
         (("report", joint, "--plan", "all", "--html", page), "jointid design plans the motion of a robot"),
-        (("examine", joint), "The look over a record takes a joint file"),
-        (("tune", joint), "Tuning takes a joint file"),
-        (("diagnose", "methods", joint), "This command takes a joint file"),
+        (("examine", joint), "The look over a record takes one joint"),
+        (("tune", joint), "Tuning takes one joint"),
+        (("diagnose", "methods", joint), "This command takes one joint"),
     ):
         with pytest.raises(JointidError, match=said):
             run(*words)

@@ -46,11 +46,13 @@ class Inputs:
     Attributes:
         record: the record, instead of the one the joint file names.
         changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
+        axis: of a robot file the name of one joint, which is taken alone, as if no other joint moved.
         quiet: say nothing of the progress.
     """
 
     record: Path | None = None
     changes: Changes = ()
+    axis: str | None = None
     quiet: Quiet = False
 
     @property
@@ -67,7 +69,7 @@ class Inputs:
         """
         from jointid.config import load
 
-        return self._spared(joint, outputs, lambda: load(joint, self.changes, **choices))
+        return self._spared(joint, outputs, lambda: load(joint, self.changes, axis=self.axis, **choices))
 
     def load_joint(
         self, joint: Path, outputs: Outputs = NOTHING, *, what: str = "This command", **choices: str | None
@@ -79,7 +81,9 @@ class Inputs:
         """
         from jointid.config import load_joint
 
-        return self._spared(joint, outputs, lambda: load_joint(joint, self.changes, what=what, **choices))
+        return self._spared(
+            joint, outputs, lambda: load_joint(joint, self.changes, what=what, axis=self.axis, **choices)
+        )
 
     def _spared(self, joint: Path, outputs: Outputs, load: Callable[[], F]) -> F:
         outputs.spare("JOINT", joint)

@@ -78,6 +78,7 @@ def identify(
     window: float | None = None,
     settling: float | None = None,
     changes: Changes = (),
+    axis: str | None = None,
     method: MethodName | None = None,
     filtering: FilteringName | None = None,
     friction: str | None = None,
@@ -97,6 +98,7 @@ def identify(
         settling: seconds before and after each window that are simulated and not fitted; without it measured.
         changes: a key of the joint file and its value, as method.frequency=30; may be given several times; whatever
             has no option here, as method.minimiser, method.estimator or method.harmonics, is set so.
+        axis: of a robot file the name of one joint, which is identified alone, as if no other joint moved.
         method: didim reads torque and reference only; idim reads torque and motor position, and the load's position
             too if the joint is flexible; drive_side and open_loop read torque and motor position, and no controller.
         filtering: published repeats the results of the EMPS benchmark; as-printed the paper's for a flexible joint,
@@ -113,7 +115,8 @@ def identify(
     outputs = Outputs({"--json": json}, {"--figure": figure})
     records = record or []
     outputs.spare("--record", *records)
-    options = Options(record=records[0] if records else None, changes=changes, json=json, quiet=quiet)
+    first = records[0] if records else None
+    options = Options(record=first, changes=changes, axis=axis, json=json, quiet=quiet)
     file = options.load(joint, outputs, method=method, filtering=filtering, friction=friction)
     if figure is not None:
         require_joint(file, "--figure of identify, as report --figures draws all joints of a robot,")
@@ -197,10 +200,15 @@ def learn_controller(joint: Path, /, *, options: Options = DEFAULTS, write: Path
     """
     from jointid.config import learned_text, load_to_learn, save_with_controller
 
+    if write is not None and options.axis is not None:
+        raise MethodError(
+            "--write is for a joint file; write the learned [controller] as [joints.controller] of the axis, and "
+            "leave --write out."
+        )
     outputs = Outputs({"--json": options.json, "--write": write})
     outputs.spare("JOINT", joint)
     outputs.spare("--record", options.record)
-    file = load_to_learn(joint, options.changes)
+    file = load_to_learn(joint, options.changes, options.axis)
     if options.record is None:
         outputs.spare(str(joint), *file.inputs())
     learned = file.learn_controller(file.record(options.record), options.progress)

@@ -244,6 +244,7 @@ def export(
     *,
     estimate: Path | None = None,
     changes: Changes = (),
+    axis: str | None = None,
     out: Path,
     format: Language | None = None,  # noqa: A002
     side: Literal["motor", "load"] | None = None,
@@ -262,6 +263,7 @@ def export(
             that it names, and written as MJCF or URDF with bodies that fit.
         estimate: what identify --json wrote; of a joint file it is needed.
         changes: a key of the joint file and its value, as method.frequency=30; may be given several times.
+        axis: of a robot file the name of the one joint that the estimate is of.
         out: the file to write.
         format: the language, instead of the one the ending of the file means.
         side: of a transmission, whose numbers are written; without it the load's for URDF and MJCF, and else the side
@@ -279,7 +281,7 @@ def export(
     outputs = Outputs({"--out": out})
     outputs.spare("--estimate", estimate)
     friction = None if estimate is None else answers.read_friction(estimate)
-    file = Options(changes=changes).load(joint, outputs, friction=friction)
+    file = Options(changes=changes, axis=axis).load(joint, outputs, friction=friction)
     if not isinstance(file, JointFile):
         _require_none(
             "A robot is identified from the record that its file names, and written as bodies behind their gears, as "
