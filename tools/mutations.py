@@ -1,4 +1,4 @@
-"""Sixty small faults, put in one at a time: the quick tests must catch each.
+"""Seventy small faults, put in one at a time: the quick tests must catch each.
 
 ``python -m tools.mutations`` runs the quick tests that `faults.toml` names for each fault, until the first failure, and
 prints one line for each. Add ``--thorough`` to run all quick tests where those do not catch a fault. The working tree

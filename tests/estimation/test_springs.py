@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.config import dumps, loads
+from jointid.estimation.descent import History, Solved
 from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.summary import settings_facts
 from jointid.models.joints import FlexibleJoint
 from jointid.models.springs import SPRINGS, Backlash, Spring, ThreePieceSpring, TwoPieceSpring
@@ -23,6 +27,28 @@ def gapped() -> tuple[ji.Estimate, dict[str, float]]:
     """A drive with a gap of 0.6 of the largest wind-up, 2 % of noise on its log: what is found, and what it has."""
     case, record = gapped_axis()
     return identify(record, case.loop, ji.FlexibleDIDIM(frequency=case.mode)), case.truth
+
+
+def test_the_search_goes_on_from_the_best_start_of_the_law(monkeypatch: pytest.MonkeyPatch) -> None:
+    case, record = gapped_axis()
+    norms, solve, finish = list[float](), History.solve, History.finish
+
+    def watch(history: History, problem: ClosedLoopProblem, *given: Any) -> Solved:
+        end = solve(history, problem, *given)
+        norms.extend([end.norm] if problem.joint == case.loop.joint else [])
+        return end
+
+    def stop(history: History, rough: Solved, tolerance: float) -> Solved:
+        if len(norms) < 2:
+            return finish(history, rough, tolerance)
+        assert max(norms) > 1.1 * min(norms), "expected several ends"
+        assert rough.norm == min(norms)
+        raise MethodError("enough")
+
+    monkeypatch.setattr(History, "solve", watch)
+    monkeypatch.setattr(History, "finish", stop)
+    with pytest.raises(MethodError, match="enough"):
+        identify(record, case.loop, ji.FlexibleDIDIM(frequency=case.mode))
 
 
 def test_a_gap_is_found_with_the_stiffness_behind_it(gapped: tuple[ji.Estimate, dict[str, float]]) -> None:
