@@ -13,7 +13,7 @@ import pytest
 from jointid.apps.cli import main
 from jointid.config import load
 from jointid.diagnostics.examine_record import Examination, Question, examine
-from jointid.diagnostics.law_on_position import compare_law
+from jointid.diagnostics.model_free import compare_law
 from jointid.models.joints import ClosedLoop
 from jointid.output.json.documents import to_dict
 from jointid.paper.twin import twin
@@ -157,7 +157,7 @@ def test_the_answer_holds_what_a_program_needs(tmp_path: Path) -> None:
     assert all(
         one["two_sigma_percent"] is None or math.isfinite(one["two_sigma_percent"]) for one in answer["parameters"]
     )
-    assert Question.LAW in [one.question for one in found.looked]
+    assert Question.LAW in [one.question for one in found.answers]
 
 
 def test_the_command_says_by_its_code_whether_something_is_wrong(
@@ -215,7 +215,7 @@ def test_a_real_axis_is_looked_over(name: str, data_dir: Path) -> None:
     found = examine(record, file.loop, file.method, filtering=file.filtering)
     assert found.healthy, str(found)
     assert "spoils its answer" in found.sentence
-    (law,) = (one for one in found.looked if one.question is Question.LAW)
+    (law,) = (one for one in found.answers if one.question is Question.LAW)
     assert law.good
     compared = compare_law(record, file.loop)
     assert compared is not None

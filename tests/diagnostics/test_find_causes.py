@@ -15,12 +15,18 @@ from jointid.diagnostics import run_checks
 from jointid.diagnostics.faults.fault import Explanation, FaultTest
 from jointid.diagnostics.faults.forces import find_steps
 from jointid.diagnostics.faults.loop_gain import GEAR_SIDE, LAW_GAIN, REFERENCE_SCALE, TORQUE_CONSTANT, TORQUE_SCALE
-from jointid.diagnostics.faults.motion import find_plain_cause
 from jointid.diagnostics.faults.numbers import DELAY, SWAPPED_GAINS, TORQUE_FILTER, VELOCITY_FILTER, number_fault
-from jointid.diagnostics.faults.record import FLEXIBLE, REFERENCE_IS_POSITION, SAMPLE_TIME, TORQUE_SIGN, with_cutoffs
+from jointid.diagnostics.faults.record import (
+    FLEXIBLE,
+    REFERENCE_IS_POSITION,
+    SAMPLE_TIME,
+    TORQUE_SIGN,
+    find_plain_cause,
+    with_cutoffs,
+)
 from jointid.diagnostics.find_causes import explain as explain_fault
 from jointid.diagnostics.find_causes import explain_failure, find_causes
-from jointid.diagnostics.linear_response import find_unexplained_share
+from jointid.diagnostics.model_free import find_unexplained_share
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.models.controllers import Cascade, with_numbers
 from jointid.models.controllers.drive_numbers import DriveNumber
@@ -83,7 +89,7 @@ def test_verdict_of_the_loop_is_the_cause() -> None:
     assert causes[0]["value"] == pytest.approx(2.0, rel=0.05)
     assert causes[2]["value"] == pytest.approx(0.5, rel=0.05)
     assert "the torque is about 2.0 times too large" in verdict.said
-    assert any("looking for the cause" in one for one in said)
+    assert any("searching for the cause" in one for one in said)
 
 
 def test_nothing_is_looked_for_where_the_record_fits() -> None:
@@ -92,7 +98,7 @@ def test_nothing_is_looked_for_where_the_record_fits() -> None:
     said: list[str] = []
     estimate = ji.identify(record, loop, progress=said.append)
     assert estimate.checks.verdicts[-1].good
-    assert not [one for one in said if "looking for the cause" in one]
+    assert not [one for one in said if "searching for the cause" in one]
 
 
 def test_small_deviation_is_left_to_its_sensitivity() -> None:
@@ -192,7 +198,7 @@ def test_a_loop_remembers_as_long_as_it_does_whatever_the_sample_time_is_said_to
 def test_a_cause_that_leaves_more_than_a_right_model_is_only_the_nearest(monkeypatch: pytest.MonkeyPatch) -> None:
     """A loop that rings for long left half of its torque by responses, and a sixth by a wrong sample time."""
     record, loop = BY_NAME["torque turned round"].make(axis("rigid"), 1)
-    monkeypatch.setattr(searching, "_unexplained", lambda _: 0.5)
+    monkeypatch.setattr(searching, "_fit_free_responses", lambda _: 0.5)
     assert [one.fault for one in find_causes(record, loop).explanations][:1] == [TORQUE_SIGN]
     monkeypatch.setattr(searching, "_FITS", 0.01)  # the right cause leaves 2.8 %
     causes = find_causes(record, loop)

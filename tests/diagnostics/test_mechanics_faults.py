@@ -11,8 +11,8 @@ import pytest
 import jointid as ji
 from jointid.common.arrays import FloatArray
 from jointid.diagnostics.check_loop import check_loop
-from jointid.diagnostics.faults.cogging import COGGING
 from jointid.diagnostics.faults.fault import Fault, FaultSignature
+from jointid.diagnostics.faults.forces import COGGING
 from jointid.diagnostics.faults.friction import (
     CHANGING_FRICTION,
     COULOMB,
@@ -24,7 +24,7 @@ from jointid.diagnostics.faults.registry import FAULTS
 from jointid.diagnostics.faults.springs import BACKLASH, CUBIC_SPRING, SECOND_MODE
 from jointid.diagnostics.faults.trials import solve_with_fault, vary_mechanics
 from jointid.diagnostics.intervals import rebuild_problem
-from jointid.diagnostics.lack_of_fit import worst_shift
+from jointid.diagnostics.run_checks import worst_shift
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.answer import Trust
 from jointid.simulation.closed_loop import simulate as simulate_exactly

@@ -7,7 +7,7 @@ import pytest
 
 from jointid.common.arrays import FloatArray
 from jointid.diagnostics.faults.forces import find_steps
-from jointid.diagnostics.faults.motion import find_plain_cause
+from jointid.diagnostics.faults.record import find_plain_cause
 from jointid.records.record import Channel, Record
 from jointid.simulation.excitation import trapezoids
 from jointid.uncertainty.verdict import Reason

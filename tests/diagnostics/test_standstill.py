@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import JointidError
-from jointid.diagnostics.faults.motion import find_lost_motion, find_standstill
+from jointid.diagnostics.faults.record import find_lost_motion, find_standstill
 from jointid.models.joints import ClosedLoop
 from jointid.records.record import Record
 from jointid.uncertainty.verdict import Reason

@@ -39,7 +39,7 @@ def test_a_disagreement_is_pointed_out(flexible: MethodComparison) -> None:
     """The disturbance in the loop has moved least squares away from DIDIM and from instruments."""
     (sentence,) = [line for line in flexible.disagreements if "on motor inertia" in line]
     assert sentence.startswith("DIDIM and IDIM-")
-    assert "beyond their intervals: 70." in sentence
+    assert "outside their intervals: 70." in sentence
     assert not any("on stiffness" in line for line in flexible.disagreements)
     text = str(flexible)
     assert "IDIM-IV, Durbin-Wu-Hausman: IDIM's regressors are correlated with its errors" in unwrapped(text)

@@ -1,10 +1,9 @@
-"""Check that the closed loop and the log of an estimate are as declared; find their faults, the likeliest first.
+"""Search for faults of the closed loop and the log of an estimate, the likeliest first.
 
-Each fault of `fault_tests` is tested alone, those of loop and log as one family, so that one is found in at most 5 % of
-the records without one; those of the mechanics as another, in a tenth of that. The fault with the
-largest statistic is named, and with it those that are nearly as likely by the ratio of the likelihoods. Then the
-problem is solved again with the fault corrected, which shows its effect on the parameters of the joint, and the
-remaining faults are tested again.
+Each fault of `fault_tests` is tested alone. Faults of loop and log are one family, with a family-wise error of 5 %;
+faults of the mechanics are another, with a tenth of that. The fault with the largest statistic is named, with those
+that are nearly as likely by the likelihood ratio. The problem is solved again with the fault corrected, which shows its
+effect on the parameters, and the remaining faults are tested again.
 """
 
 from __future__ import annotations
@@ -64,8 +63,8 @@ _INTERVAL = 2.0  # deviations: half an interval
 _BETWEEN_RATES = 0.2  # of what a faster law changes: so much less is still a rate next to it
 _AT_LEAST = 0.6  # of what half of the log's period changes, by one step: less shows that the drive is not that fast
 _REACH = 2.0  # times the same is what any faster drive changes
-_MATTERS = 1.5  # deviations: a faster drive that moves no parameter so far by one step is not looked for
-_TIMES_UNDECIDED = (2, 8)  # where the evidence is for none: further ones move nothing much further
+_MATTERS = 1.5  # deviations: a faster drive that moves no parameter so far by one step is not searched for
+_TIMES_UNDECIDED = (2, 8)  # without evidence for any: higher rates change hardly more
 _FORCES = 16  # pairs of opposite ones: the deviation of what they show is known to an eighth
 _TOLERANCE = 1e-6  # of the refinement with a fault corrected: far below a deviation
 
@@ -102,7 +101,7 @@ def check_loop(
         record: that it was identified from.
         settings: see `LoopTests`.
         shown: how the drive shows the numbers of its controller, as `jointid.config.JointFile.declared_numbers` has it;
-            without it they are told in percent of what is declared.
+            without it they are given in percent of the declared value.
 
     Raises:
         MethodError: the estimate did not simulate a loop, is of another record, or has a parameter that is not
@@ -142,9 +141,9 @@ class SearchState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _TestResults:
-    """Residual and columns of a state, (rows, ...), the fault signatures, and their tests, the likeliest first.
+    """Residual and columns of a state, (rows, ...), fault signatures and their tests, the likeliest first.
 
-    `where` and `by_forces` are of `score_signatures`; each is a simulation or more, made once and when it is wanted.
+    `where` and `by_forces` are arguments of `score_signatures`, simulated once and on demand.
     """
 
     residual: FloatArray
@@ -167,11 +166,11 @@ def search_faults(
 
     Args:
         problem: with the identified parameters free; those are not tested.
-        x: (free,) where it was solved.
+        x: (free,) its solution.
         settings: see `LoopTests`.
-        std: standard errors of the joint's parameters by name, by which their changes are measured; autocorrelation-
-            robust ones when None.
-        record: of the problem; without it a drive that runs faster than the log is not looked for.
+        std: standard errors of the joint's parameters by name, in which shifts are given; autocorrelation-robust ones
+            when None.
+        record: of the problem; without it a drive that runs faster than the log is not searched for.
         shown: how the drive shows the numbers of its controller, see `check_loop`.
 
     Raises:
@@ -185,7 +184,7 @@ def search_faults(
     first: _TestResults | None = None
     first_law: _OtherLawTest | None = None
     while len(findings) < settings.most:
-        found = _look_further(state, _run_tests(state, settings), settings)
+        found = _search_shapes(state, _run_tests(state, settings), settings)
         if np.linalg.norm(found.residual) <= _ROUNDING * np.linalg.norm(problem.filtered(problem.measured)):
             first, others = first or found, []
             break
@@ -220,33 +219,29 @@ def search_faults(
     if first is not None and (rates := _list_rates_left_open(faster, first, findings, first_law)):
         solved = replace(beginning, x=descend(problem, beginning.x, _TOLERANCE).x)
         open_ones += [_find_other_law(solved, one, first, settings.level, known) for one in rates]
-    moving = [one for one in open_ones if any(map(_is_out, one.changes.values()))]
+    moving = [one for one in open_ones if any(abs(by.sigmas) > _INTERVAL for by in one.changes.values())]
     undecided = max(moving, key=_size_of_change, default=None)
     joint = problem.loop.joint
+    units = {p.name: joint.unit(p) for p in joint.parameters}
+    motion = {"torque": Quantity.FORCE, "position": Quantity.POSITION, "velocity": Quantity.VELOCITY}
+    units |= {name: unit_of(quantity, joint.kind, units[OFFSET.name]) for name, quantity in motion.items()}
     check = LoopCheck(
         tuple(findings),
         () if first is None else first.tests,
         settings.level,
         symbols={p.name: p.symbol for p in joint.parameters},
-        units=_units(joint),
+        units=units,
         side=None if joint.transmission is None else joint.transmission.side,
         undecided=undecided,
         law=numbers_of(problem.loop.controller),
         shown={one.number: one for one in shown},
-        laws=_laws_to_try(joint),
+        laws=_list_laws(joint),
     )
     return check, state
 
 
-def _units(joint: Joint) -> dict[str, str]:
-    """Return the units of a joint's parameters by name, and of "torque", "position" and "velocity"."""
-    units = {p.name: joint.unit(p) for p in joint.parameters}
-    motion = {"torque": Quantity.FORCE, "position": Quantity.POSITION, "velocity": Quantity.VELOCITY}
-    return units | {name: unit_of(quantity, joint.kind, units[OFFSET.name]) for name, quantity in motion.items()}
-
-
-def _laws_to_try(joint: Joint) -> tuple[str, ...]:
-    """Return the names of springs, and of frictions beyond lines, that a joint may have with all that it has now."""
+def _list_laws(joint: Joint) -> tuple[str, ...]:
+    """Return the names of springs and nonlinear frictions that can replace those of a joint."""
     even = joint.friction.offset_identifiable
     laws = [law for law in frictions_beside(joint) if not law.linear and law != joint.friction]
     springs = springs_beside(joint) if isinstance(joint, FlexibleJoint) else ()
@@ -274,8 +269,8 @@ def _run_tests(state: SearchState, settings: LoopTests) -> _TestResults:
     return _TestResults(residual, own, signatures, tests, where, by_forces)
 
 
-def _look_further(state: SearchState, found: _TestResults, settings: LoopTests) -> _TestResults:
-    """Return the tests with those of faults whose shape is searched for, each in the place of its other test."""
+def _search_shapes(state: SearchState, found: _TestResults, settings: LoopTests) -> _TestResults:
+    """Return the tests, with those of faults whose shape is searched for replaced."""
     whiten = fit_whitener(found.residual)
     for fault in FAULTS:
         asked = settings.faults is None or fault.name in settings.faults
@@ -293,20 +288,20 @@ def _look_further(state: SearchState, found: _TestResults, settings: LoopTests) 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _OtherLawTest:
-    """A problem under another law, and the test of it: the declared law is at size 0, the other one at 1."""
+    """Solution under another law, and its test: size 0 is the declared law, size 1 the other one."""
 
     refit: Refit
     test: FaultTest
 
     @property
     def possible(self) -> bool:
-        """Whether the record does not exclude the other law; a rate between two that were tried is near to both."""
+        """Whether the record does not exclude the other law, or a rate near it."""
         roughly = _BETWEEN_RATES if self.test.fault is PERIOD else 0.0
         return 1 - self.test.size <= max(_EXCLUDED * self.test.std, roughly)
 
     @property
     def likelihood(self) -> float:
-        """Twice the logarithm of its ratio to that of the declared law."""
+        """Twice the logarithm of the likelihood ratio to the declared law."""
         return (2 * self.test.size - 1) / self.test.std**2
 
     def explains(self, tests: Sequence[FaultTest], level: float) -> bool:
@@ -317,7 +312,7 @@ class _OtherLawTest:
         return self.likelihood >= max((one.strength**2 for one in tests), default=0.0) - _RIVAL
 
     def rivals(self, found: _TestResults) -> bool:
-        """Whether the record excludes it neither by itself nor by a fault that explains more."""
+        """Whether the record does not exclude it, and no fault is far likelier."""
         stated = (one.strength**2 for one in found.tests if one.p_value <= _SIGNIFICANT)
         return self.possible and self.likelihood >= max(stated, default=0.0) - _RIVAL
 
@@ -327,7 +322,7 @@ class _OtherLawTest:
 
 
 def _test_other_laws(state: SearchState, found: _TestResults, settings: LoopTests) -> list[_OtherLawTest]:
-    """Return the test of every law that the drive may run instead; of those asked for, where some are."""
+    """Return the tests of the other laws of the controller, as far as the settings name them."""
     tests = []
     wrong = settings.faults is not None or any(one.p_value <= settings.level for one in found.tests)
     laws = (PRESENT_SAMPLE, *((MEASURED_VELOCITY,) if wrong else ()))
@@ -343,17 +338,22 @@ def _test_other_laws(state: SearchState, found: _TestResults, settings: LoopTest
 def _test_faster_laws(
     state: SearchState, found: _TestResults, settings: LoopTests, known: Mapping[str, float], record: Record | None
 ) -> list[_OtherLawTest]:
-    """Return the tests of laws that run faster than the log, where no period is declared and they may matter.
+    """Return the tests of laws that run faster than the log, if no period is declared and they may matter.
 
-    One run at half of the log's period says whether that can be: a faster drive changes twice as much at most.
+    One simulation at half of the log's period decides that: a faster drive changes at most twice as much.
     """
     problem, asked = state.problem, settings.faults is None or PERIOD.name in settings.faults
     if record is None or not (asked and runs_at_the_logs_rate(problem)):
         return []
-    step = _step_to_a_faster_law(state, found, record)
-    if step is None or not _may_matter(state, found, *step, known):
+    slowest = next(faster_laws(problem, TIMES_FASTER[0]))
+    try:
+        moved = found.residual - faster_problem(problem, slowest, record).residual(state.x)
+    except JointidError:  # no law of that period
         return []
-    evident = step[0].size > 0 and step[0].p_value <= settings.level
+    step = _test_signature(state, found, FaultSignature(PERIOD, moved, raw=np.zeros(0)))
+    if not _may_matter(state, found, step, moved, known):
+        return []
+    evident = step.size > 0 and step.p_value <= settings.level
     tests: list[_OtherLawTest] = []
     start = state.x
     for times in TIMES_FASTER if evident else _TIMES_UNDECIDED:
@@ -372,29 +372,12 @@ def _test_faster_laws(
     return tests
 
 
-def _step_to_a_faster_law(
-    state: SearchState, found: _TestResults, record: Record
-) -> tuple[FaultTest, FloatArray] | None:
-    """Return the test of what half of the log's period changes at the same joint, and that change, (rows,)."""
-    law = next(faster_laws(state.problem, TIMES_FASTER[0]))
-    try:
-        moved = found.residual - faster_problem(state.problem, law, record).residual(state.x)
-    except JointidError:  # no law of that period
-        return None
-    return _test_signature(state, found, FaultSignature(PERIOD, moved, raw=np.zeros(0))), moved
-
-
 def _may_matter(
     state: SearchState, found: _TestResults, step: FaultTest, moved: FloatArray, known: Mapping[str, float]
 ) -> bool:
-    """Whether a faster drive is not excluded, and explains what the record shows, or would move a parameter.
+    """Whether a faster drive is not excluded, and either is evident or would shift a parameter.
 
-    Args:
-        state: solved under the declared law.
-        found: what was tested there.
-        step: the test of what half of the log's period changes.
-        moved: (rows,) that change of the torque.
-        known: deviations of the joint's parameters, by name.
+    `step` is the test of the change of the torque, `moved`, (rows,), by half of the log's period.
     """
     if not step.std > 0 or step.size + 3 * step.std < _AT_LEAST:
         return False
@@ -411,7 +394,7 @@ def _may_matter(
 
 
 def _test_signature(state: SearchState, found: _TestResults, *of_law: FaultSignature) -> FaultTest:
-    """Return the test of what another law changes, in one shape or several, beside those of the faults."""
+    """Return the test of another law, in one shape or several, beside the faults."""
     own, signatures = _stack_columns(state, found.own), [*found.signatures, *of_law]
     declared = {of_law[0].fault: 0.0}
     test = score_signatures(found.residual, own, signatures, declared, found.where, found.by_forces)[0]
@@ -421,14 +404,15 @@ def _test_signature(state: SearchState, found: _TestResults, *of_law: FaultSigna
 def _list_rates_left_open(
     faster: Sequence[_OtherLawTest], first: _TestResults, findings: Sequence[Finding], law: _OtherLawTest | None
 ) -> list[_OtherLawTest]:
-    """Return the faster laws that neither a fault nor another rate excludes; none where the rate that was found counts.
+    """Return the faster laws that neither a fault nor another rate excludes.
+
+    There are none if a rate was found that already shifts the requested parameter out of its interval.
 
     Args:
-        faster: that were tested, beside `first`, the tests of the faults.
-        first: of the loop as it is declared.
-        findings: of which one may be such a law. Where it moves the value that is asked for out of its interval, that
-            is said already.
-        law: the first law that was found; a rate that is far less likely is excluded by it, too.
+        faster: tests of the faster laws.
+        first: tests of the faults of the declared loop.
+        findings: faults found, of which one may be a faster law.
+        law: the first law that was found; it excludes a rate that is far less likely.
     """
     found = next((one for one in findings if one.test.fault is PERIOD), None)
     if found is not None and _size_of_change(found)[0] > _INTERVAL:
@@ -448,25 +432,20 @@ def _find_other_law(
     known: Mapping[str, float],
     alike: Sequence[_OtherLawTest] = (),
 ) -> Finding:
-    """Return another law as a finding, with what it changes, and the laws that explain as much, the likeliest first."""
+    """Return another law as a finding, with its shifts and equally likely laws."""
     least = other.test.strength**2 - _RIVAL
     rivals = tuple(s for s in found.tests if s.p_value <= level and s.strength**2 > least)
     problem, x = other.refit.problem, other.refit.x
     left = float(np.linalg.norm(problem.residual(x))) / problem.size
-    law, changes = other.refit.law, _changes(state, problem.values(x), found, known)
+    law, changes = other.refit.law, _compute_shifts(state, problem.values(x), found, known)
     others = tuple(one.refit.law for one in sorted(alike, key=lambda one: -one.likelihood))
     return Finding(other.test, 1 / law.rate if law.rate else None, rivals, changes, law, left, others)
 
 
 def _size_of_change(finding: Finding) -> tuple[float, float]:
-    """Return by how many deviations a finding moves stiffness or inertia, and any parameter."""
+    """Return the shift of stiffness or inertia, and the largest of any parameter, in deviations."""
     sizes = {name: abs(change.sigmas) for name, change in finding.changes.items()}
     return sizes.get("stiffness", sizes.get("inertia", 0.0)), max(sizes.values(), default=0.0)
-
-
-def _is_out(change: ParameterShift) -> bool:
-    """Whether a parameter moves out of its interval."""
-    return abs(change.sigmas) > _INTERVAL
 
 
 def _stack_columns(state: SearchState, own: FloatArray) -> FloatArray:
@@ -481,7 +460,7 @@ def _assign_cells(state: SearchState) -> Cells:
 
 
 def _simulate_forces(state: SearchState) -> list[FloatArray]:
-    """Return the residuals, (rows,), that forces as the record shows one in its loop leave; none where it has none."""
+    """Return the residuals, (rows,), of random forces like the one in the record's loop; none without one."""
     problem, run = state.problem, state.problem.simulate(state.x)
     force = find_force(problem, state.x, run, problem.measured - run.torque)
     if force is None:
@@ -506,7 +485,10 @@ def _accept_fault(state: SearchState, found: _TestResults) -> SearchState:
     if signature.raw is not None:
         problem = replace(problem, measured=problem.measured - suspect.size * signature.raw)
         return SearchState(problem, descend(problem, state.x, _TOLERANCE).x, (*state.corrected, signature), named)
-    wider, start = _free_parameter(problem, suspect)
+    if fault.free is not None:
+        wider, start = fault.free(problem, suspect)
+    else:
+        wider, start = free_number(problem, suspect.name, suspect.declared + suspect.size)
     held = SearchState(problem, state.x, (*state.corrected, signature), named)
     try:
         x = descend(wider, wider.vector(problem.values(state.x) | {suspect.name: start}), _TOLERANCE).x
@@ -521,13 +503,6 @@ def _accept_fault(state: SearchState, found: _TestResults) -> SearchState:
     return SearchState(wider, x, state.corrected, named)
 
 
-def _free_parameter(problem: ClosedLoopProblem, suspect: FaultTest) -> tuple[ClosedLoopProblem, float]:
-    """Return the problem with the parameter of a fault free, and its start."""
-    if suspect.fault.free is not None:
-        return suspect.fault.free(problem, suspect)
-    return free_number(problem, suspect.name, suspect.declared + suspect.size)
-
-
 def _make_finding(
     state: SearchState, after: SearchState, found: _TestResults, level: float, known: Mapping[str, float]
 ) -> Finding:
@@ -535,7 +510,7 @@ def _make_finding(
     least = strength_of(suspect) ** 2 - _RIVAL
     rivals = tuple(s for s in found.tests[1:] if s.p_value <= level and strength_of(s) ** 2 > least)
     values = after.problem.values(after.x)
-    changes = _changes(state, {**values, **after.identified}, found, known)
+    changes = _compute_shifts(state, {**values, **after.identified}, found, known)
     free = [p.name for p in after.problem.free]
     if len(after.corrected) > len(state.corrected) or suspect.name not in free:
         whole = float(np.linalg.norm(after.problem.residual(after.x))) / after.problem.size
@@ -550,10 +525,10 @@ def _make_finding(
     return Finding(replace(suspect, size=value - suspect.declared, std=refined_std), value, rivals, changes)
 
 
-def _changes(
+def _compute_shifts(
     state: SearchState, values: Mapping[str, float], found: _TestResults, known: Mapping[str, float]
 ) -> dict[str, ParameterShift]:
-    """Return by how much the joint's parameters change from a state to other values."""
+    """Return the shifts of the joint's parameters from a state to other values."""
     own = _stack_columns(state, found.own)
     names = [p.name for p in state.problem.free_joint]
     by_itself = robust(own, own, found.residual).std[: len(names)]

@@ -1,8 +1,7 @@
 """The verb `compare`: methods, springs or frictions for one record, or two estimates of one joint.
 
-How laws of springs and frictions are judged is in `law_comparison`. What is not in any of these models, in the
-controller, a delay or behind the load, may look like another law: the check of loop and log (`check_loop`) of an
-estimate with the law that is shown says whether it is so.
+`law_comparison` judges the laws of springs and frictions. A fault of the controller, a delay or dynamics behind the
+load may look like another law: check loop and log (`check_loop`) of an estimate with the chosen law.
 """
 
 from __future__ import annotations
@@ -150,13 +149,17 @@ def _compare_laws(
     plain = _with_law(loop, kind, simple)
     own = adjust_parameters(plain.joint.parameters, _of_law(given, joint, plain.joint))
     parts_of(torque_problem(record, plain, chosen, own), among)  # before the search, which takes its time
-    solved = _solve(settings, Task(record, plain.joint, plain, own, chosen, progress), history)
+    task = Task(record, plain.joint, plain, own, chosen, progress)
+    solved = settings.solve(task, history)[0] if isinstance(settings, FlexibleDIDIM) else settings.solve(task, history)
     if settings.free:
         solved = free_more(solved, settings.free, tolerance, history)
     parts = parts_of(solved.problem, among)
     found: list[tuple[JudgedLaw, FloatArray | None]] = []
     line: tuple[JudgedLaw, FloatArray] | None = None
-    for law in _candidates(joint, among):
+    made = SPRINGS.values() if among == "springs" else FRICTIONS.values()
+    laws: list[Spring | Friction] = sorted((one() for one in made), key=lambda one: len(_parameters(joint, one)))
+    # A rigid joint is judged beside the laws of a spring.
+    for law in (None, *laws) if among == "springs" else laws:
         name, of_law = (RIGID, ()) if law is None else (law.name, _parameters(joint, law))
         named = f"a {name} spring" if kind == "spring" else f"{name} friction"
         progress(f"fitting {'a rigid joint' if law is None else named}")
@@ -187,11 +190,7 @@ _SIMPLE: Mapping[str, Spring | Friction] = {"springs": LinearSpring(), "friction
 
 
 def _check(joint: Joint, among: str, didim: DIDIM | FlexibleDIDIM | None) -> DIDIM | FlexibleDIDIM:
-    """Return the settings of DIDIM.
-
-    Raises:
-        MethodError: the laws of the joint cannot be compared.
-    """
+    """Return the settings of DIDIM; raise a `MethodError` if the laws of the joint cannot be compared."""
     if among == "springs" and not isinstance(joint, FlexibleJoint):
         raise MethodError('Only a flexible joint has a spring; received a rigid one: set joint.model = "flexible".')
     settings = didim or (FlexibleDIDIM() if isinstance(joint, FlexibleJoint) else DIDIM())
@@ -213,13 +212,6 @@ def _with_law(loop: ClosedLoop, kind: str, law: Spring | Friction) -> ClosedLoop
     return replace(loop, joint=joint)
 
 
-def _candidates(joint: Joint, among: str) -> list[Spring | Friction | None]:
-    """Return the laws by rising number of parameters; before those of a spring None, a rigid joint."""
-    made = SPRINGS.values() if among == "springs" else FRICTIONS.values()
-    laws: list[Spring | Friction] = sorted((law() for law in made), key=lambda law: len(_parameters(joint, law)))
-    return [None, *laws] if among == "springs" else [*laws]
-
-
 def _parameters(joint: Joint, law: Spring | Friction) -> tuple[Parameter, ...]:
     """Return the parameters of a law, of friction on both sides of a joint or of its one inertia."""
     if isinstance(law, Spring):
@@ -229,16 +221,15 @@ def _parameters(joint: Joint, law: Spring | Friction) -> tuple[Parameter, ...]:
 
 
 def _describe(law: Spring | Friction, of_law: tuple[Parameter, ...], fitted: JudgedLaw) -> str:
-    """Return the numbers of a law with their intervals."""
     if isinstance(law, Spring):
         return law.describe(fitted.intervals)
     return ", ".join(f"{p.symbol} {fitted.intervals[p.name]}" for p in of_law)
 
 
 def _of_law(given: Mapping[str, Parameter], declared: Joint, joint: Joint) -> dict[str, Parameter]:
-    """Return the changes that mean the same with another law than the declared one.
+    """Return the parameter changes that hold for another law than the declared one.
 
-    Those of another spring do not, and an offset does not where it is in the Coulomb forces of one of two frictions.
+    Those of another spring do not, nor does an offset that is part of the Coulomb forces of one of two frictions.
     """
     meant = {p.name for p in joint.parameters}
     if declared.friction.offset_identifiable != joint.friction.offset_identifiable:
@@ -248,15 +239,10 @@ def _of_law(given: Mapping[str, Parameter], declared: Joint, joint: Joint) -> di
     return {name: change for name, change in given.items() if name in meant}
 
 
-def _solve(settings: DIDIM | FlexibleDIDIM, task: Task, history: History) -> Solved:
-    """Return where the search of a method ends."""
-    return settings.solve(task, history)[0] if isinstance(settings, FlexibleDIDIM) else settings.solve(task, history)
-
-
 def _rigid(solved: Solved, record: Record, loop: ClosedLoop, tolerance: float, history: History) -> Solved:
-    """Return where the search for a rigid joint ends, on the band and from the sums of both sides of a flexible one.
+    """Solve for a rigid joint in the same band, from the lumped parameters of a flexible one.
 
-    What is kept there of both sides is kept of their sum, too.
+    A lumped parameter is fixed where those of both sides are.
     """
     flexible, problem, values = loop.joint, solved.problem, solved.problem.values(solved.solution.x)
     assert isinstance(flexible, FlexibleJoint)
@@ -277,7 +263,7 @@ def _rigid(solved: Solved, record: Record, loop: ClosedLoop, tolerance: float, h
 def _search(
     solved: Solved, record: Record, loop: ClosedLoop, own: tuple[Parameter, ...], tolerance: float, history: History
 ) -> Solved:
-    """Return where the search with another law ends, from where that with the simple one did."""
+    """Solve with another law, from the solution with the simple one."""
     friction, lines = loop.joint.friction, loop.joint.friction.lines
     if friction != solved.problem.joint.friction and lines != SymmetricFriction():
         linear = _with_law(loop, "friction", lines)
@@ -293,9 +279,9 @@ def _search(
 def _search_lines(
     solved: Solved, record: Record, loop: ClosedLoop, own: tuple[Parameter, ...], tolerance: float, history: History
 ) -> Solved:
-    """Return where the search with one line for each direction ends, both like the symmetric one at its start.
+    """Solve with one line for each direction, from the symmetric solution.
 
-    An offset that is no parameter of it is in its Coulomb forces.
+    An offset that is no parameter of the law is part of its Coulomb forces.
     """
     values = solved.problem.values(solved.solution.x)
     beside = solved.problem.parameters[len(solved.problem.joint.parameters) :]

@@ -136,7 +136,14 @@ class EstimateComparison(Documented):
         if not self.changed:
             said = f"None of {tested} quantities changed significantly, at a level of {self.level:g} for all together."
             return (said, *self.notes)
-        changes = [_describe_change(row) for row in self.changed]
+        changes = []
+        for row in self.changed:
+            assert row.difference is not None
+            assert row.std is not None
+            percent = f" ({100 * row.difference / abs(row.before):+.1f} %)" if row.before else ""
+            sense = "rose" if row.difference > 0 else "fell"
+            size = f"{number(abs(row.difference), 3)} +- {number(2 * row.std, 2)} {row.unit}"
+            changes.append(f"{row.symbol} {sense} by {size}{percent}, {_format_p(row.p_value or 0.0, labelled=True)}")
         return (f"{len(changes)} of {tested} quantities changed significantly: {'; '.join(changes)}.", *self.notes)
 
     @property
@@ -145,7 +152,7 @@ class EstimateComparison(Documented):
         return self.sentences[0]
 
     def to_dataframe(self) -> DataFrame:
-        """Return the quantities as a pandas data frame: a row each, before, after, difference, its deviation, p-value.
+        """Return the quantities as a pandas data frame, one row each.
 
         Raises:
             ExtraError: pandas is not installed.
@@ -161,25 +168,16 @@ class EstimateComparison(Documented):
         sources = tuple(
             (name, f"{stated.label}, of {stated.record}") for name, stated in (("A", self.before), ("B", self.after))
         )
-        blocks = (
-            Facts((*sources, ("torque error", errors))),
-            Table(
-                header,
-                tuple(map(self._row, self.rows)),
-                "p-values adjusted for all quantities together (Holm)",
-                words=(0, 5, 7),
-            ),
-            Listing(self.sentences),
-        )
+        rows = []
+        for row in self.rows:
+            p = "-" if row.p_value is None else _format_p(row.p_value)
+            mark = "changed" if row in self.changed else row.reason
+            spread = "-" if row.std is None else number(2 * row.std, 2)
+            values = number(row.before), number(row.after), number(row.difference, 3)
+            rows.append((row.symbol, *values, spread, row.unit, p, mark))
+        table = Table(header, tuple(rows), "p-values adjusted for all quantities together (Holm)", words=(0, 5, 7))
+        blocks = Facts((*sources, ("torque error", errors))), table, Listing(self.sentences)
         return Document("Two estimates of one joint, compared", blocks)
-
-    def _row(self, row: QuantityChange) -> tuple[str, ...]:
-        p = "-" if row.p_value is None else _format_p(row.p_value)
-        mark = "changed" if row in self.changed else row.reason
-        return (
-            row.symbol, number(row.before), number(row.after), number(row.difference, 3),
-            "-" if row.std is None else number(2 * row.std, 2), row.unit, p, mark,
-        )  # fmt: skip
 
 
 def compare_estimates(before: ReportedEstimate, after: ReportedEstimate, level: float = LEVEL) -> EstimateComparison:
@@ -237,7 +235,7 @@ def _require_comparable(before: ReportedEstimate, after: ReportedEstimate) -> No
 def _pair(
     before: Sequence[ReportedQuantity], after: Sequence[ReportedQuantity]
 ) -> list[tuple[ReportedQuantity, ReportedQuantity]]:
-    """Return each quantity of either estimate with its counterpart, without a value where there is none."""
+    """Return each quantity of either estimate with its counterpart, which may lack a value."""
     here, there = ({q.name: q for q in group} for group in (before, after))
     every = here | {name: q for name, q in there.items() if name not in here}
     lacking = {name: replace(q, value=None, std=None) for name, q in every.items()}
@@ -245,7 +243,6 @@ def _pair(
 
 
 def _compare(before: ReportedQuantity, after: ReportedQuantity, same: bool) -> QuantityChange:
-    """Return the change of a quantity, tested where possible; the p-value is not yet adjusted."""
     found = QuantityChange(before.name, before.symbol, before.unit, before.value, after.value, None, None)
     if before.value is None or after.value is None:
         lost = [name for name, q in (("A", before), ("B", after)) if q.value is None]
@@ -269,15 +266,6 @@ def _adjust_p_values(rows: Sequence[QuantityChange]) -> tuple[QuantityChange, ..
         largest = max(largest, min((len(tested) - rank) * p, 1.0))
         found[i] = replace(rows[i], p_value=largest)
     return tuple(found)
-
-
-def _describe_change(row: QuantityChange) -> str:
-    assert row.difference is not None
-    assert row.std is not None
-    percent = f" ({100 * row.difference / abs(row.before):+.1f} %)" if row.before else ""
-    sense = "rose" if row.difference > 0 else "fell"
-    size = f"{number(abs(row.difference), 3)} +- {number(2 * row.std, 2)} {row.unit}"
-    return f"{row.symbol} {sense} by {size}{percent}, {_format_p(row.p_value or 0.0, labelled=True)}"
 
 
 def _format_p(p_value: float, *, labelled: bool = False) -> str:

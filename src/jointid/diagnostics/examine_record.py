@@ -1,12 +1,12 @@
-"""Look a record over before its numbers are used: what is wrong with it, what it can tell, what to change.
+"""Examination of a new record: its faults, what it determines of the joint, and what to change.
 
-Everything here is asked elsewhere, too; this is where it is asked together, of a record that was just taken, in the
-order in which one thing spoils the next: the clock, the torque, the motion, the controller, and only then the joint.
-That is identified once for it, since what noise and motion leave of each parameter is not seen in the samples.
+The checks are those of other modules, in the order in which one fault spoils the next: clock, torque, motion,
+controller, joint. The joint is identified once, for the intervals of its parameters.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,10 +21,10 @@ from jointid.common.parameters import Parameter
 from jointid.common.text import number, pluralise
 from jointid.common.transmission import Transmission
 from jointid.diagnostics.experiment_design import advise
-from jointid.diagnostics.faults.motion import find_plain_cause, find_standstill
+from jointid.diagnostics.faults.record import find_plain_cause, find_standstill
 from jointid.diagnostics.find_causes import find_causes
 from jointid.diagnostics.identify import identify
-from jointid.diagnostics.law_on_position import LawOnPosition, compare_law
+from jointid.diagnostics.model_free import LawOnPosition, compare_law
 from jointid.estimation.methods.registry import Method
 from jointid.estimation.result.answer import loop_verdict
 from jointid.estimation.result.estimate import Estimate
@@ -64,7 +64,7 @@ class Question(StrEnum):
 
 
 class Fault(StrEnum):
-    """What is wrong with a record, as codes; a cause that `find_causes` names keeps its own."""
+    """Codes of the faults of a record; a cause of `find_causes` keeps its own."""
 
     UNREADABLE = "unreadable"
     CLOCK_UNEVEN = "clock_uneven"
@@ -79,19 +79,19 @@ class Fault(StrEnum):
 
 
 _ENOUGH = (Fault.MOTION_POOR, Fault.LAW_SCALED, Fault.LAW_LATE)
-"""What says enough: no joint is looked for then."""
+"""Faults after which no joint is identified."""
 _VAGUE = (Fault.LAW_DIFFERS, Fault.JOINT_DIFFERS, str(Reason.NO_CAUSE_FOUND))
-"""What says that something is wrong, and not what."""
+"""Faults of unknown cause."""
 
 
 @dataclass(frozen=True, slots=True)
-class Looked:
+class Answer:
     """The answer to one question.
 
     Attributes:
         question: that was asked.
         good: True or False; None where it cannot be said.
-        said: what was seen, with its numbers; of a fault, too, what to change.
+        said: observations with their numbers; the remedy of a fault.
         fault: None where there is none.
     """
 
@@ -103,7 +103,7 @@ class Looked:
 
 @dataclass(frozen=True, slots=True)
 class Determined:
-    """How well a record determines a parameter: 2 sigma over its value, in percent; None where it does not."""
+    """Precision of a parameter: 2 sigma over its value in percent; None if it is not identifiable."""
 
     name: str
     symbol: str
@@ -114,41 +114,41 @@ class Determined:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Examination(Documented):
-    """What a record is worth.
+    """Faults of a record, and the precision of the parameters that it determines.
 
     Attributes:
         record: its name.
-        logged: what there is.
-        looked: the questions that could be asked, with their answers.
-        parameters: how well each is determined; none where no joint could be identified.
-        changes: what another test, or another sensor, would change.
+        logged: its channels, in a sentence.
+        answers: to the questions that apply.
+        parameters: precision of each; none if no joint could be identified.
+        changes: effect of other tests and sensors, one sentence each.
         transmission: on whose `side` all numbers are.
     """
 
     record: str
     logged: str
-    looked: tuple[Looked, ...]
+    answers: tuple[Answer, ...]
     parameters: tuple[Determined, ...] = ()
     changes: tuple[str, ...] = ()
     transmission: Transmission | None = None
 
     @property
     def healthy(self) -> bool:
-        """True where nothing is wrong; what a record does not determine is no fault of it."""
+        """True without faults; a parameter that is not identifiable is no fault."""
         return not self.faults
 
     @property
-    def faults(self) -> tuple[Looked, ...]:
-        """What is wrong."""
-        return tuple(one for one in self.looked if one.good is False)
+    def faults(self) -> tuple[Answer, ...]:
+        """Answers that name a fault."""
+        return tuple(one for one in self.answers if one.good is False)
 
     @property
     def sentence(self) -> str:
-        """What is wrong, or that nothing is."""
+        """The first fault in a sentence."""
         if not self.healthy:
             named = [one for one in self.faults if one.fault not in _VAGUE] or [*self.faults]
             return f"{self.record}: {named[0].said[0]}."
-        if any(one.good is None for one in self.looked):
+        if any(one.good is None for one in self.answers):
             return f"Nothing that is wrong with {self.record} spoils its answer; see what is marked."
         return f"Nothing is wrong with {self.record}."
 
@@ -158,7 +158,7 @@ class Examination(Documented):
         blocks: list[Block] = []
         if self.logged:
             blocks.append(Paragraph(self.logged))
-        blocks.append(Verdicts(tuple((str(one.question), one.good, one.said) for one in self.looked)))
+        blocks.append(Verdicts(tuple((str(one.question), one.good, one.said) for one in self.answers)))
         if self.transmission is not None:
             blocks.append(Facts((("transmission", str(self.transmission)),)))
         if self.parameters:
@@ -172,7 +172,7 @@ class Examination(Documented):
 
 def unreadable(error: FaultsError, record: str) -> Examination:
     """Return the examination of a file from which no record could be made."""
-    checked = tuple(Looked(Question.RECORD, False, (_clause(one),), Fault.UNREADABLE) for one in error.faults)
+    checked = tuple(Answer(Question.RECORD, False, (_clause(one),), Fault.UNREADABLE) for one in error.faults)
     return Examination(record, "", checked)
 
 
@@ -186,17 +186,17 @@ def examine(
     shown: Sequence[DriveNumber] = (),
     progress: Progress = ignore_progress,
 ) -> Examination:
-    """Say what a record is worth: clock, torque, motion, controller, and what of the joint it determines.
+    """Examine clock, torque, motion and controller of a record, and the precision of the joint's parameters.
 
     Args:
-        record: that was taken.
+        record: to examine.
         model: the loop (joint and controller), or the joint alone; see `jointid.identify`.
-        method: by which the joint is identified once; see `jointid.identify`.
-        filtering: likewise.
-        parameters: likewise.
+        method: of the identification; see `jointid.identify`, as for the next two.
+        filtering: of the identification.
+        parameters: changes to the joint's parameters.
         shown: how the drive shows the numbers of its controller, as `jointid.config.JointFile.declared_numbers` has it;
-            without it they are told in SI.
-        progress: is told each step in a sentence.
+            without it they are given in SI.
+        progress: called with each step in a sentence.
 
     Example:
         >>> import jointid as ji
@@ -206,17 +206,18 @@ def examine(
         Nothing is wrong with twin L19.
     """
     loop = model if isinstance(model, ClosedLoop) else None
-    checked = [*_look_at_samples(record, loop)]
+    checked = [*_check_samples(record, loop)]
     law = None if loop is None else compare_law(record, loop)
     if law is not None:
-        checked.append(_look_at_law(law, record))
-    gear = _joint_of(model).transmission
+        checked.append(_check_law(law, record))
+    joint = model.joint if isinstance(model, ClosedLoop | DriveSide | OpenLoop) else model
+    gear = joint.transmission
     logged = record.sentence
     missing = [name for name in ("torque", *(() if loop is None else loop.channels)) if getattr(record, name) is None]
     if missing:
         names = " and ".join(dict.fromkeys(missing))
         said = f"the record has no {names}, without which this joint is not identified; log it"
-        checked.insert(0, Looked(Question.RECORD, False, (said,), Fault.UNREADABLE))
+        checked.insert(0, Answer(Question.RECORD, False, (said,), Fault.UNREADABLE))
     if any(one.fault in (*_ENOUGH, Fault.UNREADABLE) for one in checked):  # no joint would be right
         return Examination(record.name, logged, tuple(checked), transmission=gear)
     try:
@@ -226,20 +227,18 @@ def examine(
     except JointidError as error:
         checked.append(_explain(error, record, loop, shown, progress))
         return Examination(record.name, logged, tuple(checked), transmission=gear)
-    checked += _look_at_estimate(estimate)
-    healthy = all(one.good is not False for one in checked)
-    changes = _advise(estimate, record, progress) if healthy else ()
-    determined = tuple(_determine(estimate)) if healthy else ()
-    return Examination(record.name, logged, tuple(checked), determined, changes, gear)
+    checked += _check_estimate(estimate)
+    if any(one.good is False for one in checked):
+        return Examination(record.name, logged, tuple(checked), transmission=gear)
+    changes: tuple[str, ...] = ()
+    with contextlib.suppress(JointidError):  # without a prediction
+        changes = advise(estimate, record, progress=progress).sentences
+    return Examination(record.name, logged, tuple(checked), tuple(_list_precision(estimate)), changes, gear)
 
 
-def _joint_of(model: ClosedLoop | DriveSide | OpenLoop | Joint) -> Joint:
-    return model.joint if isinstance(model, ClosedLoop | DriveSide | OpenLoop) else model
-
-
-def _look_at_samples(record: Record, loop: ClosedLoop | None) -> Iterator[Looked]:
-    """Yield what is seen in the samples: the clock, the torque and its limit, the motion."""
-    yield _look_at_clock(record)
+def _check_samples(record: Record, loop: ClosedLoop | None) -> Iterator[Answer]:
+    """Yield the answers on clock, torque, torque limit and motion."""
+    yield _check_clock(record)
     torque = record.torque
     if torque is not None:
         still = [_clause(one) for one in still_faults(record)]
@@ -251,42 +250,41 @@ def _look_at_samples(record: Record, loop: ClosedLoop | None) -> Iterator[Looked
             share, fast = number(100 * float(np.std(noise)) / size, 2), number(_FAST / torque.sample_time, 3)
             said += f"; {share} % of it lies above {fast} Hz"
         if still:
-            yield Looked(Question.TORQUE, False, (*still, said), Fault.MOTION_POOR)
+            yield Answer(Question.TORQUE, False, (*still, said), Fault.MOTION_POOR)
             return
-        yield Looked(Question.TORQUE, not coarse, (*coarse, said), Fault.TORQUE_COARSE if coarse else None)
+        yield Answer(Question.TORQUE, not coarse, (*coarse, said), Fault.TORQUE_COARSE if coarse else None)
         limit = math.inf if loop is None else loop.controller.law(torque.sample_time).limit
         if math.isfinite(limit):
             wrong = limit_faults(record, limit)
             reached = float(np.max(np.abs(torque.values))) / limit
             said = f"the torque reaches {number(100 * reached, 3)} % of {number(limit, 4)} {torque.unit}"
-            yield Looked(
+            yield Answer(
                 Question.LIMIT, not wrong, tuple(map(_clause, wrong)) or (said,), Fault.AT_LIMIT if wrong else None
             )
     if record.reference is not None and torque is not None:
-        yield _look_at_motion(record, loop)
+        yield _check_motion(record, loop)
 
 
-def _look_at_clock(record: Record) -> Looked:
+def _check_clock(record: Record) -> Answer:
     times = sorted({channel.sample_time for _, channel in record.items()})
     rates = " and ".join(f"{1e3 * one:.6g} ms" for one in times)
     said = f"{number(record.duration, 4)} s, a sample every {rates}"
     if record.resampled is None:
-        return Looked(Question.CLOCK, True, (said,))
+        return Answer(Question.CLOCK, True, (said,))
     worst = max((one.rms / one.sample_time for one in record.resampled.clocks.values()), default=0.0)
     gaps = sum(one.gaps for one in record.resampled.clocks.values())
     uneven = worst > 0.1 or gaps > 0
-    return Looked(
+    return Answer(
         Question.CLOCK, not uneven, (f"{said}, resampled {record.resampled}",), Fault.CLOCK_UNEVEN if uneven else None
     )
 
 
-def _look_at_motion(record: Record, loop: ClosedLoop | None) -> Looked:
-    """Return whether the axis moves enough, and how."""
+def _check_motion(record: Record, loop: ClosedLoop | None) -> Answer:
     plain: Message | None = find_plain_cause(record)
     if plain is None and loop is not None:
         plain = find_standstill(record, loop)
     if plain is not None:
-        return Looked(Question.MOTION, False, (plain.words,), Fault.MOTION_POOR)
+        return Answer(Question.MOTION, False, (plain.words,), Fault.MOTION_POOR)
     reference = record.reference
     assert reference is not None
     velocity = np.gradient(reference.values, reference.sample_time)
@@ -300,11 +298,11 @@ def _look_at_motion(record: Record, loop: ClosedLoop | None) -> Looked:
         f"{pluralise(turns, 'reversal')}, {number(100 * (1 - float(np.mean(moving))), 2)} % of the time at rest"
     )
     hunting = [*hunting_warnings(record)]
-    return Looked(Question.MOTION, not hunting, (*hunting, said), Fault.MOTION_POOR if hunting else None)
+    return Answer(Question.MOTION, not hunting, (*hunting, said), Fault.MOTION_POOR if hunting else None)
 
 
-def _look_at_law(law: LawOnPosition, record: Record) -> Looked:
-    """Return whether the declared law makes the logged torque of the logged motor position."""
+def _check_law(law: LawOnPosition, record: Record) -> Answer:
+    """Return whether the declared law agrees with the logged torque and motor position."""
     assert record.torque is not None
     left = f"{number(100 * law.left, 2)} %"
     late = law.late / record.torque.sample_time
@@ -315,57 +313,57 @@ def _look_at_law(law: LawOnPosition, record: Record) -> Looked:
             f"position ({left} of the torque is left as declared, {number(100 * law.left_in_time, 2)} % with that): "
             "check the delay, and which instant a logged value stands for (timing)"
         )
-        return Looked(Question.LAW, False, (said,), Fault.LAW_LATE)
+        return Answer(Question.LAW, False, (said,), Fault.LAW_LATE)
     if law.left > max(_LAW_LEAVES, _MORE_THAN_NOISE * law.noise):
         said = (
             f"the declared law and the motor's position leave {left} of the torque: its gains, the torque's unit, or a "
             "channel's sign or clock are not as declared; jointid learn-controller learns the law from this record"
         )
-        return Looked(Question.LAW, False, (said,), Fault.LAW_DIFFERS)
+        return Answer(Question.LAW, False, (said,), Fault.LAW_DIFFERS)
     if abs(law.gain - 1) > max(_LAW_GAIN, law.left):
         said = (
             f"the torque is {number(law.gain, 4)} times what the declared law makes of the motor's position: the "
             f"torque's {'sign' if law.gain < 0 else 'unit or gain'}, or the law's last gain, is not as declared"
         )
-        return Looked(Question.LAW, False, (said,), Fault.LAW_SCALED)
-    return Looked(Question.LAW, True, (f"the declared law makes all but {left} of the torque of the motor's position",))
+        return Answer(Question.LAW, False, (said,), Fault.LAW_SCALED)
+    return Answer(Question.LAW, True, (f"the declared law makes all but {left} of the torque of the motor's position",))
 
 
 def _explain(
     error: JointidError, record: Record, loop: ClosedLoop | None, shown: Sequence[DriveNumber], progress: Progress
-) -> Looked:
-    """Return why no joint can be identified: the cause where one is found, else how that ended."""
+) -> Answer:
+    """Return the cause of a failed identification; its error if none is found."""
     said = tuple(_clause(one) for one in (error.faults if isinstance(error, FaultsError) else (str(error),)))
     try:
         causes = None if loop is None else find_causes(record, loop, shown=shown, progress=progress)
     except (JointidError, np.linalg.LinAlgError):
         causes = None
     if causes is None or not (causes.found or causes.unexplained > _NO_RESPONSE):
-        return Looked(Question.FIT, False, said, Fault.NOT_IDENTIFIED)
+        return Answer(Question.FIT, False, said, Fault.NOT_IDENTIFIED)
     named = causes.explanations
     fault = named[0].fault.name if named else str(causes.message.code)
-    return Looked(Question.FIT, False, (causes.message.words,), fault)
+    return Answer(Question.FIT, False, (causes.message.words,), fault)
 
 
-def _look_at_estimate(estimate: Estimate) -> Iterator[Looked]:
-    """Yield what is seen once a joint has been identified: the loop, and whether a joint explains the torque."""
+def _check_estimate(estimate: Estimate) -> Iterator[Answer]:
+    """Yield the answers on the loop and the fit of an estimate."""
     loop, fit = loop_verdict(estimate), estimate.fit
     if loop is not None and loop.status is Status.PASSED:
-        yield Looked(Question.LOOP, True, ("as declared, as far as this record shows",))
+        yield Answer(Question.LOOP, True, ("as declared, as far as this record shows",))
     elif loop is not None:
         values = loop.reasons[0].values
         causes = values.get("causes")
         fault = str(causes[0]["cause"] if causes else values.get("suspect", loop.reasons[0].code))
         spoils = loop.status is Status.FAILED and not estimate.answer.reliable
         said = tuple(one.words for one in loop.reasons[:2])
-        yield Looked(Question.LOOP, False if spoils else None, said, fault if spoils else None)
+        yield Answer(Question.LOOP, False if spoils else None, said, fault if spoils else None)
     left = f"{number(100 * fit.filtered_error, 2)} % of the {fit.compared} is not explained by the joint"
     poor = not fit.filtered_error <= POOR_FIT
-    yield Looked(Question.FIT, not poor, (left,), Fault.JOINT_DIFFERS if poor else None)
+    yield Answer(Question.FIT, not poor, (left,), Fault.JOINT_DIFFERS if poor else None)
 
 
-def _determine(estimate: Estimate) -> Iterator[Determined]:
-    """Yield how well each parameter, and what is known only together, is determined."""
+def _list_precision(estimate: Estimate) -> Iterator[Determined]:
+    """Yield the precision of each parameter, and of sums that are known only together."""
     for row in estimate.params.rows:
         if not row.of_joint or (not row.free and row.value is not None):
             continue
@@ -382,14 +380,6 @@ def _determine(estimate: Estimate) -> Iterator[Determined]:
             share = 2 * one.std / abs(one.value)
             remark = "well" if share <= _WELL else "roughly" if share <= _ROUGHLY else "hardly"
             yield Determined(one.combination.name, one.combination.formula, one.combination.unit, 100 * share, remark)
-
-
-def _advise(estimate: Estimate, record: Record, progress: Progress) -> tuple[str, ...]:
-    """Return what another sensor or another motion would change; nothing where that cannot be predicted."""
-    try:
-        return advise(estimate, record, progress=progress).sentences
-    except JointidError:
-        return ()
 
 
 def _clause(sentence: str) -> str:

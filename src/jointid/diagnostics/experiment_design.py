@@ -1,20 +1,18 @@
-"""Predict the intervals of an estimate with other sensors or another motion, before either is paid for.
+"""Prediction of the intervals of an estimate with other sensors or another motion.
 
-`advise` takes an estimate and its record. Covariances are predicted from exact sensitivities at the estimate, and
-begin at those that were reported: what is predicted is how much they change.
+`advise` takes an estimate and its record. The change of the reported covariance is predicted from exact sensitivities
+at the estimate.
 
-- A sensor adds its information to the torque's (`other_experiments`).
-- A motion is simulated at the estimate and gives other sensitivities J. The residual is taken to keep the spectrum it
-  has in the record, and the covariance of least squares under it (`uncertainty.covariance.stationary`) is set against
-  the same for the record's own motion. A loop that sees the same disturbance does keep it; friction that repeats with
-  the motion would change.
+- A sensor adds its information to that of the torque (`other_experiments`).
+- A motion is simulated at the estimate and gives other sensitivities J. The covariance of least squares with the
+  spectrum of the record's residual (`uncertainty.covariance.stationary`) is compared with that of the record's own
+  motion. The spectrum stays the same under the same disturbance, but not with friction that repeats with the motion.
 
-`design_stiffness_test` looks for a test that identifies a stiffness which a record does not show. The record gives a
-lower bound on the stiffness for each load share of the inertia. From the softest joint allowed at a share to stiffer
-ones, the relative standard deviation of the compliance is predicted, with all other parameters free too: with pulses
-added to the record's own motion, and with a load encoder beside the torque. A test identifies a mode when that
-deviation is at most a quarter, so that the 2-sigma interval ends at half of the value. The result is the highest such
-mode.
+`design_stiffness_test` searches for a test that identifies the stiffness if a record does not. The record gives a lower
+bound on the stiffness for each load share of the inertia. From the softest joint at a share to stiffer ones, the
+relative standard deviation of the compliance is predicted with all other parameters free: with pulses added to the
+record's own motion, and with a load encoder beside the torque. A test identifies a mode if that deviation is at most a
+quarter, so that the 2-sigma interval ends at half of the value. The result is the highest such mode.
 
 Only the change of the deviation by a test is predicted, not the deviation itself. The bound is where the record's own
 motion just excludes a compliance, at 1.645 deviations. On a real axis that is far above the effect of noise with the
@@ -201,7 +199,14 @@ def predict_intervals(
     reported = {p.name: p.stderr or 0.0 for p in estimate.params.rows if p.name in names}
     work = Work(progress, "predicting other experiments", 4, "parts")
     sensors = []
-    for name, description, information in _list_encoders(problem, x, noise, choose_encoder_steps(record, encoder_step)):
+    steps = choose_encoder_steps(record, encoder_step)
+    motor, load = compute_encoder_information(problem, x, noise, *steps)
+    unit = POSITION_UNIT[problem.joint.kind]
+    encoders = [("motor encoder", f"steps of {steps[0]:.2g} {unit}", motor)]
+    if load is not None:
+        encoders.append(("load encoder", f"steps of {steps[1]:.2g} {unit}", load))
+        encoders.append(("both", f"steps of {steps[0]:.2g} and {steps[1]:.2g} {unit}", motor + load))
+    for name, description, information in encoders:
         std = covariance_of(add_information(known, information), 0).std
         sensors.append(Prediction(name, description, dict(zip(names, map(float, std), strict=False))))
     work.add()
@@ -233,19 +238,6 @@ def predict_intervals(
     )
 
 
-def _list_encoders(
-    problem: ClosedLoopProblem, x: FloatArray, noise: Noise, step: tuple[float, float]
-) -> list[tuple[str, str, FloatArray]]:
-    """Return name, description and information of a motor encoder, a load encoder and both."""
-    motor, load = compute_encoder_information(problem, x, noise, *step)
-    unit = POSITION_UNIT[problem.joint.kind]
-    found = [("motor encoder", f"steps of {step[0]:.2g} {unit}", motor)]
-    if load is not None:
-        found.append(("load encoder", f"steps of {step[1]:.2g} {unit}", load))
-        found.append(("both", f"steps of {step[0]:.2g} and {step[1]:.2g} {unit}", motor + load))
-    return found
-
-
 def rebuild_declared_problem(estimate: Estimate, record: Record) -> tuple[ClosedLoopProblem, FloatArray]:
     """Return the problem an estimate solved and its free parameters, 0 for those not identifiable.
 
@@ -274,7 +266,7 @@ class DetectableMode:
         share: of the load in the inertia.
         softest: free-free, Hz, of the softest joint the record allows.
         deviation: relative, of that joint's compliance.
-        mode: highest identified, Hz, free-free; None where not even the softest is.
+        mode: highest identified, Hz, free-free; None if not even the softest is.
     """
 
     share: float
@@ -285,7 +277,7 @@ class DetectableMode:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StiffnessTestDesign:
-    """Tests that would identify a stiffness which a record does not show.
+    """Tests that would identify a stiffness.
 
     Attributes:
         record: its name.
@@ -342,7 +334,7 @@ def design_stiffness_test(
     pulse: tuple[float, float] | None = None,
     progress: Progress = ignore_progress,
 ) -> StiffnessTestDesign:
-    """Predict the modes that pulses or a load encoder would identify where a record does not; see `advise`."""
+    """Predict the modes that pulses or a load encoder would identify; see `advise`."""
     problem, _ = rebuild_declared_problem(estimate, record)
     parted = ("motor_", "load_", "stiffness", "damping")  # free, even those that were kept fixed
     problem = problem.changed({p.name: replace(p, free=True) for p in problem.parameters if p.name.startswith(parted)})

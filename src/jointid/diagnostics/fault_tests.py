@@ -1,26 +1,24 @@
 """Score test of each fault alone.
 
-For a solved problem, the signature of a fault is one column, the derivative of the filtered torque by the size of the
-fault, the joint's parameters held. Of numbers of the law and of the log it is exact; the other faults make their own
-(`faults.registry`).
+The signature of a fault of a solved problem is one column: the derivative of the filtered torque by the size of the
+fault, at fixed parameters of the joint. It is exact for numbers of the law and the log; the other faults define their
+own (`faults.registry`).
 
-A wrong ``drive_gain`` is none of them: it scales the whole record, and with it the joint, so it is not identifiable. A
-gain that applies to one part only is: the law's (``gain``, ``velocity_gain``), the log's (``log_gain``),
-or that of a signal of known size (``injected_gain``).
+A wrong ``drive_gain`` scales the whole record, and with it the joint, so it is not identifiable. A gain of one part is:
+that of the law (``gain``, ``velocity_gain``), of the log (``log_gain``), or of a signal of known size
+(``injected_gain``).
 
 The test is one Gauss-Newton step on the whitened residual. With J the sensitivities of the free parameters and c the
 column of a fault, the residual e of the problem is regressed on both. The last coefficient is the size of the fault,
 and its ratio to its deviation the statistic. Before that, e, J and c go through one filter that makes the noise nearly
 white: the prediction error of an autoregressive model of the part of e that no fault explains. So the statistic is
-nearly that of the likelihood, which distinguishes the gains of a law from each other and from one of the log where
-plain least squares, in a loop that shapes the noise, does not.
-The model need not be right: the deviation is the autocorrelation-robust one of
-`uncertainty`, widened where the remaining residual is position-dependent (`position_dependent_error`). It is of the
-residual as it was before the fit took its share, frequency by frequency: a slow motion has few of them, and what a
-dozen columns leave there is too little to judge another one by.
-Where a random force acts in the loop, a fault is as likely as its size beside those that such forces alone show, each
-simulated, where these are clearly larger: what they do where friction holds the motor is no small noise of each row by
-itself.
+nearly that of the likelihood. It distinguishes the gains of a law from each other and from that of the log; plain least
+squares, in a loop that shapes the noise, does not.
+The noise model need not be right: the deviation is the autocorrelation-robust one of `uncertainty`, widened for a
+position-dependent residual (`position_dependent_error`). It is scaled to the residual before the fit, frequency by
+frequency: a slow motion has few of them, and the remainder of a dozen columns there is too small.
+A random force in the loop is no small noise of each row while friction holds the motor. So such forces are simulated,
+and a fault is compared with the sizes that they alone show, if these are clearly larger.
 
 All tests of loop and log are one family, and all of the mechanics another, at a tenth of its level: p-values are
 multiplied by the number of faults in it, and of shapes tried for one (Bonferroni). Faults whose columns are collinear,
@@ -127,21 +125,21 @@ def score_signatures(
         by_forces: returns residuals, (rows,) each, that random forces in the loop would leave alone.
     """
     basis = _find_basis(np.column_stack([own, *(a.column for a in signatures)]))
-    whiten = fit_whitener(_give_back(residual - basis @ (basis.T @ residual), _share_taken(basis)))
+    whiten = fit_whitener(_give_back(residual - basis @ (basis.T @ residual), _fitted_share(basis)))
     basis, error = _find_basis(whiten(own)), whiten(residual)
     left = error - basis @ (basis.T @ error)
     steps = [_choose_step([a for a in signatures if a.fault == fault], whiten, basis, left) for fault in declared]
     groups = _group_identical(steps)
 
     @cache
-    def forced() -> FloatArray:
+    def simulate_forces() -> FloatArray:
         return np.array([whiten(one) for one in by_forces()]).reshape(-1, residual.size)
 
-    taken = _share_taken(basis)
+    taken = _fitted_share(basis)
     of_mechanics = [group[0].signature.fault.mechanical for group in groups]
     families = [of_mechanics.count(mechanics) * (_RARER if mechanics else 1) for mechanics in of_mechanics]
     found = [
-        _test_group(group, left, taken, family, declared, where, forced)
+        _test_group(group, left, taken, family, declared, where, simulate_forces)
         for group, family in zip(groups, families, strict=True)
     ]
     return rank_tests(found, _WIDENED)
@@ -188,17 +186,17 @@ def fit_whitener(residual: FloatArray) -> Filter:
     return lambda signals: np.asarray(lfilter(taps, [1.0], signals, axis=0))
 
 
-def _share_taken(basis: FloatArray) -> FloatArray:
-    """Return the share of each frequency, (rows // 2 + 1,), that a fit of orthonormal columns takes of a residual."""
+def _fitted_share(basis: FloatArray) -> FloatArray:
+    """Return the share of a residual at each frequency, (rows // 2 + 1,), that orthonormal columns fit."""
     taken = np.sum([smoothed_spectrum(column, column.size)[0] for column in basis.T], axis=0)
     return np.concatenate([taken[:1], taken])
 
 
 def _give_back(residual: FloatArray, taken: FloatArray) -> FloatArray:
-    """Return a residual, (rows,), as large at each frequency as it was before a fit took a share of it.
+    """Return a residual, (rows,), scaled at each frequency to its size before the fit of a share `taken`.
 
-    Columns of a slow motion take all that they take at its few frequencies: there the spectrum of the remainder is far
-    too small, and so would be the deviation of a fault, which acts there, too.
+    Columns of a slow motion fit the residual at its few frequencies only. There the remainder is far too small, and so
+    would be the deviation of a fault, which acts at the same frequencies.
     """
     return np.fft.irfft(np.fft.rfft(residual) / np.sqrt(np.maximum(1 - taken, _KEPT)), residual.size)
 
@@ -227,7 +225,6 @@ def _choose_step(shapes: Sequence[FaultSignature], whiten: Filter, basis: FloatA
 
 
 def _group_identical(steps: Sequence[_Step]) -> list[list[_Step]]:
-    """Return the steps in groups with collinear columns."""
     groups: list[list[_Step]] = []
     for step in sorted(steps, key=lambda step: step.signature.fault.last):
         size = float(np.linalg.norm(step.alone))
@@ -249,18 +246,17 @@ def _test_group(
     family: int,
     declared: Mapping[Fault, float],
     where: Callable[[], Cells],
-    forced: Callable[[], FloatArray],
+    simulate_forces: Callable[[], FloatArray],
 ) -> FaultTest:
-    """Return the test of a fault by its size and the autocorrelation-robust deviation of it.
+    """Return the test of a fault, its p-value adjusted for all tests of the family.
 
-    Regressing the parts orthogonal to the other columns is the regression on all columns (Frisch and Waugh). The
-    p-value is adjusted for all tests of the family together.
+    Regressing the parts orthogonal to the other columns is the regression on all columns (Frisch and Waugh).
     """
     from scipy.stats import t
 
     step, fault = group[0], group[0].signature.fault
     alone = step.alone[:, np.newaxis]
-    after = _give_back(left - step.size * step.alone, taken + _share_taken(alone / column_norms(alone)))
+    after = _give_back(left - step.size * step.alone, taken + _fitted_share(alone / column_norms(alone)))
     alike = tuple(other.signature.fault for other in group[1:])
 
     def judge(std: float, degrees: float = math.inf) -> FaultTest:
@@ -274,11 +270,11 @@ def _test_group(
     if test.p_value > _WIDENED:
         return test
     test = judge(float(widen(covariance, alone, alone, after, where())[0].std[0]))
-    if test.p_value > _WIDENED or not forced().size:
+    if test.p_value > _WIDENED or not simulate_forces().size:
         return test
-    shown = forced() @ step.alone / float(step.alone @ step.alone)  # (forces,) sizes
+    shown = simulate_forces() @ step.alone / float(step.alone @ step.alone)  # (forces,) sizes
     # A spectrum tells the size of a force roughly; forces that leave less than what is left are too small.
-    larger = max(1.0, float(np.linalg.norm(after)) / math.sqrt(float(np.mean(np.sum(forced() ** 2, axis=1)))))
+    larger = max(1.0, float(np.linalg.norm(after)) / math.sqrt(float(np.mean(np.sum(simulate_forces() ** 2, axis=1)))))
     spread = larger * float(np.sqrt(np.mean(shown**2)))
     # A fault of another kind may look like a force: so its size stands, and its place among those that are significant.
     return replace(test, p_value=judge(spread, shown.size).p_value) if spread > _MORE * test.std else test

@@ -1,14 +1,13 @@
-"""Find the cause where a record does not fit the drive that was declared.
+"""Search for the cause of a misfit between a record and the declared drive.
 
-A sensitivity says what a small deviation of one number would change (`check_loop`). A torque that is ten times too
-large, or a sample time that is twice as long, is no small deviation, and what fits it best among sensitivities is any
-number, not the right one. So each cause is put right in turn (`Fault.correct`), the joint is identified again under it,
-and the causes are ranked by the error that is left: the right one leaves what the right model leaves.
+Sensitivities show small deviations of one number (`check_loop`). For a large one, as a torque that is ten times too
+large, the best fit among sensitivities is any number. So each fault is corrected in turn (`Fault.correct`), the joint
+is identified again, and the causes are ranked by the residual: the right one has the residual of the right model.
 
-It looks for one mistake. Of two at once a number that is free may make up for much of both: so a cause must leave about
-what is left by free linear responses to the reference (`linear_response`), which assume no drive at all. Where the best
-one leaves clearly more, more than one thing is wrong, and that is said instead. Two that one number makes up for wholly
-are told as that one.
+The search assumes one mistake. A free number may absorb much of two: so the residual of a cause must be about that of
+free linear responses to the reference (`model_free`), which assume no drive. If that of the best cause is clearly
+larger, more than one thing is wrong, and the message says so. Two mistakes that one number absorbs completely are
+reported as that number.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
 from typing import TypeAlias
 
 import numpy as np
@@ -27,10 +25,10 @@ from jointid.common.messages import Message, Progress, ignore_progress
 from jointid.common.text import number
 from jointid.diagnostics.faults.fault import Explanation, Fault, FaultTest, Hypothesis, Measure
 from jointid.diagnostics.faults.forces import find_steps
-from jointid.diagnostics.faults.motion import find_lost_motion, find_plain_cause, find_standstill
+from jointid.diagnostics.faults.record import find_lost_motion, find_plain_cause, find_standstill
 from jointid.diagnostics.faults.registry import FAULTS
 from jointid.diagnostics.hypothesis_fits import ASTRAY, MORE, Fit, descend, fit_flexible, fit_rigid, pose, start_at
-from jointid.diagnostics.linear_response import MEMORY, find_unexplained_share
+from jointid.diagnostics.model_free import MEMORY, find_unexplained_share
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers.drive_numbers import DriveNumber
@@ -39,37 +37,36 @@ from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.uncertainty.verdict import POOR_FIT, Reason
 
-_EXPLAINS = 0.85  # of the declared error: what the nearest cause leaves at most
-_FITS = 0.15  # of the torque: what a right model leaves at most
-_CLEARLY = 0.3  # of the declared error: so little says enough where no model fits
-_MORE_OF_A_LAW = 1.3  # times what free linear responses leave: a law that leaves no more is all that is wrong
-_FAR_MORE = 2.0  # times the same: an estimate that leaves so much, and is doubted, is looked at
+_EXPLAINS = 0.85  # of the declared error: largest residual of a nearest cause
+_FITS = 0.15  # of the torque: largest residual of a right model
+_CLEARLY = 0.3  # of the declared error: such a residual is convincing if no model fits
+_MORE_OF_A_LAW = 1.3  # times the residual of free linear responses: under a law with less nothing more is wrong
+_FAR_MORE = 2.0  # times the same: the cause of a doubtful estimate with such a residual is searched for
 _AS_GOOD = 1.1  # times the least error: such a cause may be the right one, too
 _NOTHING_OF_IT = 0.8  # of the torque: a joint that is moved leaves less, whatever else moves it
 _NO_RESPONSE = 0.1  # of the torque: so much that is no response to the reference may be another signal's
 _NAMED = 3
-_SUSPICIOUS = 0.1  # of the torque: where so much is left, a cause is looked for, whatever sensitivities show
-_MUCH_LARGER = 0.25  # of a declared number: a fault so large is looked at
+_SUSPICIOUS = 0.1  # of the torque: the cause of such a residual is searched for, whatever sensitivities show
+_MUCH_LARGER = 0.25  # of a declared number: the cause of such a fault is searched for
 _MUCH_LATER = 0.5  # periods
 
 
 _Found: TypeAlias = tuple[Fault, float | None, float]
-"""A cause, its number, and the share of the torque that is left with it put right."""
+"""A cause, its number, and the residual share of the torque with it corrected."""
 
 
 @dataclass(frozen=True, slots=True)
 class Causes(Documented):
-    """What explains a record that does not fit the declared drive.
+    """Causes of a misfit between a record and the declared drive.
 
     Attributes:
-        declared_error: share of the filtered torque that is left as the drive is declared; infinite where its loop
-            cannot be simulated.
-        explanations: the likeliest first, three at most, which this record cannot tell apart; none where nothing that
-            was tried explains it.
-        nearest: the single causes that explain most, two at most, where more than one thing is wrong; else none.
-        unexplained: share of the torque that free linear responses to the reference leave; 0 where it was not asked.
-        tried: what was left by each cause that was put right, the least first.
-        plain: what the samples show, or a motor at rest, where nothing else explains the record; else None.
+        declared_error: residual share of the filtered torque with the declared drive; infinite if its loop cannot be
+            simulated.
+        explanations: at most three causes that this record cannot distinguish, the likeliest first.
+        nearest: at most two causes that explain most, if more than one thing is wrong; else none.
+        unexplained: share of the torque that is no linear response to the reference; 0 if not computed.
+        tried: every cause with its residual, the smallest first.
+        plain: a cause visible in the samples, or a motor at rest; else None.
     """
 
     declared_error: float
@@ -81,7 +78,7 @@ class Causes(Documented):
 
     @property
     def found(self) -> bool:
-        """True if there is a cause to tell, be it the nearest one only."""
+        """True if there is a cause to report, if only the nearest one."""
         return bool(self.explanations or self.nearest or self.plain)
 
     @property
@@ -145,16 +142,15 @@ def find_causes(
     shown: Sequence[DriveNumber] = (),
     progress: Progress = ignore_progress,
 ) -> Causes:
-    """Find what explains a record that does not fit the declared drive.
+    """Search for the cause of a misfit between a record and the declared drive.
 
     Args:
         record: with torque and reference.
-        loop: as it is declared.
-        estimate: of the joint under it, whose filter is used, and whose error if it is smaller; not every mistake
-            leaves one.
+        loop: as declared.
+        estimate: of the joint under it, if there is one: its filter is used, and its error if smaller.
         shown: how the drive shows the numbers of its controller, as `jointid.config.JointFile.drive_numbers` has it;
-            without it they are told in SI.
-        progress: is told.
+            without it they are given in SI.
+        progress: called with each step.
 
     Raises:
         RecordError: a channel of the loop is missing, or the torque is 0 in every sample.
@@ -170,7 +166,7 @@ def find_causes(
     asked = Filtering() if estimate is None else estimate.settings.filtering
     filtering = asked.resolve(record.torque.sample_time, model)
     tried = list_hypotheses(record, loop, filtering)
-    progress(f"looking for the cause: {len(tried)} are put right in turn, and the joint identified again")
+    progress(f"searching for the cause: {len(tried)} are corrected in turn, and the joint identified again")
     fits = fit_flexible(tried, loop) if isinstance(loop.joint, FlexibleJoint) else fit_rigid(tried, loop.joint)
     found = _judge_faults(tried[0], fits, loop)
     declared = min((f.error for f in fits if f.hypothesis.fault is None), default=math.inf)
@@ -182,24 +178,26 @@ def find_causes(
     once = {one.fault: one for tellings_of in reversed(tellings) for one in tellings_of[:1]}
     tried_out = tuple(sorted(once.values(), key=lambda one: one.error))
     explaining = _explaining(tellings, declared, loop, record.torque.sample_time)
-    left = _unexplained(fits[0]) if fits else 0.0
+    left = _fit_free_responses(fits[0]) if fits else 0.0
     if explaining:
         best = explaining[0]
         # In a loop that rings for long, responses as short as these leave much, too.
         if best.error > (min(best.fault.more_than_responses * left, _FITS) if left > 0 else _FITS):
-            others = (one for one in tried_out if one.fault is not best.fault)
-            return Causes(declared, (), tried_out, (best, *_near(others, declared)), left)
+            others = [one for one in tried_out if one.fault is not best.fault][:1]
+            nearest = (best, *(one for one in others if one.error <= _EXPLAINS * declared))
+            return Causes(declared, (), tried_out, nearest, left)
         return Causes(declared, explaining, tried_out, unexplained=left)
-    left = left or _left_as_declared(tried[0])
+    if not left and (problem := pose(tried[0], loop)) is not None and record.reference is not None:
+        left = find_unexplained_share(problem, record.reference.values)
     return Causes(declared, (), tried_out, unexplained=left, plain=find_lost_motion(record, loop, left))
 
 
 def list_hypotheses(record: Record, loop: ClosedLoop, filtering: Filtering) -> tuple[Hypothesis, ...]:
-    """Return the drive as it is declared, and every fault that this record and controller can have corrected.
+    """Return the declared drive, and a hypothesis for every fault that this record and controller can have.
 
     Args:
         record: with torque and reference.
-        loop: as it is declared.
+        loop: as declared.
         filtering: resolved.
     """
     declared = Hypothesis(None, record, (loop,), filtering)
@@ -208,7 +206,6 @@ def list_hypotheses(record: Record, loop: ClosedLoop, filtering: Filtering) -> t
 
 
 def _judge_faults(declared: Hypothesis, fits: Sequence[Fit], loop: ClosedLoop) -> list[_Found]:
-    """Return what is left with each fault corrected."""
     found: list[_Found] = []
     for fit in fits:
         fault = fit.hypothesis.fault
@@ -226,28 +223,17 @@ def _judge_faults(declared: Hypothesis, fits: Sequence[Fit], loop: ClosedLoop) -
 def explain(
     fault: Fault, value: float | None, error: float, loop: ClosedLoop, shown: Iterable[DriveNumber] = ()
 ) -> tuple[Explanation, ...]:
-    """Return the causes that a corrected fault stands for; numbers are shown as the drive has them."""
+    """Return the causes that a corrected fault stands for, with numbers in the drive's form."""
     meanings = fault.explain(value, loop, {one.number: one for one in shown})
     return tuple(Explanation(cause, words, by, error) for cause, words, by in meanings)
 
 
-def _near(others: Iterable[Explanation], declared: float) -> tuple[Explanation, ...]:
-    """Return the first of other causes, where it takes away something of what is left as declared."""
-    return tuple(one for one in islice(others, 1) if one.error <= _EXPLAINS * declared)
-
-
-def _unexplained(fit: Fit) -> float:
-    """Return what free linear responses to the reference leave of the torque under a hypothesis."""
+def _fit_free_responses(fit: Fit) -> float:
+    """Return the share of the torque that is no linear response to the reference under a hypothesis."""
     assert fit.hypothesis.record.reference is not None
     # With samples that are wrongly taken to be far apart the loop seems to remember few of them.
     memory = MEMORY * max(fit.hypothesis.factor or 1.0, 1.0)
     return find_unexplained_share(fit.problem, fit.hypothesis.record.reference.values, memory)
-
-
-def _left_as_declared(declared: Hypothesis) -> float:
-    """Return what free linear responses to the reference leave of the torque as it is declared."""
-    problem, reference = pose(declared, declared.loops[0]), declared.record.reference
-    return 0.0 if problem is None or reference is None else find_unexplained_share(problem, reference.values)
 
 
 def explain_misfit(
@@ -258,17 +244,17 @@ def explain_misfit(
     shown: Sequence[DriveNumber] = (),
     left: float | None = None,
 ) -> Causes | None:
-    """Return what explains that a record does not fit its estimate; None where it fits, or nothing comes near.
+    """Return the causes of a misfit between an estimate and its record; None if it fits or no cause comes near.
 
-    That no usual cause explains it is told where the estimate leaves much, so that none is blamed in its place.
+    A large misfit without a cause is reported as well, so that no other test is blamed for it.
 
     Args:
         estimate: by DIDIM, of the record.
         record: that it was identified from.
-        faults: that the loop check found; None where the loop could not be checked.
-        progress: is told.
+        faults: that the loop check found; None if the loop could not be checked.
+        progress: called with each step.
         shown: see `find_causes`.
-        left: share of the torque that is left under the law that the loop check found for the controller, where it did.
+        left: residual share of the torque under the law that the loop check found for the controller, if it did.
     """
     loop = estimate.settings.loop
     assert loop is not None
@@ -276,37 +262,36 @@ def explain_misfit(
         return Causes(estimate.fit.filtered_error, (), (), plain=still)
     unchecked, faults = faults is None, faults or ()
     poor = estimate.fit.filtered_error > _SUSPICIOUS
-    gross = any(_is_gross(fault, estimate.data.sample_time) for fault in faults)
+    period = estimate.data.sample_time
+    gross = any(  # too large for a sensitivity to be a guide
+        abs(one.size) > _MUCH_LATER * period
+        if one.fault.measure is Measure.TIME
+        else abs(one.size) > _MUCH_LARGER * abs(one.declared) > 0
+        for one in faults
+    )
     # A spring that is refused ends at bounds as a rule, whether or not anything is wrong.
     refused = any(p.value is None for p in estimate.params.rows)
     strained = not refused and any(p.of_joint and p.at_bound is not None for p in estimate.params.rows)
     if not (poor or gross or ((unchecked or faults) and (strained or _is_doubtful(estimate, record, loop)))):
         return None
-    if left is not None and not gross and left <= _MORE_OF_A_LAW * _left_by_a_response(estimate, record, loop):
+    if left is not None and not gross and left <= _MORE_OF_A_LAW * _response_residual(estimate, record, loop):
         return None  # under that law nothing more is wrong
     causes = find_causes(record, loop, estimate, shown=shown, progress=progress)
     return causes if causes.found or estimate.fit.filtered_error > POOR_FIT else None
 
 
 def _is_doubtful(estimate: Estimate, record: Record, loop: ClosedLoop) -> bool:
-    """Whether an estimate leaves far more of the torque than free linear responses do, or the torque makes steps."""
+    """Test for a residual far above that of free linear responses, or for steps of the torque."""
     if find_steps(record) is not None:
         return True
-    return estimate.fit.filtered_error > _FAR_MORE * _left_by_a_response(estimate, record, loop) > 0
+    return estimate.fit.filtered_error > _FAR_MORE * _response_residual(estimate, record, loop) > 0
 
 
-def _left_by_a_response(estimate: Estimate, record: Record, loop: ClosedLoop) -> float:
-    """Return what free linear responses to the reference leave of the torque that an estimate is of."""
+def _response_residual(estimate: Estimate, record: Record, loop: ClosedLoop) -> float:
+    """Return the residual share of free linear responses for the record of an estimate."""
     assert record.reference is not None
     problem = torque_problem(record, loop, estimate.settings.filtering, loop.joint.parameters)
     return find_unexplained_share(problem, record.reference.values)
-
-
-def _is_gross(test: FaultTest, period: float) -> bool:
-    """Whether a fault is so large that its sensitivity is no guide to it."""
-    if test.fault.measure is Measure.TIME:
-        return abs(test.size) > _MUCH_LATER * period
-    return abs(test.size) > _MUCH_LARGER * abs(test.declared) > 0
 
 
 def explain_failure(
@@ -316,20 +301,20 @@ def explain_failure(
     progress: Progress = ignore_progress,
     shown: Sequence[DriveNumber] = (),
 ) -> JointidError:
-    """Return the error of an identification that failed, with the cause in its place, or before it, where one is found.
+    """Return the error of a failed identification, with its cause before it or in its place.
 
     Args:
-        error: that was raised.
+        error: that was raised; it is returned if no cause is found.
         record: that cannot be identified.
-        loop: as it is declared; without one there is no cause to find.
-        progress: is told.
+        loop: as declared; without one there is no search.
+        progress: called with each step.
         shown: see `find_causes`.
     """
     if loop is None or any(getattr(record, name) is None for name in loop.channels):
         return error
     try:
         causes = find_causes(record, loop, shown=shown, progress=progress)
-    except (JointidError, np.linalg.LinAlgError):  # what was raised first is what is to be told
+    except (JointidError, np.linalg.LinAlgError):  # the first error counts
         return error
     if not causes.found:
         return error
@@ -343,9 +328,9 @@ def explain_failure(
 def _explaining(
     tellings: Sequence[tuple[Explanation, ...]], declared: float, loop: ClosedLoop, period: float
 ) -> tuple[Explanation, ...]:
-    """Return what explains the record: nothing, or the best of what was tried and what leaves as little.
+    """Return the causes with the smallest residuals; none if they explain too little.
 
-    Numbers that have to change by little are taken for a friction, or a noise, that no model has.
+    Small changes of a number are attributed to an unmodelled friction or to noise.
     """
     if not tellings or _is_small(tellings[0][0], loop, period):
         return ()
@@ -360,12 +345,11 @@ def _explaining(
 
 
 def _is_small(one: Explanation, loop: ClosedLoop, period: float) -> bool:
-    """Whether a cause is a number that differs little from what is declared."""
     return one.fault.negligible is not None and one.fault.negligible(one.value, loop, period)
 
 
 def _declared_from(best: Fit, declared: Hypothesis) -> float:
-    """Return what the declared drive leaves where the search begins at another one's end: a start may have failed."""
+    """Return the residual of the declared drive from the solution of another one: its own start may have failed."""
     problem = pose(declared, replace(declared.loops[0], joint=best.problem.joint))
     if problem is None:
         return math.inf

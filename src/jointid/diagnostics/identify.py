@@ -99,8 +99,8 @@ def identify(
             Without them, the verdict on the loop says so. Those of a robot are made by `diagnose`.
         shown: how the drive shows the numbers of its controller, see `diagnose`.
         torque_constant: with its unit, where all values are proportional to it, see `Estimate.data`.
-        unchecked: is called with the estimate before its checks.
-        progress: is told each step in a sentence.
+        unchecked: called with the estimate before its checks.
+        progress: called with each step in a sentence.
 
     An interrupt of the last passes over a log ends them, and the estimate is of what was read: `Fit.interrupted`.
 
@@ -111,7 +111,7 @@ def identify(
         MethodError: the method does not fit the model, the record does not determine the parameters, or it gives an
             inertia that is not positive; records are one only, or one twice, or the lists about them are not as long.
 
-    A parameter that comes out beyond its bounds is kept at the bound, with a warning, and the others identified anew.
+    A parameter that comes out outside its bounds is kept at the bound, with a warning, and the others identified anew.
 
     Example:
         >>> import jointid as ji

@@ -180,7 +180,7 @@ def require_quantities(quantities: Sequence[str], loop: ClosedLoop) -> None:
                 try:
                     surrounding(name, loop.controller)
                 except MethodError:
-                    raise MethodError(_explain_unknown(quantity, known)) from None
+                    raise MethodError(_name_quantities(quantity, known)) from None
 
 
 def _parse_combination(problem: ClosedLoopProblem, quantity: str) -> Combination:
@@ -188,7 +188,7 @@ def _parse_combination(problem: ClosedLoopProblem, quantity: str) -> Combination
     weights = weights_of(quantity)
     free = {p.name: p for p in problem.free}
     if not weights.keys() <= free.keys():
-        raise MethodError(_explain_unknown(quantity, free))
+        raise MethodError(_name_quantities(quantity, free))
     units = {problem.units[name] for name in weights}
     if len(units) > 1:
         raise MethodError(f'"{quantity}" adds {" and ".join(sorted(units))}; only what has one unit can be added.')
@@ -204,7 +204,7 @@ def weights_of(quantity: str) -> dict[str, float]:
     return found or {quantity: 1.0}
 
 
-def _explain_unknown(quantity: str, names: Collection[str]) -> str:
+def _name_quantities(quantity: str, names: Collection[str]) -> str:
     compliance = ", or compliance" if "stiffness" in names else ""
     return (
         f'"{quantity}" is no quantity of this estimate; name a free parameter ({", ".join(names)}), or a sum or '

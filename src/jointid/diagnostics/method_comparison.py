@@ -81,7 +81,7 @@ class MethodComparison(Documented):
         if len(self.estimates) < 2:
             return f"{ran}."
         differ = pluralise(len(self.disagreements), "disagreement") if self.disagreements else "no disagreement"
-        return f"{ran}, with {differ} beyond their intervals."
+        return f"{ran}, with {differ} outside their intervals."
 
     def to_dataframe(self) -> DataFrame:
         """Return the parameters by every method as a pandas data frame: value and standard error, a row each.
@@ -97,7 +97,7 @@ class MethodComparison(Documented):
         return data_frame(rows, "parameter")
 
     def document(self, *, details: bool = False) -> Document:
-        """Return the table, what each method read, and where they differ; there are no further details."""
+        """Return the table, the channels of each method, and the disagreements; there are no further details."""
         del details
         found = self.estimates
         title = f"{self.model.capitalize()} joint by every method that {self.record} allows; value +- 2 sigma"
@@ -203,22 +203,18 @@ def _describe_disagreements(found: Mapping[str, Estimate]) -> tuple[str, ...]:
             for p in estimate.params.rows
             if p.name == name and p.value is not None and p.stderr is not None
         }
-        pairs = [(_measure_gap(rows[one], rows[two]), one, two) for one, two in combinations(rows, 2)]
+        pairs = []
+        for one, two in combinations(rows, 2):
+            gap = abs((rows[one].value or 0.0) - (rows[two].value or 0.0))
+            spread = 2 * float(np.hypot(rows[one].stderr or 0.0, rows[two].stderr or 0.0))
+            pairs.append((gap / spread if spread else 0.0, one, two))
         worst, one, two = max(pairs, default=(0.0, "", ""))
         if worst > 1.0:
             sentences.append(
-                f"{one} and {two} disagree on {name.replace('_', ' ')} beyond their intervals: "
+                f"{one} and {two} disagree on {name.replace('_', ' ')} outside their intervals: "
                 f"{_format_interval(rows[one])} and {_format_interval(rows[two])} {rows[one].unit}"
             )
     return tuple(sentences)
-
-
-def _measure_gap(one: EstimatedParameter, two: EstimatedParameter) -> float:
-    """Return the difference of two estimates of one parameter over its 2-sigma interval."""
-    assert one.value is not None
-    assert two.value is not None
-    spread = 2 * float(np.hypot(one.stderr or 0.0, two.stderr or 0.0))
-    return abs(one.value - two.value) / spread if spread else 0.0
 
 
 def _format_interval(p: EstimatedParameter | None) -> str:

@@ -148,10 +148,10 @@ def subtract_driven_motion(
 
 
 def _simulate_load_error(problem: ClosedLoopProblem, x: FloatArray) -> FloatArray | None:
-    """Return the load's answer to a force that explains the torque's residual, less that driven by the motor's motion.
+    """Return the load's response to a force that explains the torque residual, less the motion driven by the motor.
 
-    The force is white and acts on the motor, scaled so that the filtered torque changes by as much as the residual.
-    None where the loop cannot be simulated under it.
+    The white force acts on the motor, scaled so that the filtered torque changes by the norm of the residual. None if
+    the loop cannot be simulated with it.
     """
     experiment = problem.experiment
     quiet = problem.simulate(x)

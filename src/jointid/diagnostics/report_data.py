@@ -132,7 +132,7 @@ class ReportData:
 
     @property
     def cause(self) -> Message | None:
-        """Cause of a misfit, which stands in the place of what the tests of small deviations find."""
+        """Cause of a misfit, which replaces the findings of the tests of small deviations."""
         loop = loop_verdict(self.estimate)
         reasons = () if loop is None else loop.reasons
         return next((one for one in reasons if one.code in CAUSES), None)

@@ -1,36 +1,39 @@
-"""The checks of a fit: controller and log, causes of a misfit, and what of the residual follows the motion."""
+"""The checks of a fit: controller and log, causes of a misfit, unmodelled motion, and wider intervals."""
 
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from jointid.common.arrays import FloatArray, column_norms
 from jointid.common.errors import JointidError
 from jointid.common.messages import Progress, ignore_progress
-from jointid.diagnostics.check_loop import SearchState, search_faults
-from jointid.diagnostics.faults.motion import find_too_short
+from jointid.diagnostics.check_loop import search_faults
+from jointid.diagnostics.faults.findings import LoopCheck
+from jointid.diagnostics.faults.record import find_too_short
 from jointid.diagnostics.find_causes import explain_misfit
-from jointid.diagnostics.lack_of_fit import widen_for_faults, widen_for_rest
 from jointid.diagnostics.unmodelled_motion import PredictedResidual, predict_residual
-from jointid.estimation.result.assemble import CheckResults, FitResult, assemble
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.estimation.result.assemble import CheckResults, FitResult, Widening, assemble
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import FlexibleJoint
 from jointid.uncertainty.verdict import Status, Subject, Verdict, skip_test
 
 
 def run_checks(fit: FitResult, progress: Progress = ignore_progress, shown: Sequence[DriveNumber] = ()) -> CheckResults:
-    """Return the results of the checks of a fit; none where no loop was simulated, or of several records.
+    """Return the results of the checks of a fit; none without a simulated loop, or for several records.
 
-    A parameter that is not identifiable leaves the loop unchecked. Where the record does not fit, and a cause explains
-    it (`find_causes`), the cause is the verdict: the sensitivities then mislead. Where the residual of a flexible joint
-    follows its motion with the faults corrected, the verdict on what repeats says so (`unmodelled_motion`).
+    A parameter that is not identifiable leaves the loop unchecked. If a cause explains a misfit (`find_causes`), it is
+    the verdict, because sensitivities mislead then. If the residual of a flexible joint follows its motion with the
+    faults corrected, the verdict on repeatable errors says so (`unmodelled_motion`).
 
     Args:
         fit: the result of a method.
-        progress: is told each step in a sentence.
+        progress: called with each step in a sentence.
         shown: how the drive shows the numbers of its controller, see `diagnose`.
     """
     record, problem, x = fit.record, fit.problem, fit.x
@@ -45,7 +48,9 @@ def run_checks(fit: FitResult, progress: Progress = ignore_progress, shown: Sequ
             std = {p.name: p.stderr for p in fit.params.rows if p.stderr is not None}
             check, state = search_faults(problem, x, std=std, record=record, shown=shown)
             verdict = Verdict(Subject.LOOP, check.status, check.reasons)
-            rest = _predict_rest(state)
+            if isinstance(state.problem.joint, FlexibleJoint):
+                with contextlib.suppress(np.linalg.LinAlgError):  # the tests stand
+                    rest = predict_residual(state.problem, state.x)
         except (JointidError, np.linalg.LinAlgError) as error:  # no check ends an identification
             verdict = skip_test(Subject.LOOP, f"not checked: {error}")
     findings = () if check is None else check.findings
@@ -65,22 +70,47 @@ def run_checks(fit: FitResult, progress: Progress = ignore_progress, shown: Sequ
         return CheckResults((verdict,), tuple(widenings), check)
     with contextlib.suppress(JointidError, np.linalg.LinAlgError):  # the verdict stands, however wide it is
         widenings.append(widen_for_rest(state.problem, state.x, rest))
-    return CheckResults((_follows(fit, rest), verdict), tuple(widenings), check)
-
-
-def _follows(fit: FitResult, rest: PredictedResidual) -> Verdict:
-    """Return the verdict that the residual follows the motion, before what the residual tests found."""
     follows = rest.verdict
     before = next((one for one in fit.checks.verdicts if one.subject is follows.subject), None)
     kept = before.reasons if before is not None and before.status is Status.FAILED else ()
-    return replace(follows, reasons=(*follows.reasons, *kept))
+    follows = replace(follows, reasons=(*follows.reasons, *kept))
+    return CheckResults((follows, verdict), tuple(widenings), check)
 
 
-def _predict_rest(state: SearchState) -> PredictedResidual | None:
-    """Return how much of the residual of a flexible joint its motion predicts; None for a rigid one."""
-    if not isinstance(state.problem.joint, FlexibleJoint):
-        return None
-    try:
-        return predict_residual(state.problem, state.x)
-    except np.linalg.LinAlgError:  # what the tests found stands
-        return None
+def widen_for_faults(check: LoopCheck) -> list[Widening]:
+    """Return the shifts of parameters by the faults of the mechanics that a check found; none without any.
+
+    Faults of loop and log widen no interval: they are corrected, or not.
+    """
+    found = [one for one in check.findings if one.test.fault.mechanical]
+    moved: dict[str, float] = {}
+    for finding in found:
+        for name, change in finding.changes.items():
+            moved[name] = math.hypot(moved.get(name, 0.0), change.by)
+    return [Widening(moved, "what the joint has and its model has not")] if found else []
+
+
+def widen_for_rest(problem: ClosedLoopProblem, x: FloatArray, rest: PredictedResidual) -> Widening:
+    """Return the largest shift of each parameter by a residual that follows the motion.
+
+    A part of the torque of that norm, with the shape that shifts a parameter most, shifts it by its norm times the
+    deviation of the parameter under unit noise (the inequality of Cauchy and Schwarz). The part that the parameters
+    have absorbed is assumed as large as the residual one.
+
+    Args:
+        problem: solved, with the faults that were found corrected.
+        x: (free,) its parameters.
+        rest: see `predict_residual`.
+    """
+    # The largest shift is two deviations.
+    moved = worst_shift(problem, x, 0.5 * rest.share * problem.size)
+    return Widening(moved, "a part of the torque that follows the motion and is not in the model")
+
+
+def worst_shift(problem: ClosedLoopProblem, x: FloatArray, size: float) -> dict[str, float]:
+    """Return the largest shift of each free parameter, by name, by a part of the filtered torque of a given norm."""
+    slopes = problem.linearise(x)[1]
+    sizes = column_norms(slopes)  # of parameters in units of their own
+    # Rows of the pseudo-inverse: their norms are the deviations under unit noise, and never the root of a rounding.
+    spread = np.linalg.norm(np.linalg.pinv(slopes / sizes, rcond=1e-8), axis=1) / sizes
+    return {p.name: size * float(by) for p, by in zip(problem.free, spread, strict=True)}

@@ -1,14 +1,14 @@
-"""The part of a residual that the motion predicts: no noise has such a part, so the model lacks something.
+"""Unmodelled dynamics: the part of a residual that the motion predicts.
 
-Noise in the loop is coloured by it, so that whiteness says nothing of the model there; and what a spring or a friction
-lacks depends on more than the place. So free responses, as long as a loop remembers, to the simulated wind-up and
-speeds, and to products of them that springs and frictions of other laws would draw out, are fitted to the residual
-without every third part of the record, and predict that part (`held_out`). The residual is taken as it is, and made
-white, which shows what is small beside a noise of other frequencies. It follows the motion where the mean logarithm by
-which its squares fall, over the parts, is beyond three of its standard errors. Linear responses alone are the coherence
-of residual and reference (J. S. Bendat, A. G. Piersol, Random Data, 2010, chapter 9).
+The loop colours its noise, so whiteness is no test of the model; and an unmodelled spring or friction depends on more
+than the position. So free responses to the simulated wind-up and speeds, and to products of them that other laws of
+spring and friction would have, are fitted to the residual without every third part of the record, and predict that
+part (`law_comparison.cut`). The residual is used both as it is and whitened, which shows a part that is small beside
+noise of other frequencies. It correlates with the motion if the mean logarithm by which its squares fall, over the
+parts, exceeds three standard errors. Linear responses alone are the coherence of residual and reference (J. S. Bendat,
+A. G. Piersol, Random Data, 2010, chapter 9).
 
-It does not see what the parameters make up for: a second mode moves the stiffness, and leaves nothing.
+An effect that the parameters absorb is not detected: a second mode changes the stiffness, and leaves no residual.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from jointid.common.arrays import FloatArray
 from jointid.common.messages import Message
 from jointid.common.text import number
-from jointid.diagnostics.held_out import TIMES, cut, mean_logarithm, squares_of
+from jointid.diagnostics.law_comparison import TIMES, cut, mean_logarithm, squares_of
 from jointid.estimation.problems.base import filter_rows
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.simulation.closed_loop import Simulation
@@ -39,10 +39,10 @@ _MUCH = 0.05  # logarithm of the ratio of squares: 2.5 % less error
 
 @dataclass(frozen=True, slots=True)
 class PredictedResidual:
-    """How much of a residual the motion predicts.
+    """Part of a residual that the motion predicts.
 
     Attributes:
-        share: of the torque that is predicted in a typical part, where nothing was fitted; 0 where none is.
+        share: of the torque that is predicted in a typical held-out part.
         gain, error: mean over the parts of the logarithm by which squares fall, and its standard error.
     """
 
@@ -52,12 +52,12 @@ class PredictedResidual:
 
     @property
     def follows(self) -> bool:
-        """True if no noise does that."""
+        """True if the prediction is significant."""
         return self.gain > max(_SURE * self.error, _MUCH) and self.share > _LITTLE
 
     @property
     def verdict(self) -> Verdict:
-        """That something of the residual follows the motion."""
+        """The verdict that the residual follows the motion."""
         clause = f"{number(100 * self.share, 2)} % of the torque follows the motion and is not in the model"
         words = f"{clause}, as where spring or friction have another law: jointid diagnose springs and friction tell"
         values = {"share": self.share, "gain": self.gain, "std": self.error}
@@ -66,11 +66,11 @@ class PredictedResidual:
 
 
 def predict_residual(problem: ClosedLoopProblem, x: FloatArray) -> PredictedResidual | None:
-    """Return how much of the residual of a flexible joint its motion predicts; None of too few rows.
+    """Return the part of the residual of a flexible joint that its motion predicts; None for too few rows.
 
     Args:
-        problem: that was solved.
-        x: (free,) where.
+        problem: solved.
+        x: (free,) its solution.
     """
     run = problem.simulate(x)
     if run.load_position is None or run.torque.size != problem.measured.size:
@@ -83,7 +83,8 @@ def predict_residual(problem: ClosedLoopProblem, x: FloatArray) -> PredictedResi
     columns = _responses(inputs, problem.sample_time * problem.measured.size / error.size)
     if columns is None or error.size < 2 * columns.shape[1]:
         return None
-    taps = _whitening(error)
+    before = np.column_stack([np.concatenate([np.zeros(lag), error[:-lag]]) for lag in range(1, _ORDER + 1)])
+    taps = np.concatenate([[1.0], -np.linalg.lstsq(before, error, rcond=None)[0]])  # of the prediction error
     white = filter_rows(taps, error), filter_rows(taps, columns)
     sizes = problem.size, problem.size * float(np.linalg.norm(white[0]) / np.linalg.norm(error))
     seen = zip(((error, columns), white), sizes, strict=True)
@@ -91,16 +92,10 @@ def predict_residual(problem: ClosedLoopProblem, x: FloatArray) -> PredictedResi
     return max(judged, key=lambda one: one.gain / one.error if one.error > 0 else 0.0)
 
 
-def _whitening(error: FloatArray) -> FloatArray:
-    """Return the taps of a filter that leaves of a residual, (rows,), what its last few rows do not predict."""
-    before = np.column_stack([np.concatenate([np.zeros(lag), error[:-lag]]) for lag in range(1, _ORDER + 1)])
-    return np.concatenate([[1.0], -np.linalg.lstsq(before, error, rcond=None)[0]])
-
-
 def _judge(
     error: FloatArray, columns: FloatArray, parts: NDArray[np.intp], ridge: float, size: float
 ) -> PredictedResidual:
-    """Return what columns, (rows, columns), predict of a residual, (rows,), where they were not fitted to it."""
+    """Return the prediction of a residual, (rows,), by columns, (rows, columns), on held-out parts."""
     products, projected = [], []
     for part in range(TIMES):
         rows = columns[parts % TIMES == part]
@@ -120,7 +115,7 @@ def _judge(
 
 
 def _inputs(run: Simulation) -> FloatArray:
-    """Return what springs and frictions follow, each by its own size, (samples, inputs)."""
+    """Return the normalised inputs of springs and frictions, (samples, inputs)."""
     assert run.load_position is not None and run.load_velocity is not None
     raw = run.motor_position - run.load_position, run.motor_velocity, run.load_velocity
     windup, motor, load = (one / (float(np.max(np.abs(one))) or 1.0) for one in raw)
@@ -134,7 +129,7 @@ def _inputs(run: Simulation) -> FloatArray:
 
 
 def _responses(inputs: FloatArray, row_time: float) -> FloatArray | None:
-    """Return each input and itself later, (rows, inputs * lags), by size; None where a record is hardly longer."""
+    """Return normalised lagged inputs, (rows, inputs * lags); None if the record is hardly longer than a response."""
     step = max(round(_MEMORY / _LAGS / row_time), 1)
     if 2 * _LAGS * step > len(inputs):
         return None

@@ -57,7 +57,7 @@ if TYPE_CHECKING:
 
 _LAGS = 40  # of the residual's autocorrelation
 _NEGLIGIBLE = 0.01  # of the torque: a joint that adds less to the error predicts a record that has no noise
-_TOLERANCE, _EVALUATIONS = 1e-5, 40  # of what noise allows: far below what is told of it
+_TOLERANCE, _EVALUATIONS = 1e-5, 40  # of the attainable error: far below its reported digits
 
 
 class Prediction(StrEnum):
@@ -129,19 +129,19 @@ class Validation(Documented):
 
     @property
     def outside_band(self) -> float:
-        """Share of the lags beyond 0 whose autocorrelation is outside the band; about 0.05 for a white residual."""
+        """Share of the lags above 0 whose autocorrelation is outside the band; about 0.05 for a white residual."""
         return float(np.mean(np.abs(self.autocorrelation[1:]) > self.white_band))
 
     @property
     def answer(self) -> Message:
-        """Whether the joint predicts the record within what noise allows, and what to do if not."""
+        """Whether the joint predicts the record within its noise, and the remedy if not."""
         left, least = self.filtered_error, self.attainable_error
-        share = f"leaves {_percent(left)} of its filtered torque"
+        share = f"leaves {_format_share(left)} of its filtered torque"
         values = {"filtered_error": left, "attainable_error": least}
         if self.test == "direct":
             words = f"The joint was identified from {self.record} and {share}; that it predicts another record is shown"
             return Message(Prediction.OWN_RECORD, f"{words} by that record only: validate it on one", values)
-        allowed = "" if least is None else f", and one identified from it {_percent(least)}"
+        allowed = "" if least is None else f", and one identified from it {_format_share(least)}"
         if left > POOR_FIT and (least is None or least > POOR_FIT):
             wrong = "controller, channels or scales are" if self.method == "didim" else "channels or scales are"
             words = f"The joint does not predict {self.record}: it {share}{allowed}; {wrong} not as declared there"
@@ -168,7 +168,7 @@ class Validation(Documented):
         return jointid.figures.torque(self)
 
     def to_dataframe(self) -> DataFrame:
-        """Return torque measured, predicted and their difference over time as a pandas data frame, a row each sample.
+        """Return measured and predicted torque and their difference over time as a pandas data frame.
 
         Raises:
             ExtraError: pandas is not installed.
@@ -196,14 +196,14 @@ class Validation(Documented):
             facts.append(("tracking error", off))
         said = (
             f"{100 * self.outside_band:.0f} % of {self.autocorrelation.size - 1} autocorrelations of the filtered "
-            f"error beyond +-{self.white_band:.3f} (5 % if it were white)"
+            f"error outside +-{self.white_band:.3f} (5 % if it were white)"
         )
         return Document(
             self.sentence, (Facts((*facts, ("whiteness", said), *(("warning", w) for w in self.warnings))),)
         )
 
 
-def _percent(share: float) -> str:
+def _format_share(share: float) -> str:
     return f"{number(100 * share, 3)} %"
 
 
@@ -295,7 +295,7 @@ def _validate_simulation(identified: IdentifiedJoint, loop: ClosedLoop, record: 
 
 
 def _fit_anew(problem: ClosedLoopProblem, values: Mapping[str, float]) -> FloatArray | None:
-    """Return the filtered error, (rows,), with the joint's parameters free, too; None where no loop can be solved."""
+    """Return the filtered error, (rows,), with the joint's parameters free; None if the solution fails."""
     joint, around = problem.joint.parameters, problem.parameters[len(problem.joint.parameters) :]
     free = replace(problem, parameters=(*joint, *around)).keeping({"initial_velocity": values["initial_velocity"]})
     try:
@@ -306,10 +306,7 @@ def _fit_anew(problem: ClosedLoopProblem, values: Mapping[str, float]) -> FloatA
 
 
 class _Torques(NamedTuple):
-    """What is compared: raw torques, (samples,); their difference `error` and the measured one, `whole`, as filtered.
-
-    These two are (rows,) of so many equations one after the other.
-    """
+    """Raw torques, (samples,); filtered difference `error` and measured torque `whole`, (rows,) of each equation."""
 
     measured: FloatArray
     predicted: FloatArray
@@ -330,6 +327,9 @@ def _describe(
     borders, rows = identified.filtering.borders, torques.error.size // torques.equations
     own = fingerprint(record.torque.values) == identified.fingerprint
     size, anew = float(np.linalg.norm(torques.whole)), None if own else fit_anew()
+    centred = torques.error[:rows] - torques.error[:rows].mean()
+    power = float(centred @ centred) or 1.0
+    lags = min(_LAGS, rows - 1)
     return Validation(
         test="direct" if own else "cross",
         method=identified.method,
@@ -346,19 +346,11 @@ def _describe(
         relative_error=relative_error(torques.measured, torques.predicted, borders),
         filtered_error=float(np.linalg.norm(torques.error)) / size,
         attainable_error=None if anew is None else float(np.linalg.norm(anew)) / size,
-        autocorrelation=_autocorrelate(torques.error[:rows]),
+        autocorrelation=np.array([float(centred[lag:] @ centred[: rows - lag]) / power for lag in range(lags + 1)]),
         rows=rows,
         motor=motor,
         transmission=identified.joint.transmission,
     )
-
-
-def _autocorrelate(error: FloatArray) -> FloatArray:
-    """Return the autocorrelation of a residual at lags 0 to `_LAGS`, (lags + 1,)."""
-    centred = error - error.mean()
-    power = float(centred @ centred) or 1.0
-    lags = min(_LAGS, error.size - 1)
-    return np.array([float(centred[lag:] @ centred[: centred.size - lag]) / power for lag in range(lags + 1)])
 
 
 def _compare_tracking(record: Record, run: Simulation, borders: tuple[int, int]) -> float | None:

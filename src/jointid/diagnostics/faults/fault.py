@@ -123,7 +123,7 @@ class Fault:
         return self.name
 
     def explain(self, value: float | None, loop: ClosedLoop, shown: Shown) -> Iterable[Meaning]:
-        """Return what it stands for as a cause: several faults where no record distinguishes them."""
+        """Return its meanings as a cause: several faults if no record distinguishes them."""
         if self.meanings is not None:
             return self.meanings(value, loop, shown)
         if callable(self.clause):
@@ -139,11 +139,10 @@ class FaultSignature:
 
     Attributes:
         fault: that makes it.
-        column: (rows,) change of the filtered torque per unit of its size: a derivative, or of a size that was tried.
-        shape: the level of a limit, a Stribeck speed, a gap or a frequency that was tried; None where the fault has
-            no shape.
-        tried: how many shapes this one was chosen from.
-        raw: (samples,) the column before the filter, where a problem has no parameter for the fault.
+        column: (rows,) change of the filtered torque per unit of its size: a derivative, or a secant.
+        shape: the level of a limit, a Stribeck speed, a gap or a frequency; None without a shape.
+        tried: number of shapes that this one was chosen from.
+        raw: (samples,) the column before the filter, if no parameter of the problem stands for the fault.
     """
 
     fault: Fault
@@ -208,14 +207,14 @@ class FaultTest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hint:
-    """What the tests show before the shape of a fault is searched for.
+    """Test results before the search for the shape of a fault.
 
     Attributes:
         residual: (rows,) of the problem.
-        own: (rows, columns) by its free parameters, and of what was corrected.
-        whiten: makes both white.
-        test: of the fault in the shapes that were tried; None where none was.
-        level: p-value of a fault that is found.
+        own: (rows, columns) of its free parameters and of corrected faults.
+        whiten: filter of both.
+        test: of the fault in the shapes so far; None without one.
+        level: largest p-value of a finding.
     """
 
     residual: FloatArray
@@ -255,13 +254,13 @@ class Hypothesis:
     A number of the controller that is not known is free, and the search begins from several loops.
 
     Attributes:
-        fault: that is corrected; None for the drive as it is declared.
+        fault: that is corrected; None for the declared drive.
         record: corrected.
-        loops: corrected, one for each start of the number that is not known.
+        loops: corrected, one for each start of the unknown number.
         filtering: resolved for this record.
-        free: name of that number; None where there is none.
-        factor: by which the record was corrected, where that is a number.
-        number: returns the number of a problem that was put right by the choice of a loop.
+        free: name of that number; None without one.
+        factor: of the correction of the record, if it is a number.
+        number: returns the number of a problem that is corrected by the choice of a loop.
     """
 
     fault: Fault | None
@@ -303,10 +302,9 @@ class Explanation:
 
     Attributes:
         fault: the cause.
-        words: what is wrong.
-        value: what a number should be declared as, in the unit of the declaration, or of the record's factors by how
-            much it is too large; None where no number is wrong.
-        error: share of the filtered torque that is left with it corrected.
+        words: clause that states it.
+        value: correct number in the unit of the declaration, or a factor of the record; None without a number.
+        error: residual share of the filtered torque with it corrected.
     """
 
     fault: Fault

@@ -31,11 +31,11 @@ class OtherLaw:
     """A law that a drive may run instead of the declared one.
 
     Attributes:
-        parts: what is other in it, as faults of the loop.
-        words: what the drive does then.
-        remedy: how it is declared.
-        controller: it.
-        rate: of it, Hz, where that is what is other.
+        parts: its differences, as faults of the loop.
+        words: clause on what the drive does.
+        remedy: its declaration.
+        controller: with that law.
+        rate: of the law, Hz, if that differs.
     """
 
     parts: tuple[Fault, ...]
@@ -65,8 +65,8 @@ class Finding:
         rivals: tests of faults that are at most 20 times less likely.
         changes: of the joint's parameters, by name, when it is corrected.
         law: that the drive runs instead of the declared one, where that is the fault.
-        left: share of the filtered torque that is left under that law, or where the joint has that fault.
-        alike: laws that explain as much as that one, the likeliest first.
+        left: residual share of the filtered torque under that law, or with that fault in the joint.
+        alike: equally good laws, the likeliest first.
     """
 
     test: FaultTest
@@ -89,11 +89,10 @@ class LoopCheck(Documented):
         symbols: of the joint's parameters, by name.
         units: of the joint's parameters by name, and of "torque", "position" and "velocity".
         side: of the transmission, on which all of these numbers are; None without one.
-        undecided: a law that the drive may run instead of the declared one, where the record excludes neither, and
-            a parameter would move out of its interval.
-        law: the controller's numbers as they are declared.
+        undecided: another law that the record does not exclude, and that would shift a parameter out of its interval.
+        law: the controller's declared numbers.
         shown: how the drive shows those that the joint file declares, by the law's names.
-        laws: names of springs, and of frictions beyond lines, that the joint may have instead of its own.
+        laws: names of springs and nonlinear frictions that can replace those of the joint.
     """
 
     findings: tuple[Finding, ...]
@@ -120,7 +119,7 @@ class LoopCheck(Documented):
     @property
     def reasons(self) -> tuple[Message, ...]:
         """The faults found, one message each; one that says so where there are none."""
-        undecided = () if self.undecided is None else (self._describe_undecided(self.undecided),)
+        undecided = () if self.undecided is None else (self._state_open_law(self.undecided),)
         if self.findings or undecided:
             return (*map(self._describe, self.findings), *undecided)
         least = min((s.p_value for s in self.tests), default=1.0)
@@ -165,8 +164,8 @@ class LoopCheck(Documented):
         shown = ((fault, self.in_drive(fault)) for fault in faults)
         return " or ".join(fault.phrase if there is None else call_number(there.name) for fault, there in shown)
 
-    def _describe_undecided(self, finding: Finding) -> Message:
-        """Return what another law would change that the record does not exclude."""
+    def _state_open_law(self, finding: Finding) -> Message:
+        """Return the message on another law that the record does not exclude."""
         assert finding.law is not None
         law, s = finding.law, finding.test
         clause = f"it may be that {law.words}, which this record does not exclude"
@@ -207,7 +206,7 @@ class LoopCheck(Documented):
         return Message(s.fault.reason, said, values, clause)
 
     def _name_laws(self, finding: Finding) -> str:
-        """Return which law of spring or friction has what was found, as the end of a sentence; "" where none has."""
+        """Return the end of a sentence on the laws with the fault that was found; "" without any."""
         fault, table = finding.test.fault, finding.test.fault.table
         if fault.remedy is not None:
             return fault.remedy(finding.test)

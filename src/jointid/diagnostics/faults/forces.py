@@ -1,34 +1,48 @@
-"""Forces and signals that are not declared: an offset, an injected signal, a limit of the output."""
+"""Forces and signals that are not declared: an offset, an injected signal, an output limit, a ripple."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
+from jointid.common.errors import JointidError, MethodError
 from jointid.common.messages import Message
 from jointid.common.text import number, pluralise
-from jointid.diagnostics.faults.fault import Fault, FaultSignature, FaultTest, Measure, words
+from jointid.diagnostics.faults.fault import Fault, FaultSignature, FaultTest, Hint, Measure, words
 from jointid.diagnostics.faults.findings import Finding, LoopCheck
 from jointid.diagnostics.faults.numbers import describe_number
+from jointid.diagnostics.faults.trials import with_joint
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import with_numbers
+from jointid.models.joints import FlexibleJoint, Joint
+from jointid.models.ripple import PositionHarmonics
 from jointid.records.record import Record, Tap
+from jointid.simulation.closed_loop import in_threads
+from jointid.simulation.simulated import require_success
 from jointid.uncertainty.verdict import Reason
 
 _STEP = 1e-4  # of the known signal
 _LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9)  # of the largest torque the law asks for: the limits that are tried
 _FEWEST = 12  # steps of an injected signal
-_CLEAR = 10.0  # times the median change of a sample: so large is a step
+_CLEAR = 10.0  # times the median change of a sample: size of a step
 _LARGE = 0.03  # of the torque's scatter: a smaller step is of no interest
 _ALONE = 0.3  # of a step: so much the samples before and after it may change
 _ROUNDED = 5  # times the smallest change of a sample, which is that of its rounding
 _RESTS, _OFTEN = 1e-3, 0.02  # of the greatest speed, and of the samples: where a reference asks for nothing
 _AS_OFTEN = 1 / 3  # as all over the record they are where the reference rests, if it does
 _OWN = 0.5  # of their squares: so much of the steps is none of the reference's velocity, acceleration and direction
+
+_SLOWEST, _FASTEST, _APART = 3.0, 150.0, 0.5  # times that it comes back over the travel
+_FINER = (-0.75, -0.5, -0.25, 0.25, 0.5, 0.75)  # steps from the best, that are simulated, too
+_BROAD = 1.0  # how broad a peak is, in times over the travel
+_RIDGE = 1e-9  # of the squares: at one direction alone both pairs are the same
+_AT_ONCE = 32  # periods that are regressed on together
+_LIKELIEST = 6  # that are simulated
+_SMALL = 0.01  # of the torque: how large a ripple is simulated
 
 
 def _describe_offset(finding: Finding, check: LoopCheck, spread: bool) -> str:
@@ -38,13 +52,14 @@ def _describe_offset(finding: Finding, check: LoopCheck, spread: bool) -> str:
     return words("a constant", "torque" if check.units["position"] == "rad" else "force", signed, "is not declared")
 
 
-def _free_offset(problem: ClosedLoopProblem, test: FaultTest) -> tuple[ClosedLoopProblem, float]:
-    freed = {p.name: replace(p, free=True) for p in problem.parameters if p.name == OFFSET.name}
-    return problem.changed(freed), test.declared + test.size
-
-
-OFFSET = Fault("offset", "constant force", describe=_describe_offset, measure=Measure.TORQUE, free=_free_offset)
-"""A constant force, where the joint is declared without one."""
+OFFSET = Fault(
+    "offset", "constant force", describe=_describe_offset, measure=Measure.TORQUE,
+    free=lambda problem, test: (
+        problem.changed({p.name: replace(p, free=True) for p in problem.parameters if p.name == "offset"}),
+        test.declared + test.size,
+    ),
+)  # fmt: skip
+"""A constant force on a joint that is declared without one."""
 
 
 def _vary_injected_gain(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultSignature]:
@@ -52,10 +67,10 @@ def _vary_injected_gain(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[F
     if not np.any(problem.experiment.after_limit):
         return
 
-    def scaled(by: float) -> FloatArray:
+    def scale(by: float) -> FloatArray:
         return problem.torque(x, lambda e: replace(e, after_limit=by * e.after_limit, logged=by * e.logged))
 
-    raw = (scaled(1 + _STEP) - scaled(1 - _STEP)) / (2 * _STEP)
+    raw = (scale(1 + _STEP) - scale(1 - _STEP)) / (2 * _STEP)
     yield FaultSignature(INJECTED_GAIN, problem.filtered(raw), raw=raw)
 
 
@@ -66,20 +81,19 @@ INJECTED_GAIN = Fault(
 
 
 def _vary_limit(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultSignature]:
-    """Yield the signatures of lower limits: the whole change of the torque, so a size of 1 is the limit itself."""
+    """Yield the signatures of lower limits: the whole change of the torque, so that size 1 is the limit."""
     free = any(p.name == LIMIT.name for p in problem.free)
     if free or not hasattr(problem.loop.controller, LIMIT.name):
         return
     output = problem.torque(x, lambda e: replace(e, tap=Tap.COMMAND, logged=np.zeros_like(e.logged)))
     asked, unlimited = float(np.max(np.abs(output))), problem.torque(x)
 
-    def limited(level: float) -> FloatArray:
+    def simulate(level: float) -> FloatArray:
         return problem.torque(x, lambda e: e.with_law(e.law.with_limit(level)))
 
-    for share in _LEVELS:
-        level = share * asked
+    for level in (share * asked for share in _LEVELS):
         if level < problem.experiment.law.limit:
-            yield FaultSignature(LIMIT, problem.filtered(limited(level) - unlimited), level)
+            yield FaultSignature(LIMIT, problem.filtered(simulate(level) - unlimited), level)
 
 
 def _torque_per_unit(problem: ClosedLoopProblem) -> float:
@@ -89,7 +103,7 @@ def _torque_per_unit(problem: ClosedLoopProblem) -> float:
 
 
 def _free_limit(problem: ClosedLoopProblem, test: FaultTest) -> tuple[ClosedLoopProblem, float]:
-    """Return the problem with a limit: the declared one may be infinite, where no search can begin."""
+    """Return the problem with the limit free, and a finite start: the declared one may be infinite."""
     start = (test.shape or 0.0) / _torque_per_unit(problem)
     loop = replace(problem.loop, controller=with_numbers(problem.loop.controller, {LIMIT.name: start}))
     law = problem.experiment.law_of(loop.controller)
@@ -98,7 +112,7 @@ def _free_limit(problem: ClosedLoopProblem, test: FaultTest) -> tuple[ClosedLoop
 
 
 def free_number(problem: ClosedLoopProblem, name: str, start: float) -> tuple[ClosedLoopProblem, float]:
-    """Return the problem with a number of the loop free, and a start that it can have."""
+    """Return the problem with a number of the loop free, and a feasible start."""
     wider = problem.freeing(name)
     lower = next(p.lower for p in wider.parameters if p.name == name)
     return wider, max(start, lower)
@@ -113,14 +127,131 @@ LIMIT = Fault(
 
 INJECTED = Fault("injected", "signal that is not declared")
 
+
+def _search_cogging(problem: ClosedLoopProblem, x: FloatArray, hint: Hint) -> list[FaultSignature]:
+    """Return the signature, per unit of amplitude, of the ripple that explains most of a residual.
+
+    The residual is regressed on cosine and sine of the simulated position over many periods at once: a loop that holds
+    its position against a force shows the force nearly as it is. The likeliest periods are then simulated.
+    """
+    run = problem.simulate(x)
+    travel = float(np.ptp(run.motor_position))
+    if not _may_cog(problem.joint) or not travel > 0.0:
+        return []
+    basis = np.linalg.qr(hint.whiten(hint.own))[0]
+
+    def beside(columns: FloatArray) -> FloatArray:
+        white = hint.whiten(columns)
+        return np.asarray(white - basis @ (basis.T @ white))
+
+    left, position = beside(hint.residual), run.motor_position[problem.kept]
+    way = np.sign(run.motor_velocity[problem.kept])
+    waves = np.arange(_SLOWEST, _FASTEST, _APART) / travel
+    some = np.array_split(waves, waves.size // _AT_ONCE)
+    gains = np.concatenate([_gains(one, position, way, left, beside) for one in some])
+
+    def simulate(wave: float) -> tuple[float, FaultSignature] | None:
+        return _simulate_ripple(problem, x, 1 / wave, left, beside, waves.size)
+
+    peaks = []
+    for _ in range(_LIKELIEST):
+        peaks.append(float(waves[int(np.argmax(gains))]))
+        gains[np.abs(waves - peaks[-1]) < _BROAD / travel] = 0.0  # the same peak
+    found = [one for one in in_threads(simulate, peaks) if one is not None]
+    if not found:
+        return []
+    best = 1 / (max(found, key=lambda one: one[0])[1].shape or 1.0)
+    finer = best + _APART / travel * np.array(_FINER)
+    found += [one for one in in_threads(simulate, finer.tolist()) if one is not None]
+    return [max(found, key=lambda one: one[0])[1]]
+
+
+def _may_cog(joint: Joint) -> bool:
+    """Whether a ripple is searched for: of flexible joints without smooth laws."""
+    if not isinstance(joint, FlexibleJoint) or joint.stepped:
+        return False
+    try:
+        replace(joint, ripple=PositionHarmonics(1.0))
+    except MethodError:
+        return False
+    return True
+
+
+def _gains(
+    waves: FloatArray,
+    position: FloatArray,
+    way: FloatArray,
+    left: FloatArray,
+    beside: Callable[[FloatArray], FloatArray],
+) -> FloatArray:
+    """Return the decrease of the squares of a residual, (rows,), by a force of each wave, (waves,).
+
+    A loop responds late to a force, in the direction of motion. So cosine and sine of each direction, (rows,), have
+    coefficients of their own.
+    """
+    phases = 2 * np.pi * np.outer(position, waves)
+    both = np.cos(phases), np.sin(phases)
+    columns = np.stack([beside(one) for one in (*both, *(way[:, np.newaxis] * one for one in both))], axis=2)
+    squares = np.einsum("rwi,rwj->wij", columns, columns)
+    along = np.einsum("rwi,r->wi", columns, left)
+    ridge = _RIDGE * np.trace(squares, axis1=1, axis2=2)[:, np.newaxis, np.newaxis] * np.eye(4)
+    return np.asarray(np.einsum("wi,wi->w", along, np.linalg.solve(squares + ridge, along[:, :, np.newaxis])[:, :, 0]))
+
+
+def _simulate_ripple(
+    problem: ClosedLoopProblem,
+    x: FloatArray,
+    period: float,
+    left: FloatArray,
+    beside: Callable[[FloatArray], FloatArray],
+    tried: int,
+) -> tuple[float, FaultSignature] | None:
+    """Return the decrease of the squares by a ripple of a period, and its signature; None without an effect."""
+    joint = problem.joint
+    assert isinstance(joint, FlexibleJoint)
+    size = float(np.linalg.norm(problem.measured)) / np.sqrt(problem.measured.size) * _SMALL
+    try:
+        other = with_joint(problem, replace(joint, ripple=PositionHarmonics(period)))
+        values, base = problem.values(x), problem.torque(x)
+        names = [p.name for p in other.parameters if p.name.startswith("harmonic_")]
+        forces = [dict(zip(names, size * np.array(parts), strict=True)) for parts in ((1.0, 0.0), (0.0, 1.0))]
+        runs = [require_success(other.simulate(other.vector({**values, **one}))) for one in forces]
+        raw = np.column_stack([(run.torque - base) / size for run in runs])
+    except JointidError:  # the joint may have none beside its other laws
+        return None
+    seen = problem.filtered(raw)
+    columns = beside(seen)
+    parts = np.linalg.lstsq(columns, left, rcond=None)[0]
+    amplitude = float(np.linalg.norm(parts))
+    if not amplitude > 0.0:
+        return None
+    parts = parts / amplitude
+    signature = FaultSignature(COGGING, seen @ parts, period, raw @ parts, tried)
+    return float(left @ columns @ parts) * amplitude, signature
+
+
+def _describe_cogging(finding: Finding, check: LoopCheck, spread: bool) -> str:
+    s = finding.test
+    size = s.show_size(check.on_side("torque"), spread=spread)
+    period = f"{number(s.shape, 3)} {check.on_side('position')}"
+    return words("a force", size and f"of {size}", "comes back with the motor's position, every", period)
+
+
+COGGING = Fault(
+    "cogging", "force that comes back with the position", describe=_describe_cogging, search=_search_cogging,
+    applies=_may_cog, mechanical=True, one_sided=True, measure=Measure.TORQUE,
+    reason=Reason.FORCE_FOLLOWS_POSITION,
+    remedy=lambda test: f"; to identify it, declare it: [ripple] period = {number(test.shape, 3)}",
+)  # fmt: skip
+
 FAULTS = (OFFSET, INJECTED_GAIN, INJECTED)
 
 
 def find_steps(record: Record) -> Message | None:
-    """Return that a signal is injected that is not declared, where the torque makes steps of its own; else None.
+    """Return the message of an undeclared injected signal, if the torque has steps of its own; else None.
 
-    A step is a change in one sample between two in which hardly anything changes; those of a controller that runs
-    slower than the log, or of a reference in steps, follow from the reference, and are not there where that rests.
+    A step is a change in one sample between two without a change. Steps of a controller that is slower than the log,
+    or of a stepped reference, correlate with the reference, and stop while it rests.
     """
     torque, reference = record.torque, record.reference
     assert torque is not None

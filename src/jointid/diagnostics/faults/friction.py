@@ -40,11 +40,10 @@ VISCOUS, COULOMB = 1.0, 0.0
 """Shapes of a friction that changes over the record."""
 
 
-def _vary_low_speed(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultSignature]:
-    """Yield the signatures of a friction that is larger, or smaller, at low speed.
+def _vary_stribeck(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[FaultSignature]:
+    """Yield the signatures of a larger, or smaller, friction at low speed.
 
-    The motor's friction is larger by ``S exp(-(v / vs)^2)``, for some vs: a force on the simulated motion, through the
-    loop.
+    The motor's friction is larger by ``S exp(-(v / vs)^2)``, for some vs: a force in the loop.
     """
     if isinstance(problem.joint.friction, StribeckFriction | PreslidingFriction):  # its own law has that
         return
@@ -53,14 +52,14 @@ def _vary_low_speed(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[Fault
         return  # a force at the controller's instants needs the motion there
     small = _FORCE * float(np.max(np.abs(problem.measured)))
 
-    def forced(force: FloatArray) -> FloatArray:
+    def simulate(force: FloatArray) -> FloatArray:
         return problem.torque(x, lambda e: replace(e, after_limit=e.after_limit + force))
 
     for share in _SPEEDS:
         speed = share * float(np.max(np.abs(velocity), initial=0.0))
         if speed > 0:
             force = -np.exp(-((velocity / speed) ** 2)) * np.sign(velocity)
-            raw = (forced(small * force) - forced(-small * force)) / (2 * small)
+            raw = (simulate(small * force) - simulate(-small * force)) / (2 * small)
             if problem.experiment.tap is Tap.MEASURED:
                 raw = raw - to_log(problem.experiment, force)  # the force itself is not logged
             column = problem.filtered(raw)
@@ -68,29 +67,21 @@ def _vary_low_speed(problem: ClosedLoopProblem, x: FloatArray) -> Iterator[Fault
             yield FaultSignature(PRESLIDING, -column, speed, -raw)
 
 
-def _describe_low_speed(sense: str, finding: Finding, check: LoopCheck, spread: bool) -> str:
+def _describe_stribeck(sense: str, finding: Finding, check: LoopCheck, spread: bool) -> str:
     s = finding.test
     speed, size = f"{number(s.shape, 2)} {check.on_side('velocity')}", s.show_size(check.units["torque"], spread=spread)
     return words(f"towards standstill, below some {speed}, the friction is", size, f"{sense} than Coulomb's")
 
 
 STRIBECK = Fault(
-    "stribeck", "friction that rises towards standstill", describe=partial(_describe_low_speed, "larger"),
-    vary=_vary_low_speed, one_sided=True, kin="low-speed friction", measure=Measure.TORQUE, table="friction",
+    "stribeck", "friction that rises towards standstill", describe=partial(_describe_stribeck, "larger"),
+    vary=_vary_stribeck, one_sided=True, kin="low-speed friction", measure=Measure.TORQUE, table="friction",
     laws=_AT_LOW_SPEED,
 )  # fmt: skip
 PRESLIDING = replace(
     STRIBECK, name="presliding", title="friction that falls towards standstill",
-    describe=partial(_describe_low_speed, "smaller"), laws=(PreslidingFriction.name, *_AT_LOW_SPEED),
+    describe=partial(_describe_stribeck, "smaller"), laws=(PreslidingFriction.name, *_AT_LOW_SPEED),
 )  # fmt: skip
-
-
-def _mean_friction(joint: FlexibleJoint, values: Mapping[str, float]) -> dict[str, float]:
-    """Return the mean of both directions of each part of a friction of lines."""
-    return {
-        f"{side}{part}": sum(by * values[name] for name, by in joint.friction.mean(part, side).items())
-        for part, side in product(PARTS, _SIDES)
-    }
 
 
 def _beside_lines(
@@ -100,13 +91,15 @@ def _beside_lines(
 ) -> tuple[FlexibleJoint, dict[str, float], dict[str, float] | None]:
     """Return the joint with a law of friction, the values without its effect, and those of `Trial.without`."""
     other = replace(joint, friction=law)
-    still = _mean_friction(joint, values)
+    still = {  # means of both directions
+        f"{side}{part}": sum(by * values[name] for name, by in joint.friction.mean(part, side).items())
+        for part, side in product(PARTS, _SIDES)
+    }
     still |= {p.name: 0.0 for p in other.parameters if p.name.endswith(("_drift", "_per_torque"))}
     return other, still, None if joint.friction == SymmetricFriction() else still
 
 
 def _try_winding(joint: FlexibleJoint, run: Simulation, values: Mapping[str, float]) -> Iterator[Trial]:
-    """Yield Coulomb friction that winds up behind each reversal."""
     law, travel = PreslidingFriction(), float(np.ptp(run.motor_position))
     if joint.friction.linear and law in frictions_beside(joint):
         other, still, without = _beside_lines(joint, law, values)
@@ -124,8 +117,7 @@ WINDING_FRICTION = Fault(
 )  # fmt: skip
 
 
-def _try_load_dependent(joint: FlexibleJoint, _: Simulation, values: Mapping[str, float]) -> Iterator[Trial]:
-    """Yield a friction of the load that grows by a share of the torque which drives it."""
+def _try_load_friction(joint: FlexibleJoint, _: Simulation, values: Mapping[str, float]) -> Iterator[Trial]:
     law = LoadDependentFriction()
     if joint.friction.linear and law in frictions_beside(joint):
         other, still, without = _beside_lines(joint, law, values)
@@ -133,20 +125,19 @@ def _try_load_dependent(joint: FlexibleJoint, _: Simulation, values: Mapping[str
         yield Trial(LOAD_DEPENDENT_FRICTION, other, grows, _LOSS, without=without)
 
 
-def _describe_load_dependent(finding: Finding, _: LoopCheck, spread: bool) -> str:
+def _describe_load_friction(finding: Finding, _: LoopCheck, spread: bool) -> str:
     size = finding.test.show_size("%", spread=spread, factor=100.0)
     return "the load's friction grows with its torque" + (f", by {size} of it" if size else "")
 
 
 LOAD_DEPENDENT_FRICTION = Fault(
-    "load_dependent_friction", "friction that grows with the load's torque", describe=_describe_load_dependent,
-    try_mechanics=_try_load_dependent, mechanical=True, one_sided=True, measure=Measure.SHARE,
+    "load_dependent_friction", "friction that grows with the load's torque", describe=_describe_load_friction,
+    try_mechanics=_try_load_friction, mechanical=True, one_sided=True, measure=Measure.SHARE,
     reason=Reason.FRICTION_NOT_AS_MODELLED, table="friction", laws=(LoadDependentFriction.name,),
 )  # fmt: skip
 
 
 def _try_changing(joint: FlexibleJoint, run: Simulation, values: Mapping[str, float]) -> Iterator[Trial]:
-    """Yield a friction of which a share is lost between the first sample and the last, viscous or Coulomb."""
     duration, law = run.sample_time * run.torque.size, DriftingFriction()
     if joint.friction.linear and law in frictions_beside(joint):
         other, still, without = _beside_lines(joint, law, values)

@@ -1,9 +1,9 @@
-"""Factors on the gain of the whole loop, which have several causes that no record distinguishes.
+"""Factors on the gain of the whole loop, whose causes no record distinguishes.
 
-A torque that is g times too large, a reference that is g times too small and a law whose gain is g times too small make
+A torque that is g times too large, a reference that is g times too small and a law whose gain is g times too small give
 the same record of another joint: ``u = g C(r - q)``. A number on the wrong side of a gear of ratio N is a factor of N
-or N^2. So one hypothesis stands for all of them. The factor itself is a hint: 57.3 is an angle in degrees, 1000 a
-length in mm, a gear's ratio or its square the wrong side of the gear.
+or N^2. So one hypothesis stands for all of them. The factor is a hint: 57.3 is an angle in degrees, 1000 a length in
+mm, a gear's ratio or its square the wrong side of the gear.
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ def _try_factors(declared: Hypothesis) -> Iterator[Hypothesis]:
 
 
 def _prefer_known_factor(fit: Fit, loop: ClosedLoop) -> Fit:
-    """Return the fit with a known factor, where that leaves hardly more.
+    """Return the fit with a known factor, if its residual is hardly larger.
 
-    What no model has, as a ripple, moves a factor that is free; 75 is then 57.3, which an angle in degrees makes.
+    Unmodelled dynamics shift a free factor; 75 is then 57.3, the factor of an angle in degrees.
     """
     if fit.number is None:
         return fit
@@ -71,14 +71,15 @@ def _prefer_known_factor(fit: Fit, loop: ClosedLoop) -> Fit:
 
 
 def _explain_factor(value: float | None, loop: ClosedLoop, shown: Shown) -> Iterator[Meaning]:
-    """Yield the causes of a loop whose gain is another one than declared, the likeliest first."""
     assert value is not None
     numbers, ratio = numbers_of(loop.controller), _gear_ratio(loop)
     factor = value / numbers["gain"]
     times, by_gear = say_times(factor), ""
     size, other = ("large", "small") if factor > 1 else ("small", "large")
     if ratio != 1.0 and _is(factor, ratio):
-        yield GEAR_SIDE, _describe_side(factor, ratio), factor
+        actual, read = ("load", "motor") if (factor > 1) is (ratio > 1) else ("motor", "load")
+        side = f"the reference, or the torque, is on the wrong side of the {ratio:g}:1 gear: it is the {actual}'s and"
+        yield GEAR_SIDE, f'{side} read as the {read}\'s (give its channel side = "{actual}")', factor
     elif ratio != 1.0 and _is(factor, ratio**2):
         side = f"the controller is on the wrong side of the {ratio:g}:1 gear (side of [controller])"
         yield GEAR_SIDE, f"{side}, or torque and reference are both", factor
@@ -106,21 +107,12 @@ def _explain_factor(value: float | None, loop: ClosedLoop, shown: Shown) -> Iter
 
 
 def _leading_gain(numbers: Mapping[str, float], shown: Shown) -> str | None:
-    """Return the gain to which a law's whole output is proportional as its drive shows it; None where none is."""
+    """Return the gain that scales the whole output in the drive's form; None without one."""
     if "velocity_gain" in numbers:
         return "velocity_gain"
     others = [name for name in ("derivative_gain", "integral_gain") if numbers.get(name)]
     as_times = others and all(name in shown and shown[name].per == "position_gain" for name in others)
     return "position_gain" if as_times else None
-
-
-def _describe_side(factor: float, ratio: float) -> str:
-    """Return that a channel is on the wrong side of the gear, and which side it is on."""
-    there, read = ("load", "motor") if (factor > 1) is (ratio > 1) else ("motor", "load")
-    return (
-        f"the reference, or the torque, is on the wrong side of the {ratio:g}:1 gear: it is the {there}'s and read as "
-        f'the {read}\'s (give its channel side = "{there}")'
-    )
 
 
 def _is(factor: float, other: float) -> bool:

@@ -49,8 +49,8 @@ def show(there: DriveNumber, value: float, law: Mapping[str, float]) -> str:
     return f"{number(there.of(value, law), 3)} {there.unit}".rstrip()
 
 
-def _show_times_beside(name: str, value: float, law: Mapping[str, float], shown: Iterable[DriveNumber]) -> str:
-    """Return the times that change with a gain which they are per, where their own gains stay; else nothing."""
+def _show_related_times(name: str, value: float, law: Mapping[str, float], shown: Iterable[DriveNumber]) -> str:
+    """Return the times that a drive shows relative to a changed gain, as the end of a clause."""
     beside = (one for one in shown if one.per == name and law.get(one.number))
     return "".join(
         f", with {call_number(one.name)} {show(one, law[one.number], {**law, name: value})}" for one in beside
@@ -58,19 +58,19 @@ def _show_times_beside(name: str, value: float, law: Mapping[str, float], shown:
 
 
 def describe_number(finding: Finding, check: LoopCheck, spread: bool) -> str:
-    """Return by how much a number differs from its declaration."""
+    """Return the clause on the difference of a number from its declaration."""
     s = finding.test
     there = check.in_drive(s.fault)
     if there is None:
         return _describe_difference(check.call(s.fault), s, spread=spread)
     differs = describe_in_drive(there, s, check.law, spread=spread)
-    return differs + _show_times_beside(s.name, s.declared + s.size, check.law, check.shown.values())
+    return differs + _show_related_times(s.name, s.declared + s.size, check.law, check.shown.values())
 
 
 def _describe_difference(name: str, s: FaultTest, *, spread: bool) -> str:
-    """Return by how much a number differs from what is declared, in percent of that, or that it cannot be this number.
+    """Return the clause on a difference in percent of the declared value.
 
-    A sensitivity is no guide to a change as large as the number itself; and nothing is smaller by more than all of it.
+    A sensitivity is no guide to a change as large as the number itself.
     """
     scale = abs(s.declared)
     share, deviation = s.size / scale, 2 * s.std / scale
@@ -112,7 +112,7 @@ def describe_in_drive(there: DriveNumber, s: FaultTest, law: Mapping[str, float]
 
 
 def _describe_no_size(name: str, share: float, deviation: float, more: bool) -> str | None:
-    """Return the clause where a size would be absurd, or is not known; else None."""
+    """Return the clause on a difference of absurd or unknown size; else None."""
     if share <= -1:
         return f"{_FACTOR} large factor ({name} alone would have to change its sign)"
     if share <= 1 and deviation >= abs(share):
@@ -121,7 +121,6 @@ def _describe_no_size(name: str, share: float, deviation: float, more: bool) -> 
 
 
 def _describe_delay(what: str, than: str, finding: Finding, _: LoopCheck, spread: bool) -> str:
-    """Return by how much the torque is later or earlier."""
     s = finding.test
     unit, factor = ("ms", 1e3) if abs(s.size) >= MICROSECOND else ("us", 1e6)
     size = s.show_size(unit, spread=spread, factor=factor)
@@ -150,14 +149,14 @@ def _try_integral(declared: Hypothesis) -> Iterator[Hypothesis]:
 
 
 def _say_gain(name: str, value: float | None, loop: ClosedLoop, shown: Shown) -> str:
-    """Return that a gain is another one than declared, as the drive shows both, and the unit that may be mistaken."""
+    """Return the clause on another gain than declared, and on a unit that may be mistaken."""
     there, law = shown.get(name) or DriveNumber(name, name, "", 1.0), numbers_of(loop.controller)
     if value is None:
         return f"the declared {name_number(there.name)} is not there"
     clause, declared = f"{call_number(there.name)} is about {show(there, value, law)}", law.get(name) or 0.0
     if not declared:
         return f"{clause}, and is not declared"
-    clause += f", not {show(there, declared, law)}" + _show_times_beside(name, value, law, shown.values())
+    clause += f", not {show(there, declared, law)}" + _show_related_times(name, value, law, shown.values())
     factor = value / declared
     if name != "integral_gain" or abs(math.log(max(factor, 1 / factor) / _UNIT_SLIP)) >= math.log(_ROUGHLY):
         return clause
@@ -178,7 +177,6 @@ def _is_small_gain(name: str, value: float | None, loop: ClosedLoop, _: float) -
 
 
 def _gain(name: str, correct: Any = None) -> Fault:
-    """Return the fault of a gain that is tested and is free in a hypothesis."""
     return Fault(
         name, name_number(name), call_number(name), describe_number, declared=None,
         correct=correct or partial(_try_gain, name), clause=partial(_say_gain, name),
@@ -207,7 +205,6 @@ SWAPPED_GAINS = Fault(
 
 
 def _is_short(name: str, value: float | None, loop: ClosedLoop, period: float) -> bool:
-    """Whether a time differs from the declared one by a small part of a period."""
     return value is not None and abs(value - numbers_of(loop.controller).get(name, 0.0)) < _HARDLY * period
 
 

@@ -1,18 +1,17 @@
-"""The laws that a drive may run instead of the declared one, with the same settings: which of the two a record shows.
+"""Laws that a drive may run instead of the declared one, with the same settings.
 
-An integral is a sum, of the errors of earlier periods or of the present one, too; manuals seldom say which. With the
-present one a PI of 1 kHz and 20 ms is 5 % stiffer, and a stiffness that is identified under the other law comes out
-6 % off, at no cost of the fit. Such a law has no number that is not known: both gains move together, by one period. Nor
-has one whose velocity is no difference of the position, but comes from a sensor or an observer: it is the same half a
-period earlier.
+An integral sums the errors of earlier periods, or also that of the present one; manuals seldom say which. With the
+present one a PI of 1 kHz and 20 ms is 5 % stiffer, and a stiffness that is identified under the other law is wrong by
+6 % without a worse fit. Such a law has no unknown number: both gains change by one period. Nor has a law whose velocity
+comes from a sensor or an observer: it is the same half a period earlier.
 
-Two laws are told apart by a J test (Davidson and MacKinnon, Econometrica 49, 1981): the joint is identified again
-under the other one, and the residual regressed on what its fit has changed. That share is 0 where the declared law is
-right, and 1 where the other one is. A record may exclude neither.
+Two laws are distinguished by a J test (Davidson and MacKinnon, Econometrica 49, 1981): the joint is identified again
+under the other law, and the residual is regressed on the change of the fit. The coefficient is 0 under the declared law
+and 1 under the other one. A record may exclude neither.
 
-Where no period is declared the log's is taken. A drive that runs faster reacts earlier, by up to half a sample of the
-log, and each joint that is identified meanwhile is another one: so the same law at half of the log's period, a quarter
-and so on is such a law, too. What the first of them changes at the same joint says how much of that the record shows.
+Without a declared period that of the log is used. A faster drive reacts earlier, by up to half a sample of the log, and
+the identified joint is another one: so the same law at half of the log's period, a quarter and so on is another law,
+too. The change of the torque by the first of them at the same joint shows whether the record can decide.
 """
 
 from __future__ import annotations
@@ -44,12 +43,12 @@ _HALF_A_PERIOD_EARLIER = (1.5, -0.5)  # of a difference of positions, which is t
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Refit:
-    """A problem under another law, solved.
+    """A solved problem under another law.
 
     Attributes:
-        law: the other one.
+        law: the other law.
         problem: under it. x: (free,) its parameters.
-        signature: what the fit has changed of the filtered torque: its size is 0 under the declared law, 1 under this.
+        signature: change of the fitted torque: its size is 0 under the declared law, 1 under this one.
     """
 
     law: OtherLaw
@@ -86,17 +85,17 @@ def list_other_laws(controller: Controller, period: float) -> Iterator[OtherLaw]
 
 
 def runs_at_the_logs_rate(problem: ClosedLoopProblem) -> bool:
-    """Return True if a controller has the log's period for want of a declared one, and nothing of it is identified."""
+    """Return True if a controller has no declared period, and none of its numbers is free."""
     controller = problem.loop.controller
     undeclared = isinstance(controller, DiagramController) and controller.period is None
-    return undeclared and not _is_identified(problem)
+    return undeclared and not _has_free_law(problem)
 
 
 def faster_laws(problem: ClosedLoopProblem, times: int) -> Iterator[OtherLaw]:
-    """Yield the law of a problem as it is in a drive that runs so many times as fast as the log.
+    """Yield the law of a problem in a drive that runs `times` as fast as the log.
 
-    The log does not say what the drive's reference is between two samples, straight lines or a curve, unless that is
-    declared: a law that differentiates it sees lines half a sample late.
+    The drive's reference between two samples is unknown unless it is declared: a law that differentiates linear
+    interpolation sees the reference half a sample late.
     """
     controller = problem.loop.controller
     assert isinstance(controller, DiagramController)
@@ -104,16 +103,11 @@ def faster_laws(problem: ClosedLoopProblem, times: int) -> Iterator[OtherLaw]:
     words = f"the controller runs faster than the log, at {1e-3 / period:.4g} kHz"
     remedy = f"its period, {1e3 * period:.4g} ms"
     yield OtherLaw((PERIOD,), words, remedy, replace(controller, period=period), 1 / period)
-    if controller.interpolation is None and _differentiates_reference(controller):
-        curved = replace(controller, period=period, interpolation="cubic")
-        yield OtherLaw((PERIOD,), words, f'{remedy}, and interpolation = "cubic"', curved, 1 / period)
-
-
-def _differentiates_reference(controller: DiagramController) -> bool:
-    """Whether a law reads a velocity or an acceleration out of the reference."""
     ahead = ("velocity_feedforward", "viscous_feedforward", "acceleration_feedforward")
     own = isinstance(controller, PD) and controller.reference_velocity == "difference"
-    return own or any(getattr(controller, name, 0.0) for name in ahead)
+    if controller.interpolation is None and (own or any(getattr(controller, name, 0.0) for name in ahead)):
+        curved = replace(controller, period=period, interpolation="cubic")
+        yield OtherLaw((PERIOD,), words, f'{remedy}, and interpolation = "cubic"', curved, 1 / period)
 
 
 def faster_problem(problem: ClosedLoopProblem, law: OtherLaw, record: Record) -> ClosedLoopProblem:
@@ -146,7 +140,7 @@ def refit(
     return Refit(law, other, found, FaultSignature(law.fault, moved, raw=np.zeros(0)))
 
 
-def _is_identified(problem: ClosedLoopProblem) -> bool:
+def _has_free_law(problem: ClosedLoopProblem) -> bool:
     """Whether numbers of the law are free: they may stand for any law."""
     return bool(numbers_of(problem.loop.controller).keys() & {p.name for p in problem.free})
 
@@ -159,7 +153,7 @@ def refit_other_laws(problem: ClosedLoopProblem, x: FloatArray, asked: Set[str])
         x: (free,) its parameters.
         asked: names of what may be other in a law.
     """
-    if _is_identified(problem):
+    if _has_free_law(problem):
         return
     for law in list_other_laws(problem.loop.controller, problem.experiment.law.period):
         if not asked >= {one.name for one in law.parts}:
@@ -176,9 +170,9 @@ def refit_other_laws(problem: ClosedLoopProblem, x: FloatArray, asked: Set[str])
 
 
 def _describe_laws(finding: Finding, check: LoopCheck, _: bool) -> str:
-    """Return that a drive runs another law, and which ones explain as much; rates of one law in a word each.
+    """Return the clause on another law of the drive, and on equally good ones; rates of one law are joined.
 
-    A law that is reported as undecided, with what it would change, is not repeated here.
+    A law that is reported as undecided is not repeated.
     """
     assert finding.law is not None
     of_each: dict[str, list[OtherLaw]] = {}

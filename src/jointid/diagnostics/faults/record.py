@@ -1,47 +1,72 @@
-"""Faults of the record: signs, swapped channels, the sample time, a motion in the place of the reference."""
+"""Faults of the record: signs, swapped channels, sample time, a motion as reference, too little motion.
+
+A record that is too short, or moves in one direction only, fits many drives: Coulomb friction and offset are one number
+then. An axis hardly moves if its friction holds it, or if its disturbances exceed the torque that the reference needs.
+The controller of a motor at rest sees the whole reference as an error. That torque is simulated with an immovable mass:
+a record with this torque is of an axis at rest.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
+from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
+from jointid.common.messages import Message
+from jointid.common.text import number
 from jointid.diagnostics.faults.fault import Fault, Hypothesis, Meaning, Shown
+from jointid.diagnostics.faults.forces import find_steps
 from jointid.diagnostics.faults.loop_gain import LAW_GAIN, say_times
 from jointid.diagnostics.hypothesis_fits import MORE, Fit, fit_flexible, follow
+from jointid.diagnostics.model_free import SHORTEST
 from jointid.estimation.identify_record import identify_record
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit, grid_starts
 from jointid.estimation.problems.prescribed import motion_problem
 from jointid.models.controllers import numbers_of
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
+from jointid.records.checks import find_encoder_step
+from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
+from jointid.simulation.closed_loop import simulate
+from jointid.simulation.loop_input import prepare
 from jointid.simulation.prescribed import DriveSide
+from jointid.uncertainty.verdict import Reason
 
 _TIMES = (0.1, 0.125, 0.2, 0.25, 0.5, 2.0, 4.0, 5.0, 8.0, 10.0)  # times the sample time: rates that drives log at
 _BY_TIME = 0.6  # of the declared error: a sample time that is wrong by a factor spoils all of a fit
-_FLEXIBLE = 2.0  # times: what a mode takes away; of a friction that no model has its parameters take a third at most
+_FLEXIBLE = 2.0  # times: reduction of the residual by a mode; its parameters absorb a third of an unmodelled friction
+_IMMOVABLE = 1e20  # kg or kg m2
+_FEW_STEPS = 20.0  # of an encoder, in all: fewer are no motion to a controller that sees them
+_AS_AT_REST = 0.15  # of the torque's scatter: so little is left where it is that of an axis at rest
+_SAME_SIZE = 0.25  # so near to 1 is then its size
+_LOST = 0.3  # of the torque, that is no response to the reference
+_AS_LARGE = 0.5  # of what the reference would make at rest: axes that move make a sixth of it at most
+_REMEDY = "record a larger or faster motion"
+_LEAST = 1.0  # s of motion: a shorter record is not relied on
+_BACK = 0.05  # of all the way: who goes back less moves one way only
 
 
-def _turn_torque(declared: Hypothesis) -> Iterator[Hypothesis]:
+def _invert_torque(declared: Hypothesis) -> Iterator[Hypothesis]:
     torque = declared.record.torque
     assert torque is not None
-    turned = {"torque": replace(torque, values=-torque.values)}
-    yield replace(declared, record=declared.record.with_channels(turned))
+    inverted = {"torque": replace(torque, values=-torque.values)}
+    yield replace(declared, record=declared.record.with_channels(inverted))
 
 
 REFERENCE_SIGN = Fault("reference_sign", "sign of the reference")
 
 
 def _explain_sign(*_: object) -> Iterator[Meaning]:
-    """Yield both signs: turned round, they differ only in the sign of the joint's position."""
     yield TORQUE_SIGN, "the torque has the wrong sign", None
     yield REFERENCE_SIGN, "the reference has the wrong sign", None
 
 
-TORQUE_SIGN = Fault("torque_sign", "sign of the torque", correct=_turn_torque, meanings=_explain_sign)
+TORQUE_SIGN = Fault("torque_sign", "sign of the torque", correct=_invert_torque, meanings=_explain_sign)
 
 
 def _swap_channels(declared: Hypothesis) -> Iterator[Hypothesis]:
@@ -99,10 +124,10 @@ SAMPLE_TIME = Fault(
 
 
 def _judge_motion(declared: Hypothesis, best: Fit | None, _: float) -> tuple[float | None, float] | None:
-    """Return what is left if the reference is the motor's position; None where that cannot be.
+    """Return the residual if the reference is the motor's position; None if it cannot be.
 
-    A flexible joint's motion is prescribed then, and what it does at rest is not compared; what is left is brought to
-    the measure of the other causes by what the best of them leaves in both.
+    The motion of a flexible joint is prescribed then, and not compared at rest. Its residual is scaled to that of the
+    other causes by the residuals of the best of them under both measures.
     """
     record, joint, settings = declared.record, declared.loops[0].joint, DriveSideFit()
     assert record.torque is not None
@@ -135,7 +160,7 @@ REFERENCE_IS_POSITION = Fault(
 def _judge_mode(declared: Hypothesis, _: Fit | None, least: float) -> tuple[float | None, float] | None:
     """Return the mode that explains a record of a rigid joint clearly better than any other cause; else None.
 
-    Its further parameters make up for a part of other causes, so as good as they is not enough.
+    The additional parameters absorb a part of other causes, so an equal residual is not enough.
     """
     rigid = declared.loops[0].joint
     if not isinstance(rigid, RigidJoint):
@@ -157,5 +182,142 @@ FLEXIBLE = Fault(
     "flexible", "flexible joint", judge=_judge_mode,
     clause='the joint is flexible (model = "flexible"), with a mode near {value} Hz',
 )  # fmt: skip
+
+# Records with too little motion
+
+
+def find_plain_cause(record: Record) -> Message | None:
+    """Return a cause visible in the samples of torque and reference; None without one.
+
+    Args:
+        record: with torque and reference.
+    """
+    assert record.reference is not None
+    if record.injected is not None:  # that moves the joint, too
+        return None
+    return _check_length(record.reference, SHORTEST, "to tell what is wrong") or find_steps(record)
+
+
+def find_too_short(record: Record) -> Message | None:
+    """Return the message of a record that is too short for reliable values; None if it is long enough.
+
+    Without a reversal a constant force replaces the Coulomb friction, and a short motion has few rows for many
+    parameters.
+    """
+    if record.reference is None or record.injected is not None:
+        return None
+    return _check_length(record.reference, _LEAST, "to rely on")
+
+
+def _check_length(reference: Channel, needed: float, what_for: str) -> Message | None:
+    change = np.diff(reference.values)
+    (moving,) = np.nonzero(change)
+    seconds = reference.sample_time * (change.size + 1 - moving[0]) if moving.size else 0.0
+    there, back = float(np.sum(change[change > 0])), float(-np.sum(change[change < 0]))
+    both_ways = min(there, back) > _BACK * max(there, back)
+    if both_ways and seconds >= needed:
+        return None
+    if seconds >= needed:
+        clause = f"the record has motion one way only, which is too little {what_for}; there and back would do"
+    else:
+        lasts = f"it has {number(seconds, 2)} s of motion{'' if both_ways else ', one way only'}"
+        clause = f"the record is too short {what_for}: {lasts}; {SHORTEST:g} s or more, both ways, would do"
+    return Message(Reason.RECORD_TOO_SHORT, clause, {"seconds": seconds, "needed": SHORTEST}, clause)
+
+
+def find_standstill(record: Record, loop: ClosedLoop) -> Message | None:
+    """Return the message of an axis that hardly moves, by its motor's position or its torque; else None.
+
+    Args:
+        record: with torque and reference.
+        loop: as declared; the torque shows a standstill only if the law is right.
+    """
+    if record.injected is not None:  # that moves the joint, too
+        return None
+    return _check_motor(record) or _check_torque(record, loop)
+
+
+def find_lost_motion(record: Record, loop: ClosedLoop, unexplained: float) -> Message | None:
+    """Return the message of a motion that is too small beside the disturbances of the axis; else None.
+
+    Args:
+        record: with torque and reference.
+        loop: as declared.
+        unexplained: share of the torque that is no response to the reference.
+    """
+    both = None if record.injected is not None else _torque_at_rest(record, loop, integral=False)
+    if both is None or unexplained < _LOST or np.std(both[0]) < _AS_LARGE * np.std(both[1]):
+        return None
+    return _state_standstill(
+        f"the reference travels {_travel(record)} in all, and {number(100 * unexplained, 2)} % of the torque is no "
+        "response to it"
+    )
+
+
+def _check_motor(record: Record) -> Message | None:
+    motor = record.motor_position
+    if motor is None:
+        return None
+    # Beside the reference its travel would say nothing: that may be in other units, or another channel.
+    moved, step = float(np.ptp(motor.values)), find_encoder_step(motor)
+    steps = moved / step if step else 0.0
+    if steps > _FEW_STEPS or (moved and not step):
+        return None
+    counted = f", {steps:.0f} steps of its encoder," if steps else ""
+    return _state_standstill(
+        f"the motor moves by {number(moved, 2)} {motor.unit}{counted} where {_travel(record)} are asked"
+    )
+
+
+def _check_torque(record: Record, loop: ClosedLoop) -> Message | None:
+    both = _torque_at_rest(record, loop)
+    if both is None:
+        return None
+    torque, at_rest = both
+    size = float(np.linalg.norm(torque - torque.mean()))
+    # Where the motor stands is not known, and an integral sums that up.
+    columns = np.column_stack([at_rest, np.ones(torque.size), np.linspace(0.0, 1.0, torque.size)])
+    share = np.linalg.lstsq(columns, torque, rcond=None)[0]
+    left = float(np.linalg.norm(torque - columns @ share))
+    if not (left < _AS_AT_REST * size and abs(share[0] - 1.0) < _SAME_SIZE):
+        return None
+    moved = max(abs(float(share[0]) - 1.0), left / size)
+    words = (
+        f"with the motor at rest the controller would make all of this torque but {number(100 * left / size, 2)} %, "
+    )
+    words += f"so that it moves {number(100 * moved, 2)} % at most of the {_travel(record)} that are asked"
+    return _state_standstill(words)
+
+
+def _torque_at_rest(record: Record, loop: ClosedLoop, *, integral: bool = True) -> tuple[FloatArray, FloatArray] | None:
+    """Return the torque, and the simulated one with the motor at rest, (samples,) each; None if that fails.
+
+    Without `integral` the law has none: at rest it grows without bound.
+    """
+    law: Any = loop.controller
+    law = law if integral or not getattr(law, "integral_gain", 0.0) else replace(law, integral_gain=0.0)
+    joint = loop.joint.rigid if isinstance(loop.joint, FlexibleJoint) else loop.joint
+    still = ClosedLoop(joint, law)
+    values = dict.fromkeys((p.name for p in joint.parameters), 0.0) | {"inertia": _IMMOVABLE}
+    try:
+        with np.errstate(all="ignore"):
+            at_rest = simulate(still, prepare(still, record), values).torque
+    except JointidError:
+        return None
+    assert record.torque is not None
+    count = min(at_rest.size, record.torque.values.size)
+    torque, at_rest = record.torque.values[:count], at_rest[:count]
+    return (torque, at_rest) if np.all(np.isfinite(at_rest)) and np.ptp(torque) and np.ptp(at_rest) else None
+
+
+def _travel(record: Record) -> str:
+    assert record.reference is not None
+    return f"{number(float(np.ptp(record.reference.values)), 2)} {record.reference.unit}"
+
+
+def _state_standstill(words: str) -> Message:
+    clause = f"the axis hardly moves: {words}; {_REMEDY}"
+    return Message(Reason.HARDLY_MOVES, clause, {}, clause)
+
 
 FAULTS = (TORQUE_SIGN, REFERENCE_SIGN, SWAPPED_CHANNELS, SAMPLE_TIME, REFERENCE_IS_POSITION, FLEXIBLE)

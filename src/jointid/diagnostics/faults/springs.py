@@ -24,7 +24,7 @@ _WORTH_A_SEARCH = 1.5  # deviations of a load that swings as tried
 
 
 def _largest_windup(joint: FlexibleJoint, run: Simulation, values: Mapping[str, float]) -> float:
-    """Return the largest wind-up of a linear spring; 0 where no other law can be tried."""
+    """Return the largest wind-up of a linear spring; 0 if no other law can replace it."""
     assert run.load_position is not None
     windup = float(np.max(np.abs(run.motor_position - run.load_position)))
     possible = joint.spring.linear and values["stiffness"] > 0.0 and values["load_inertia"] > 0.0
@@ -32,7 +32,7 @@ def _largest_windup(joint: FlexibleJoint, run: Simulation, values: Mapping[str, 
 
 
 def _try_cubic(joint: FlexibleJoint, run: Simulation, values: Mapping[str, float]) -> Iterator[Trial]:
-    """Yield springs that are stiffer at the largest wind-up than near none, smoothly or in pieces."""
+    """Yield springs that are stiffer at the largest wind-up than near zero."""
     windup = _largest_windup(joint, run, values)
     for law in springs_beside(joint):
         if windup and isinstance(law, CubicSpring | ThreePieceSpring):
@@ -57,7 +57,6 @@ CUBIC_SPRING = Fault(
 
 
 def _try_backlash(joint: FlexibleJoint, run: Simulation, values: Mapping[str, float]) -> Iterator[Trial]:
-    """Yield springs that push only behind a gap; the size says how many gaps of a width that is tried."""
     windup = _largest_windup(joint, run, values)
     for law in springs_beside(joint):
         if windup and isinstance(law, Backlash):
@@ -74,7 +73,7 @@ BACKLASH = Fault(
 
 
 def _try_second_mode(joint: FlexibleJoint, run: Simulation, values: Mapping[str, float]) -> Iterator[Trial]:
-    """Yield joints of which a share of the load swings on a spring of its own, at a few times the first mode."""
+    """Yield joints with an elastic load, at a few multiples of the first mode."""
     for law in springs_beside(joint):
         if _largest_windup(joint, run, values) and isinstance(law, ElasticLoad):
             first = joint.frequencies(values)["free_free"]
@@ -84,10 +83,9 @@ def _try_second_mode(joint: FlexibleJoint, run: Simulation, values: Mapping[str,
 
 
 def _search_second_mode(problem: ClosedLoopProblem, x: FloatArray, hint: Hint) -> list[FaultSignature]:
-    """Return the signatures of a load that swings, where searches for it end at one.
+    """Return the signatures of an elastic load by short searches from three of the modes.
 
-    The modes that are tried are few, and what swings moves all the rest: from three of them a search of some steps
-    finds what a small part of it shows.
+    The tried modes are few, and an elastic load changes all other parameters.
     """
     test = hint.test
     if test is None or test.p_value <= hint.level or test.strength < _WORTH_A_SEARCH:

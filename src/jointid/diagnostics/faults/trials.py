@@ -1,9 +1,8 @@
 """Trials of faults of a flexible joint's mechanics.
 
-The signature of such a fault is the change of the torque where the joint has it, as large as a search for it begins
-with, per unit of its size. A fault that large moves the motion by more than its first order, and is partly made up for
-by the joint's parameters: a joint of one mode, as stiff as both springs of one that has two, leaves of the second mode
-what no derivative at it shows. So each is simulated as it is, beside the same joint without it.
+The signature of such a fault is the change of the torque per unit of its size, at the size of a start. A fault that
+large has effects of higher order, and the joint's parameters absorb a part of it: a derivative does not show the second
+mode beside a joint of one mode. So each fault is simulated, beside the same joint without it.
 """
 
 from __future__ import annotations
@@ -25,15 +24,15 @@ from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.simulated import require_success
 
 _WILD = 10.0  # times the torque: a loop that is unstable with a fault so large is not that of the record
-_ROUGHLY, _FEW = 1e-4, 20  # tolerance and evaluations of a search that only has to show whether there is something
+_ROUGHLY, _FEW = 1e-4, 20  # tolerance and evaluations of a search that only has to show an effect
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """A fault of some size: the joint that has it, and its values where they are others than without it.
+    """A fault of a given size: the joint with it, and the values that differ from those without it.
 
-    `shape` tells a trial from the others of that fault. No law of friction beyond lines has numbers of its own for each
-    direction: beside such lines a fault of it is tried with the means of both, which are `without` it.
+    `shape` distinguishes the trials of one fault. Nonlinear friction laws have no numbers for each direction: beside a
+    friction with them, the fault is tried with the means of both directions, which are `without` it.
     """
 
     fault: Fault
@@ -50,7 +49,7 @@ class FaultFit:
 
     Attributes:
         values: of its parameters, by name.
-        change: (samples,) of the torque, by the fault and by what the other parameters become with it.
+        change: (samples,) of the torque, by the fault and the other parameters.
         left: norm of the residual.
     """
 
@@ -86,7 +85,7 @@ def vary_mechanics(problem: ClosedLoopProblem, x: FloatArray, faults: Iterable[F
 
 
 def solve_with_fault(problem: ClosedLoopProblem, x: FloatArray, fault: Fault) -> FaultFit | None:
-    """Return the joint with a fault, identified from all that was tried of it; None where no search for it ends better.
+    """Identify the joint with a fault, from all trials of it; None if no residual is smaller.
 
     Args:
         problem: of the joint without it, solved.
@@ -100,7 +99,7 @@ def solve_with_fault(problem: ClosedLoopProblem, x: FloatArray, fault: Fault) ->
 
 
 def search(problem: ClosedLoopProblem, x: FloatArray, trial: Trial) -> FaultFit | None:
-    """Return where a search of some steps from a trial ends; None where it fails."""
+    """Identify the joint with a fault by a short search from a trial; None if it fails."""
     other = with_joint(problem, trial.joint)
     rough = replace(least_squares(other, _ROUGHLY), evaluations=_FEW)
     try:
@@ -112,7 +111,7 @@ def search(problem: ClosedLoopProblem, x: FloatArray, trial: Trial) -> FaultFit 
 
 
 def with_joint(problem: ClosedLoopProblem, joint: FlexibleJoint) -> ClosedLoopProblem:
-    """Return the problem of a joint with another law: what both have is as it was, what it adds is free."""
+    """Return the problem of a joint with another law, whose additional parameters are free."""
     given = {p.name: p for p in problem.parameters}
     own = tuple(given.get(p.name, p) for p in joint.parameters)
     beside = problem.parameters[len(problem.joint.parameters) :]
@@ -120,7 +119,7 @@ def with_joint(problem: ClosedLoopProblem, joint: FlexibleJoint) -> ClosedLoopPr
 
 
 def list_trials(problem: ClosedLoopProblem, x: FloatArray, fault: Fault) -> list[Trial]:
-    """Return the trials of a fault that change no parameter which the user holds."""
+    """Return the trials of a fault that change no fixed parameter."""
     joint, run, values = problem.joint, problem.simulate(x), problem.values(x)
     if not isinstance(joint, FlexibleJoint) or fault.try_mechanics is None:
         return []

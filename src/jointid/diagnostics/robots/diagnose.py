@@ -18,7 +18,7 @@ import numpy as np
 from jointid.common.document import Block, Document, Documented, Heading, Listing, Paragraph, Table
 from jointid.common.errors import JointidError
 from jointid.common.text import join, number
-from jointid.diagnostics.law_on_position import LawOnPosition, compare_law
+from jointid.diagnostics.model_free import LawOnPosition, compare_law
 from jointid.diagnostics.robots.parameters import ParameterOfJoint, Told, parameters_by_joint
 from jointid.diagnostics.robots.torques import RobotTorques, torques_of
 from jointid.estimation.robots.idim import RobotEstimate

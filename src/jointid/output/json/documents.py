@@ -114,7 +114,7 @@ SHAPES: Mapping[str, Shape] = {
     ),
     "PredictedTest": keys("name values std units covariance.correlation"),
     "Examination": document(
-        "jointid.examination/1", "record healthy sentence logged transmission questions=looked parameters changes"
+        "jointid.examination/1", "record healthy sentence logged transmission questions=answers parameters changes"
     ),
     "Determined": keys("name symbol unit two_sigma_percent=percent known=remark"),
     "LoopCheck": document("jointid.loop/1", "as_declared level sentences reasons findings undecided suspects=tests"),

@@ -1,0 +1,191 @@
+"""Shares of the torque that are explained without a model of the joint.
+
+`find_unexplained_share` fits free linear responses. A linear loop answers its reference linearly, and Coulomb friction
+is one more input of it, the sign of the velocity. So the torque is fitted by responses, as long as a loop remembers, to
+acceleration, velocity and direction of the reference, and to a declared injected signal. The residual is about that of
+the right controller and joint: a cause with a clearly larger residual does not explain everything.
+
+`compare_law` compares the logged torque with the torque of the declared controller for the logged motor position. So
+law, delay and the gain of the log are tested before a joint is identified.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from jointid.common.arrays import FloatArray
+from jointid.common.errors import JointidError
+from jointid.estimation.problems.closed_loop import ClosedLoopProblem
+from jointid.models.controllers import INJECTED, POSITION, respond, run
+from jointid.models.joints import ClosedLoop
+from jointid.records.record import Record
+from jointid.records.resampling import at_period
+from jointid.simulation.loop_input import LoopInput, prepare, to_log
+
+MEMORY = 0.3
+"""Seconds that a loop remembers."""
+SHORTEST = 2.0
+"""Seconds of a record: a shorter one, less its borders, has fewer than two samples for each number of the responses."""
+_STANDS = 1e-9  # of the greatest velocity
+_RIDGE = 1e-10  # of a column's square: responses between samples of a filtered signal are nearly the same
+_LATEST = 8.0  # samples: the largest delay, either way, of the torque
+_PARTS = 4  # of a sample: the steps of the delay
+_BORDER = 20  # samples at each end that are not compared
+_BETTER = 0.8  # of the residual: a delay must reduce it to this
+_LAGS = 8  # samples of reference and position in a free law
+
+
+def find_unexplained_share(problem: ClosedLoopProblem, reference: FloatArray, memory: float = MEMORY) -> float:
+    """Return the share of the torque that is no linear response to the reference or an injected signal.
+
+    Args:
+        problem: with the torque and its filter.
+        reference: (samples,) in m or rad, over the same time.
+        memory: length of the responses, s.
+    """
+    torque = problem.filtered(problem.measured)
+    if reference.size != problem.measured.size:  # logged at a rate of its own
+        at = np.arange(problem.measured.size) * (reference.size / problem.measured.size)
+        reference = np.interp(at, np.arange(reference.size), reference)
+    velocity = np.gradient(reference)
+    moving = np.abs(velocity) > _STANDS * np.max(np.abs(velocity))
+    inputs = [np.gradient(velocity), velocity, np.sign(np.where(moving, velocity, 0.0))]
+    if problem.experiment.injected:
+        experiment = problem.experiment
+        inputs.append(to_log(experiment, experiment.inputs[:, INJECTED] + experiment.after_limit))
+    count, seen = len(inputs), problem.filtered(np.column_stack(inputs))
+    lags = min(math.ceil(memory / (problem.sample_time * reference.size / torque.size)), torque.size)
+    rows, width = torque.size, count * lags + 1
+    if rows < 2 * width:
+        return 0.0
+    products = np.empty((width, width))
+    projected = np.empty(width)
+    blocks = [slice(k * lags, (k + 1) * lags) for k in range(count)]
+    for one, here in zip(seen.T, blocks, strict=True):
+        for other, there in zip(seen.T, blocks, strict=True):
+            products[here, there] = _multiply_later(one, other, lags)
+        products[here, -1] = products[-1, here] = np.cumsum(one)[rows - lags :][::-1]
+        projected[here] = [torque[late:] @ one[: rows - late] for late in range(lags)]
+    products[-1, -1], projected[-1] = rows, np.sum(torque)
+    sizes = np.sqrt(np.diag(products))
+    sizes[sizes == 0.0] = 1.0
+    products, projected = products / np.outer(sizes, sizes), projected / sizes
+    weights = np.linalg.solve(products + _RIDGE * np.eye(width), projected)
+    square = float(torque @ torque)
+    left = max(square - 2 * float(weights @ projected) + float(weights @ products @ weights), 0.0)
+    return math.sqrt(left / square) * math.sqrt(rows / (rows - width))
+
+
+def _multiply_later(one: FloatArray, other: FloatArray, lags: int) -> FloatArray:
+    """Return the products, (lags, lags), of two signals, each later by 0, 1, ... samples and zero before.
+
+    One sample later, both have lost their last one: that is the next diagonal entry, so no column is written out.
+    """
+    rows = one.size
+    found = np.empty((lags, lags))
+    found[0] = [one[late:] @ other[: rows - late] for late in range(lags)]
+    found[:, 0] = [other[late:] @ one[: rows - late] for late in range(lags)]
+    last, others = one[::-1], other[::-1]
+    for late in range(lags - 1):
+        found[late + 1, 1:] = found[late, :-1] - last[late] * others[: lags - 1]
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class LawOnPosition:
+    """Logged torque beside the torque of the declared law for the logged motor position.
+
+    Attributes:
+        left: residual as a share of the torque about its mean.
+        gain: factor on the law's torque.
+        late: delay of the logged torque in addition to the declared one, s; 0 if no shift explains clearly more.
+        left_in_time: residual share with that delay corrected.
+        noise: residual share of a free linear law of the last samples of reference and position, which is noise.
+    """
+
+    left: float
+    gain: float
+    late: float
+    left_in_time: float
+    noise: float
+
+
+def compare_law(record: Record, loop: ClosedLoop) -> LawOnPosition | None:
+    """Compare the logged torque with that of the law for the motor's position; None without a position.
+
+    The initial value of the integral and a constant torque are free. The position between two samples of the log is
+    interpolated linearly.
+    """
+    torque = record.torque
+    if record.motor_position is None or record.reference is None or torque is None:
+        return None
+    try:
+        made = _simulate_law(record, prepare(loop, record))
+    except JointidError:
+        return None
+    count = min(torque.values.size, len(made))
+    logged, made = torque.values[:count], made[:count]
+    if count < 4 * _BORDER or not np.all(np.isfinite(made)) or np.ptp(logged) == 0 or np.ptp(made[:, 0]) == 0:
+        return None
+    shifts = np.arange(-_LATEST * _PARTS, _LATEST * _PARTS + 1) / _PARTS
+    at = np.arange(count)
+    inside = slice(_BORDER, count - _BORDER)
+    fits = []
+    for shift in shifts:
+        later = np.column_stack([np.interp(at - shift, at, one) for one in made.T])[inside]
+        rest, weights = _regress(logged[inside], np.column_stack([later, np.ones(len(later))]))
+        fits.append((rest, float(weights[0])))
+    left, gain = fits[int(np.argmin(np.abs(shifts)))]
+    best = int(np.argmin([one[0] for one in fits]))
+    noise = _regress_on_past(record, logged)
+    late = _interpolate_minimum(shifts, np.array([one[0] ** 2 for one in fits]), best) * torque.sample_time
+    if fits[best][0] > _BETTER * left:
+        return LawOnPosition(left, gain, 0.0, left, noise)
+    return LawOnPosition(left, fits[best][1], late, fits[best][0], noise)
+
+
+def _simulate_law(record: Record, experiment: LoopInput) -> FloatArray:
+    """Return the logged torque of the law and, where it has one, of a unit integral, (samples, columns)."""
+    law, channel = experiment.law, record.motor_position
+    assert channel is not None
+    inputs = experiment.inputs.copy()
+    inputs[:, POSITION] = at_period(channel, law.period, experiment.periods, "motor_position")
+    start = law.known_memory(inputs) + law.memory(POSITION, float(inputs[0, POSITION]), 0.0)
+    output = run(law, inputs, start).tapped + experiment.shown
+    integral, columns = law.integral(), [output]
+    if integral is not None:
+        columns.append(respond(law, np.zeros_like(inputs), integral)[:, law.output])
+    return to_log(experiment, np.column_stack(columns))
+
+
+def _regress_on_past(record: Record, logged: FloatArray) -> float:
+    """Return the residual share of a torque regressed on the last samples of reference and position."""
+    time = np.arange(logged.size) * record.torque.sample_time if record.torque is not None else np.arange(0.0)
+    seen = {name: np.interp(time, one.time, one.values) for name, one in record.items()}
+    r, q = seen["reference"], seen["motor_position"]
+    columns = [np.cumsum(r - q), np.ones(r.size)]
+    for signal in (r - q, np.gradient(q), *(seen[n] for n in ("reference_velocity", "injected") if n in seen)):
+        columns += [np.concatenate([np.full(lag, signal[0]), signal[: signal.size - lag]]) for lag in range(_LAGS)]
+    return _regress(logged, np.column_stack(columns))[0]
+
+
+def _regress(seen: FloatArray, columns: FloatArray) -> tuple[float, FloatArray]:
+    """Return the residual share of a signal about its mean, and the weights of the columns."""
+    size = np.linalg.norm(columns, axis=0)
+    size[size == 0.0] = 1.0
+    weights = np.linalg.lstsq(columns / size, seen, rcond=None)[0]
+    rest, whole = float(np.linalg.norm(seen - (columns / size) @ weights)), float(np.linalg.norm(seen - seen.mean()))
+    return rest / whole if whole else math.inf, weights / size
+
+
+def _interpolate_minimum(at: FloatArray, values: FloatArray, best: int) -> float:
+    """Return the minimum of the parabola through the least value and its neighbours."""
+    if not 0 < best < at.size - 1:
+        return float(at[best])
+    before, here, after = values[best - 1 : best + 2]
+    bend = before - 2 * here + after
+    moved = 0.5 * (before - after) / bend if bend > 0 else 0.0
+    return float(at[best] + moved * (at[1] - at[0]))
