@@ -31,7 +31,6 @@ from jointid.diagnostics.law_comparison import (
 from jointid.diagnostics.method_comparison import MethodComparison, compare_methods
 from jointid.estimation.descent import History, Solved, free_more, least_squares
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.flexible import FlexibleDIDIM, stopping_tolerance
 from jointid.estimation.methods.registry import Task
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.starts.nonlinear_laws import from_linear_laws
@@ -55,7 +54,7 @@ def compare(
     *,
     filtering: Filtering | None = ...,
     parameters: Mapping[str, Parameter] | None = ...,
-    didim: DIDIM | FlexibleDIDIM | None = ...,
+    didim: DIDIM | None = ...,
     progress: Progress = ...,
 ) -> LawComparison: ...
 
@@ -68,7 +67,7 @@ def compare(
     *,
     filtering: Filtering | None = ...,
     parameters: Mapping[str, Parameter] | None = ...,
-    didim: DIDIM | FlexibleDIDIM | None = ...,
+    didim: DIDIM | None = ...,
     progress: Progress = ...,
 ) -> MethodComparison: ...
 
@@ -80,7 +79,7 @@ def compare(
     *,
     filtering: Filtering | None = None,
     parameters: Mapping[str, Parameter] | None = None,
-    didim: DIDIM | FlexibleDIDIM | None = None,
+    didim: DIDIM | None = None,
     level: float = LEVEL,
     progress: Progress = ignore_progress,
 ) -> MethodComparison | LawComparison | EstimateComparison:
@@ -109,7 +108,7 @@ def compare(
     Example:
         >>> import jointid as ji
         >>> axis = ji.twin(noise="white")
-        >>> found = ji.compare(axis.record, axis.loop, "springs", didim=ji.FlexibleDIDIM(frequency=30.0))
+        >>> found = ji.compare(axis.record, axis.loop, "springs", didim=ji.DIDIM(frequency=30.0))
         >>> found.shown.name
         'linear'
     """
@@ -137,20 +136,20 @@ def _compare_laws(
     among: Literal["springs", "frictions"],
     filtering: Filtering | None,
     parameters: Mapping[str, Parameter] | None,
-    didim: DIDIM | FlexibleDIDIM | None,
+    didim: DIDIM | None,
     progress: Progress,
 ) -> LawComparison:
     """Identify a joint with every law of its spring or friction."""
     settings = _check(loop.joint, among, didim)
     check_record(record)
-    tolerance = stopping_tolerance(settings) if isinstance(settings, FlexibleDIDIM) else settings.tolerance
+    tolerance = settings.stopping_tolerance(loop.joint.model)
     joint, kind, simple = loop.joint, among.removesuffix("s"), _SIMPLE[among]
     history, given, chosen = History(progress), dict(parameters or {}), filtering or Filtering()
     adjust_parameters(joint.parameters, given)  # which refuses names that it does not have
     plain = _with_law(loop, kind, simple)
     own = adjust_parameters(plain.joint.parameters, _of_law(given, joint, plain.joint))
     parts_of(torque_problem(record, plain, chosen, own), among)  # before the search, which takes its time
-    solved = _solve(settings, Task(record, plain.joint, plain, own, chosen, progress), history)
+    solved = settings.solve(Task(record, plain.joint, plain, own, chosen, progress), history)
     if settings.free:
         solved = free_more(solved, settings.free, tolerance, history)
     parts = parts_of(solved.problem, among)
@@ -186,7 +185,7 @@ _SIMPLE: Mapping[str, Spring | Friction] = {"springs": LinearSpring(), "friction
 """The law that is always identified, from which the others begin."""
 
 
-def _check(joint: Joint, among: str, didim: DIDIM | FlexibleDIDIM | None) -> DIDIM | FlexibleDIDIM:
+def _check(joint: Joint, among: str, didim: DIDIM | None) -> DIDIM:
     """Return the settings of DIDIM.
 
     Raises:
@@ -194,8 +193,9 @@ def _check(joint: Joint, among: str, didim: DIDIM | FlexibleDIDIM | None) -> DID
     """
     if among == "springs" and not isinstance(joint, FlexibleJoint):
         raise MethodError('Only a flexible joint has a spring; received a rigid one: set joint.model = "flexible".')
-    settings = didim or (FlexibleDIDIM() if isinstance(joint, FlexibleJoint) else DIDIM())
-    if isinstance(settings, FlexibleDIDIM) and settings.minimiser != "least-squares":
+    settings = didim or DIDIM()
+    settings.require_settings_of(joint.model)
+    if settings.minimiser != "least-squares":
         raise MethodError(
             f"{among.capitalize()} are compared by least squares; received the minimiser {settings.minimiser}."
         )
@@ -246,11 +246,6 @@ def _of_law(given: Mapping[str, Parameter], declared: Joint, joint: Joint) -> di
     if isinstance(declared, FlexibleJoint) and isinstance(joint, FlexibleJoint) and declared.spring != joint.spring:
         meant -= {p.name for p in (*declared.spring.parameters, *joint.spring.parameters)} - {"damping"}
     return {name: change for name, change in given.items() if name in meant}
-
-
-def _solve(settings: DIDIM | FlexibleDIDIM, task: Task, history: History) -> Solved:
-    """Return where the search of a method ends."""
-    return settings.solve(task, history)[0] if isinstance(settings, FlexibleDIDIM) else settings.solve(task, history)
 
 
 def _rigid(solved: Solved, record: Record, loop: ClosedLoop, tolerance: float, history: History) -> Solved:
