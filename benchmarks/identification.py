@@ -22,7 +22,7 @@ from benchmarks.startup import HERE, emps
 from jointid.config import load
 from jointid.diagnostics.identify import identify
 from jointid.estimation.descent import least_squares as least_squares_of
-from jointid.estimation.methods.flexible import FlexibleDIDIM, stopping_tolerance
+from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.paper.twin import Twin, twin
@@ -37,7 +37,7 @@ FACTOR = 3.0
 FILTERING = Filtering(cutoff=60.0)
 """Twice the resonance, as in the paper."""
 
-_PAPER = FlexibleDIDIM.paper()
+_PAPER = DIDIM.paper("flexible")
 _EVALUATIONS = 60  # of least squares, derivatives by differences not counted; what `refined` allows itself
 
 _TIMES = 3  # that the verb is run: there is no start to vary
@@ -60,13 +60,13 @@ def starts_of(problem: ClosedLoopProblem, truth: dict[str, float], count: int) -
 
 def exact(problem: ClosedLoopProblem, start: Array) -> tuple[Array, int]:
     """Least squares with exact derivatives; a simulation with them counts as one."""
-    end = solve(problem, least_squares_of(problem, stopping_tolerance(FlexibleDIDIM())), start)
+    end = solve(problem, least_squares_of(problem, DIDIM().stopping_tolerance("flexible")), start)
     return end.x, end.evaluations
 
 
 def differences(problem: ClosedLoopProblem, start: Array) -> tuple[Array, int]:
     """SciPy's least squares as most use it: the same bounds, scaling and tolerance, derivatives by differences."""
-    counted, tolerance, size = Counted(problem), stopping_tolerance(FlexibleDIDIM()), problem.size
+    counted, tolerance, size = Counted(problem), DIDIM().stopping_tolerance("flexible"), problem.size
     unit = np.abs(start)
     lower, upper = (np.array([getattr(p, side) for p in problem.free]) / unit for side in ("lower", "upper"))
 
@@ -82,7 +82,7 @@ def differences(problem: ClosedLoopProblem, start: Array) -> tuple[Array, int]:
 
 def simplex(problem: ClosedLoopProblem, start: Array) -> tuple[Array, int]:
     """Nelder and Mead by the rules of ``fminsearch``, with the paper's settings and its one restart."""
-    simplex = NelderMead(stopping_tolerance(_PAPER), _PAPER.simulations, _PAPER.restarts, size=problem.size)
+    simplex = NelderMead(_PAPER.stopping_tolerance("flexible"), _PAPER.simulations, _PAPER.restarts, size=problem.size)
     end = solve(problem, simplex, start)
     return end.x, end.evaluations
 

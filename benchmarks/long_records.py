@@ -78,7 +78,7 @@ def identify(path: Path, window: float) -> None:
     channels = {"torque": "torque", "reference": "reference", "injected": "injected"}
     log = ji.Log(path, channels, {"sample_time": PERIOD})
     small = next(log.chunks(20_000, 0)).record
-    method = ji.FlexibleDIDIM(frequency=30.0)
+    method = ji.DIDIM(frequency=30.0)
     ji.identify(small, LOOP, method, windows=ji.Windowing(length=8.0))  # compiles, or loads what is
     before = peak()
     begun = time.perf_counter()

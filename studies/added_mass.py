@@ -11,7 +11,7 @@ import numpy as np
 
 from jointid.diagnostics.identify import identify
 from jointid.estimation.identify_several import SOLVER, by_itself, whitened
-from jointid.estimation.methods.flexible import FlexibleDIDIM
+from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.problems.several_records import SeveralRecords, several
@@ -27,7 +27,7 @@ Noise = Literal["disturbance", "white", "none"]
 KILOGRAMS = 10.0
 GAIN = 1.03
 FRICTION = ("motor_viscous", "motor_coulomb", "load_viscous", "load_coulomb")
-QUICK = FlexibleDIDIM(frequency=30.0)
+QUICK = DIDIM(frequency=30.0)
 
 
 @cache

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from jointid.estimation.descent import descend
-from jointid.estimation.methods.flexible import inverse_model_covariance
+from jointid.estimation.methods.didim import inverse_model_covariance
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.paper.twin import twin
 from jointid.records.signals.filtering import Filtering

@@ -19,7 +19,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.text import align, number
 from jointid.diagnostics.identify import identify
-from jointid.estimation.methods.flexible import FlexibleDIDIM
+from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.joints import ClosedLoop, FlexibleJoint
 from jointid.paper.twin import CONTROLLERS, DURATION, SAMPLE_TIME, TABLE_2
@@ -142,7 +142,7 @@ def _logged(truth: Record, delay: FloatArray, late: Late, remedy: str) -> Record
 
 def _judged(record: Record, late: Late, share: float, remedy: str) -> Jittered:
     loop = ClosedLoop(FlexibleJoint(), CONTROLLERS["L19"])
-    search = FlexibleDIDIM(frequency=30.0)
+    search = DIDIM(frequency=30.0)
     without = record.without("motor_position", "load_position")
     didim = identify(without, loop, search, filtering=Filtering(cutoff=60.0), checks=False)
     idim = identify(record, loop, IDIM(), checks=False)

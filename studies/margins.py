@@ -20,7 +20,7 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.diagnostics.identify import identify
 from jointid.estimation.descent import descend
-from jointid.estimation.methods.flexible import FlexibleDIDIM
+from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Cascade, Controller
@@ -69,7 +69,7 @@ class RandomDrive:
 
     def identified(self, record: Record) -> Estimate:
         """Return what torque and reference say; the search begins at the mode's frequency, which saves time alone."""
-        return identify(record, self.loop, FlexibleDIDIM(frequency=self.mode), checks=False)
+        return identify(record, self.loop, DIDIM(frequency=self.mode), checks=False)
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,11 +28,12 @@ from scipy.spatial.transform import Rotation
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError
+from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.robots.consistent import mass_matrix_at
 from jointid.estimation.robots.didim import RobotFit, identify_rigid_robot
 from jointid.estimation.robots.drive_side import RobotDriveSideProblem, identify_flexible_drive_side
 from jointid.estimation.robots.flexible import identify_flexible_robot
-from jointid.estimation.robots.idim import RobotIDIM, identify_robot
+from jointid.estimation.robots.idim import identify_robot
 from jointid.estimation.robots.torque_estimate import problem_of
 from jointid.models.controllers import PD, PID, Cascade
 from jointid.models.robots.inertial import MassProperties
@@ -310,7 +311,7 @@ def _left(made: Drives, fit: RobotFit) -> float:
 def _with_idim(about: Found, made: Drives, estimator: str) -> Found:
     """Return the answer with IDIM's beside it, from the positions that the drives had."""
     robot = made.loop.robot
-    found = identify_robot(robot, made.records, RobotIDIM(estimator), filtering=Filtering())  # type: ignore[arg-type]
+    found = identify_robot(robot, made.records, IDIM(estimator), filtering=Filtering())  # type: ignore[arg-type]
     z, shares = (found.values - found.base.with_friction(robot)) / found.covariance.std, found.relative_deviations
     return replace(about, idim=tuple(z.tolist()), idim_shares=tuple(shares.tolist()))
 

@@ -16,7 +16,7 @@ NAME = "example-report.html"
 def _write(app: Sphinx, failed: Exception | None) -> None:
     if failed is None and app.builder.format == "html":
         axis = ji.twin("L19")
-        estimate = ji.identify(axis.record, axis.loop, ji.FlexibleDIDIM(frequency=30.0))
+        estimate = ji.identify(axis.record, axis.loop, ji.DIDIM(frequency=30.0))
         estimate.report(axis.record, name="simulated axis").save(Path(app.outdir) / NAME)
 
 

@@ -14,7 +14,6 @@ from .diagnostics.identify import identify
 from .diagnostics.intervals import intervals
 from .diagnostics.validation import Validation, validate
 from .estimation.methods.didim import DIDIM
-from .estimation.methods.flexible import FlexibleDIDIM
 from .estimation.methods.idim import IDIM
 from .estimation.methods.prescribed import DriveSideFit, OpenLoopFit
 from .estimation.problems.log_windows import Windowing
@@ -22,11 +21,9 @@ from .estimation.problems.several_records import SeveralRecords
 from .estimation.result.estimate import Estimate
 from .estimation.robots.consistent import consistent_robot
 from .estimation.robots.drive_gains import identify_drive_gains
-from .estimation.robots.idim import RobotEstimate, RobotIDIM
+from .estimation.robots.idim import RobotEstimate
 from .estimation.robots.payload import identify_payload
 from .estimation.robots.torque_estimate import (
-    RobotDIDIM,
-    RobotDriveSideFit,
     RobotTorqueEstimate,
 )
 from .models.controllers import PD, PID, Cascade, StateSpaceController, filters
@@ -82,7 +79,6 @@ __all__ = [
     "Estimate",
     "ExtraError",
     "Filtering",
-    "FlexibleDIDIM",
     "FlexibleJoint",
     "Gravity",
     "JointFile",
@@ -101,12 +97,9 @@ __all__ = [
     "Report",
     "RigidJoint",
     "Robot",
-    "RobotDIDIM",
     "RobotDriveSide",
-    "RobotDriveSideFit",
     "RobotEstimate",
     "RobotFile",
-    "RobotIDIM",
     "RobotJoint",
     "RobotLoop",
     "RobotReport",

@@ -19,7 +19,6 @@ from jointid.config import (
 )
 from jointid.config.schema import FILTERINGS
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit, OpenLoopFit
 from jointid.estimation.methods.registry import METHODS, MODELS
@@ -97,7 +96,6 @@ def test_every_key_that_is_written_at_its_default_changes_nothing() -> None:
         form = "least-squares"
         start = "inversion"
         scaled_iterations = 2
-        tolerance = 1e-7
         step_tolerance = 1e-7
         iterations = 30
         initial_state = "free"
@@ -135,7 +133,7 @@ def test_the_schema_has_the_objects_own_defaults() -> None:
         "CounterbalanceTable": Counterbalance,
     }
     # A key of both methods has two defaults, and so none in the schema.
-    for name, home in (*homes.items(), ("MethodTable", DIDIM), ("MethodTable", FlexibleDIDIM)):
+    for name, home in (*homes.items(), ("MethodTable", DIDIM)):
         own = {field.name: field.default for field in dataclasses.fields(home)}
         for key, described in table(name).items():
             if "default" in described and (key in own or name in homes):
@@ -227,7 +225,16 @@ def test_all_of_a_file() -> None:
             "load_position": Column("p", optional=True, sample_time=0.002),
             "injected": Column("x", "A", in_torque=False),
         },
-        method=FlexibleDIDIM("nelder-mead", 25.0, 4.0, 1e-3, 500, 0, "inverse-model", ("position_gain", "delay")),
+        method=DIDIM(
+            minimiser="nelder-mead",
+            frequency=25.0,
+            rigid_cutoff=4.0,
+            tolerance=1e-3,
+            simulations=500,
+            restarts=0,
+            statistics="inverse-model",
+            free=("position_gain", "delay"),
+        ),
         controller=PD(
             position_gain=3.0,
             derivative_gain=0.1,
@@ -326,9 +333,9 @@ def test_a_state_space_law() -> None:
         (CHANNELS + CASCADE + '[method]\nname = "idim"\nestimator = "iv"', IDIM("iv")),
         (
             CHANNELS + '[method]\nharmonics = 2\ndrift = "both"',
-            IDIM("ols", (PositionHarmonics(None, 2), Drift("both"))),
+            IDIM(effects=(PositionHarmonics(None, 2), Drift("both"))),
         ),
-        (CHANNELS + "[method]\nharmonics = 1\nperiod = 0.005", IDIM("ols", (PositionHarmonics(0.005),))),
+        (CHANNELS + "[method]\nharmonics = 1\nperiod = 0.005", IDIM(effects=(PositionHarmonics(0.005),))),
         (CHANNELS + CASCADE + '[method]\npreset = "paper"', DIDIM.paper()),
         (CHANNELS + CASCADE + "[method]\niterations = 3", DIDIM(iterations=3)),
     ],
@@ -340,16 +347,16 @@ def test_the_method(text: str, expected: object) -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        (CHANNELS + CASCADE, FlexibleDIDIM()),
-        (BOTH_ENCODERS + CASCADE, FlexibleDIDIM()),  # even though there are both positions
+        (CHANNELS + CASCADE, DIDIM()),
+        (BOTH_ENCODERS + CASCADE, DIDIM()),  # even though there are both positions
         (BOTH_ENCODERS, IDIM()),
         (BOTH_ENCODERS.replace("reference", "injected") + CASCADE, IDIM()),
         (BOTH_ENCODERS + CASCADE + '[method]\nname = "idim"', IDIM()),
-        (CHANNELS + CASCADE + '[method]\nname = "didim"', FlexibleDIDIM()),
-        (CHANNELS + CASCADE + "[method]\ntolerance = 1e-3", FlexibleDIDIM(tolerance=1e-3)),
-        (CHANNELS + CASCADE + '[method]\nname = "didim"\npreset = "paper"', FlexibleDIDIM.paper()),
-        (CHANNELS + CASCADE + '[method]\npreset = "paper"\nfrequency = 42.0', FlexibleDIDIM.paper(42.0)),
-        (CHANNELS + CASCADE + '[method]\nminimiser = "nelder-mead"', FlexibleDIDIM("nelder-mead")),
+        (CHANNELS + CASCADE + '[method]\nname = "didim"', DIDIM()),
+        (CHANNELS + CASCADE + "[method]\ntolerance = 1e-3", DIDIM(tolerance=1e-3)),
+        (CHANNELS + CASCADE + '[method]\nname = "didim"\npreset = "paper"', DIDIM.paper("flexible")),
+        (CHANNELS + CASCADE + '[method]\npreset = "paper"\nfrequency = 42.0', DIDIM.paper("flexible", 42.0)),
+        (CHANNELS + CASCADE + '[method]\nminimiser = "nelder-mead"', DIDIM(minimiser="nelder-mead")),
     ],
 )
 def test_the_method_of_a_flexible_joint(text: str, expected: object) -> None:

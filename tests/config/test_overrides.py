@@ -10,7 +10,6 @@ import pytest
 from jointid.common.errors import JointFileError
 from jointid.config import load, loads, save
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import RigidJoint
@@ -52,16 +51,16 @@ def test_a_choice_replaces_what_the_file_says() -> None:
 def test_keys_are_set_after_the_choices() -> None:
     text = FLEXIBLE.replace(CHANNELS, BOTH_ENCODERS) + '[method]\npreset = "paper"'
     assert loads(text, changes=[]) == loads(text)
-    assert loads(text, changes=["method.frequency=42.0"]).method == FlexibleDIDIM.paper(42.0)
+    assert loads(text, changes=["method.frequency=42.0"]).method == DIDIM.paper("flexible", 42.0)
     changed = loads(text, changes=["method.frequency=20.0"], filtering="as-printed")
-    assert changed.method == FlexibleDIDIM.paper(20.0)
+    assert changed.method == DIDIM.paper("flexible", 20.0)
     assert changed.filtering == Filtering.as_in_paper()
     whole = ['method={name="didim", minimiser="least-squares", frequency=20.0}']  # in place of the preset, too
-    assert loads(text, changes=whole).method == FlexibleDIDIM(minimiser="least-squares", frequency=20.0)
+    assert loads(text, changes=whole).method == DIDIM(minimiser="least-squares", frequency=20.0)
     assert loads(text, method="idim").method == IDIM()
     assert loads(text, ".", ["method.estimator=robust"], method="idim").method == IDIM(estimator="robust")
     back = loads(text.replace('preset = "paper"', 'name = "idim"'), ".", ["method.frequency=9.0"], method="didim")
-    assert back.method == FlexibleDIDIM(frequency=9.0)
+    assert back.method == DIDIM(frequency=9.0)
     with pytest.raises(JointFileError, match=r'minimiser is "nelder-mead" beside preset = "paper", which sets it'):
         loads(text, changes=["method.minimiser=nelder-mead"])
     with pytest.raises(JointFileError, match=r'minimiser is "simplex"; expected "least-squares" or "nelder-mead"'):

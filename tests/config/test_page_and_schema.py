@@ -13,7 +13,6 @@ from jointid.config import (
     loads,
 )
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.flexible import FlexibleDIDIM, stopping_tolerance
 from jointid.models.controllers import (
     Cascade,
     FirstOrder,
@@ -61,9 +60,10 @@ def test_the_page_has_every_unit_and_parameter() -> None:
 
 def test_the_page_has_the_defaults_that_depend_on_the_model() -> None:
     rows = {line.split("`")[1]: line for line in PAGE.read_text(encoding="utf-8").splitlines() if line[:3] == "| `"}
-    least, simplex = (stopping_tolerance(FlexibleDIDIM(minimiser=m)) for m in ("least-squares", "nelder-mead"))  # type: ignore[arg-type]
+    rigid, least = (DIDIM().stopping_tolerance(model) for model in ("rigid", "flexible"))
+    simplex = DIDIM(minimiser="nelder-mead").stopping_tolerance("flexible")
     said = [float(word) for word in re.findall(r"else (1e-\d+)", rows["method.tolerance"])]
-    assert said == [DIDIM().tolerance, least, simplex]
+    assert said == [rigid, least, simplex]
     for key in ("position_cutoff", "cutoff"):
         rigid, flexible = (getattr(Filtering().resolve(1e-3, model), key) for model in ("rigid", "flexible"))
         said = f"else {rigid / 10:g} % of the sampling frequency, for a flexible joint {flexible / 10:g} %"

@@ -11,8 +11,8 @@ from jointid.common.errors import JointFileError, MethodError, RecordError
 from jointid.config import dumps, load, load_to_learn, loads, robot_file, save
 from jointid.config.loading import parse_toml
 from jointid.config.robot_file import RobotFile, RobotFileTable
-from jointid.estimation.robots.idim import RobotIDIM
-from jointid.estimation.robots.torque_estimate import RobotDriveSideFit
+from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.models.controllers import PD
 from jointid.models.friction import FRICTIONS
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
@@ -399,9 +399,9 @@ def test_a_method_and_a_friction_are_chosen_as_of_a_joint_file(folder: Path) -> 
     text = TEXT.replace("[record]", "[method]\nlog_delay = 0.001\n[record]")
     (folder / "robot.toml").write_text(text, encoding="utf-8")
     kept = load(folder / "robot.toml", method="drive_side")
-    assert kept.method == RobotDriveSideFit(log_delay=0.001)
+    assert kept.method == DriveSideFit(log_delay=0.001)
     file = load(folder / "robot.toml", method="idim", friction="asymmetric", filtering="published")
-    assert file.method == RobotIDIM() and all(one.asymmetric for one in file.robot.joints)
+    assert file.method == IDIM() and all(one.asymmetric for one in file.robot.joints)
     assert file.filtering == Filtering.published()
     again = loads(dumps(file), folder)
     assert again.robot.joints == file.robot.joints

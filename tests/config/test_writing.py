@@ -31,7 +31,6 @@ from jointid.config import (
     with_table,
 )
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.controllers import (
     PD,
@@ -176,8 +175,8 @@ def joint_files(draw: st.DrawFn) -> JointFile:
         tolerance=positive,
         iterations=whole,
     )
-    flexible = st.just(FlexibleDIDIM.paper()) | st.builds(
-        FlexibleDIDIM,
+    flexible = st.just(DIDIM.paper("flexible")) | st.builds(
+        DIDIM,
         minimiser=st.sampled_from(("least-squares", "nelder-mead")),
         frequency=st.none() | positive,
         rigid_cutoff=st.none() | positive,
@@ -405,11 +404,11 @@ def test_what_a_joint_file_cannot_say_is_not_written() -> None:
         dumps(dataclasses.replace(file, joint=RigidJoint(friction=OtherFriction())))
     with pytest.raises(JointFileError, match="The joint's torque is in A, but its channel's in N; give"):
         dumps(dataclasses.replace(file, joint=RigidJoint(torque_unit="A")))
-    for joint, method, right in (
-        (RigidJoint(), FlexibleDIDIM(), "DIDIM"),
-        (FlexibleJoint(), DIDIM(), "FlexibleDIDIM"),
+    for joint, method, meant in (
+        (RigidJoint(), DIDIM(frequency=9.0), "flexible"),
+        (FlexibleJoint(), DIDIM("paper"), "rigid"),
     ):
-        with pytest.raises(JointFileError, match=f"DIDIM is not for a {joint.model} joint; use {right}"):
+        with pytest.raises(JointFileError, match=f"is for a {meant} joint, and this is a {joint.model} joint"):
             dumps(dataclasses.replace(file, joint=joint, method=method))
     unknown = {"mass": Parameter("mass", "M", file.joint.parameters[0].quantity)}
     with pytest.raises(JointFileError, match=r"parameters\.mass is not known for a rigid joint"):

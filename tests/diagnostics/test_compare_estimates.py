@@ -177,7 +177,7 @@ def test_a_spring_that_grew_softer_is_found(tmp_path: Path) -> None:
     def estimate(seed: int, stiffer: float) -> Path:
         axis = ji.twin(seed=seed, pulses_seed=seed, stiffer=stiffer)
         record = axis.record.without("motor_position", "load_position")
-        found = ji.identify(record, axis.loop, ji.FlexibleDIDIM(frequency=30.0))
+        found = ji.identify(record, axis.loop, ji.DIDIM(frequency=30.0))
         return told(found, tmp_path, f"twin{seed}")
 
     before, same, softer = (ji.read_report(estimate(seed, by)) for seed, by in ((1, 1.0), (2, 1.0), (3, 0.95)))

@@ -93,7 +93,7 @@ def test_what_is_kept_of_one_law_is_kept_of_those_that_mean_the_same_by_it(
 @pytest.mark.slow
 def test_a_flexible_joint_of_symmetric_friction() -> None:
     axis = ji.twin(noise="white")
-    found = compare_frictions(cut(axis.record, 8.0), axis.loop, didim=ji.FlexibleDIDIM(frequency=30.0))
+    found = compare_frictions(cut(axis.record, 8.0), axis.loop, didim=ji.DIDIM(frequency=30.0))
     assert found.shown.name == "symmetric"
     assert found.shown.parameters == 4
 
@@ -104,7 +104,7 @@ def test_what_cannot_be_compared_is_said() -> None:
     with pytest.raises(MethodError, match="not compared beside gravity that follows the position"):
         compare_frictions(axis.record, replace(axis.loop, joint=hanging))
     with pytest.raises(MethodError, match="by least squares; received the minimiser nelder-mead"):
-        compare_frictions(axis.record, axis.loop, didim=ji.FlexibleDIDIM.paper())
+        compare_frictions(axis.record, axis.loop, didim=ji.DIDIM.paper("flexible"))
     with pytest.raises(MethodError, match="inertial"):
         compare_frictions(axis.record, axis.loop, parameters={"inertial": axis.loop.joint.parameters[0]})
 

@@ -33,9 +33,7 @@ def some_of(record: Record, samples: int) -> Record:
 @pytest.fixture(scope="module")
 def gapped() -> tuple[Case, SpringComparison]:
     case, record = gapped_axis()
-    return case, compare_springs(
-        record, with_spring(case.loop, LinearSpring()), didim=ji.FlexibleDIDIM(frequency=case.mode)
-    )
+    return case, compare_springs(record, with_spring(case.loop, LinearSpring()), didim=ji.DIDIM(frequency=case.mode))
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +43,7 @@ def plain() -> tuple[Case, SpringComparison]:
     assert record.torque is not None
     noise = 0.02 * np.std(record.torque.values) * np.random.default_rng(2).standard_normal(4000)
     record = replace(record, torque=replace(record.torque, values=record.torque.values + noise))
-    return case, compare_springs(record, case.loop, didim=ji.FlexibleDIDIM(frequency=case.mode))
+    return case, compare_springs(record, case.loop, didim=ji.DIDIM(frequency=case.mode))
 
 
 def test_a_gap_is_shown_and_not_the_laws_that_have_more_parameters(gapped: tuple[Case, SpringComparison]) -> None:
@@ -115,7 +113,7 @@ def test_a_law_that_cannot_be_identified_is_listed_with_the_reason(
 
     monkeypatch.setattr(compare, "from_linear_laws", fail)
     case, _ = plain
-    found = compare_springs(some_of(case.clean, 2000), case.loop, didim=ji.FlexibleDIDIM(frequency=case.mode))
+    found = compare_springs(some_of(case.clean, 2000), case.loop, didim=ji.DIDIM(frequency=case.mode))
     assert found.shown.name == "linear"
     assert [law.refusal for law in found.laws] == ["", "", *["The loop runs away."] * (len(SPRINGS) - 1)]
     assert "not identified" in str(found)
@@ -137,7 +135,7 @@ def test_what_is_declared_of_one_law_is_not_taken_for_another_s(
         "offset": given["offset"].fixed(0.0),
     }
     loop = with_spring(case.loop, TwoPieceSpring())
-    found = compare_springs(record, loop, parameters=declared, didim=ji.FlexibleDIDIM(frequency=case.mode))
+    found = compare_springs(record, loop, parameters=declared, didim=ji.DIDIM(frequency=case.mode))
     by_name = {one.name: one for one in found.laws}
     assert "stiffness" not in by_name["two-piece"].std  # which is kept
     assert by_name["linear"].values["stiffness"] == pytest.approx(case.truth["stiffness"], rel=0.05)
@@ -148,7 +146,7 @@ def test_what_cannot_be_compared_is_refused_in_a_sentence(plain: tuple[Case, Spr
     with pytest.raises(MethodError, match="Only a flexible joint has a spring"):
         compare_springs(case.clean, replace(case.loop, joint=ji.RigidJoint()))
     with pytest.raises(MethodError, match="compared by least squares; received the minimiser nelder-mead"):
-        compare_springs(case.clean, case.loop, didim=ji.FlexibleDIDIM(minimiser="nelder-mead"))
+        compare_springs(case.clean, case.loop, didim=ji.DIDIM(minimiser="nelder-mead"))
     with pytest.raises(MethodError, match="stifness"):
         compare_springs(case.clean, case.loop, parameters={"stifness": case.loop.joint.parameters[3]})
     arm = ji.FlexibleJoint("revolute", gravity=ji.Gravity("link"))
@@ -157,7 +155,7 @@ def test_what_cannot_be_compared_is_refused_in_a_sentence(plain: tuple[Case, Spr
     with pytest.raises(
         MethodError, match=r"cut into 24 parts to compare springs, which takes 192 rows or more; received \d+"
     ):
-        compare_springs(some_of(case.clean, 600), case.loop, didim=ji.FlexibleDIDIM(frequency=case.mode))
+        compare_springs(some_of(case.clean, 600), case.loop, didim=ji.DIDIM(frequency=case.mode))
 
 
 def test_the_answer_is_written(gapped: tuple[Case, SpringComparison]) -> None:

@@ -27,7 +27,7 @@ from tests.plants import Case, gapped_axis, prismatic, with_spring
 
 def predicted(record: Record, case: Case) -> PredictedResidual:
     loop = with_spring(case.loop, LinearSpring())
-    estimate = identify(record, loop, ji.FlexibleDIDIM(frequency=case.mode))
+    estimate = identify(record, loop, ji.DIDIM(frequency=case.mode))
     found = predict_residual(*rebuild_problem(estimate, record, ""))
     assert found is not None
     return found
@@ -61,7 +61,7 @@ def test_noise_does_not_follow_it(coloured: bool) -> None:
 
 def test_a_value_is_not_to_be_relied_on_then(of_a_gap: PredictedResidual) -> None:
     case = prismatic(1)
-    estimate = ji.identify(case.noisy(0.01, 1), case.loop, ji.FlexibleDIDIM(frequency=case.mode))
+    estimate = ji.identify(case.noisy(0.01, 1), case.loop, ji.DIDIM(frequency=case.mode))
     assert estimate.answer.trust.code == Trust.RELIABLE
     follows = of_a_gap.verdict
     assert (follows.subject, follows.status) == (Subject.REPEATABLE, Status.FAILED)
@@ -77,7 +77,7 @@ def test_a_value_is_not_to_be_relied_on_then(of_a_gap: PredictedResidual) -> Non
 def test_it_is_said_where_loop_and_log_pass_their_check(monkeypatch: pytest.MonkeyPatch) -> None:
     case, record = gapped_axis(16_000)
     loop = with_spring(case.loop, LinearSpring())
-    fit = fit_records(record, loop, ji.FlexibleDIDIM(frequency=case.mode))
+    fit = fit_records(record, loop, ji.DIDIM(frequency=case.mode))
     repeats = Message(Reason.RESIDUAL_REPEATS, "it repeats")
     before = Verdict(Subject.REPEATABLE, Status.FAILED, (repeats,))
     verdicts = tuple(before if one.subject is before.subject else one for one in fit.checks.verdicts)
@@ -100,7 +100,7 @@ def test_it_is_said_where_loop_and_log_pass_their_check(monkeypatch: pytest.Monk
 
 def test_too_few_rows_say_nothing() -> None:
     case = prismatic(1)
-    estimate = identify(case.clean, case.loop, ji.FlexibleDIDIM(frequency=case.mode))
+    estimate = identify(case.clean, case.loop, ji.DIDIM(frequency=case.mode))
     problem, x = rebuild_problem(estimate, case.clean, "")
     few = replace(problem, filtering=replace(problem.filtering, decimation=200))
     assert predict_residual(few, x) is None

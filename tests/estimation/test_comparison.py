@@ -12,7 +12,7 @@ import pytest
 from jointid.common.errors import RecordError
 from jointid.diagnostics.compare import compare
 from jointid.diagnostics.method_comparison import MethodComparison
-from jointid.estimation.methods.flexible import FlexibleDIDIM
+from jointid.estimation.methods.didim import DIDIM
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.output import json as answers
 from jointid.paper.twin import twin
@@ -24,7 +24,7 @@ from tests.text import unwrapped
 @pytest.fixture(scope="module")
 def flexible() -> MethodComparison:
     axis = twin()
-    return compare(axis.record, axis.loop, didim=FlexibleDIDIM(frequency=30.0))
+    return compare(axis.record, axis.loop, didim=DIDIM(frequency=30.0))
 
 
 def test_every_method_that_can_run_has_run(flexible: MethodComparison) -> None:

@@ -12,8 +12,8 @@ from jointid.common.errors import MethodError, RecordError
 from jointid.common.messages import ignore_progress
 from jointid.diagnostics.validation import validate
 from jointid.estimation.descent import History
-from jointid.estimation.methods import flexible, stiffness_search
-from jointid.estimation.methods.flexible import FlexibleDIDIM
+from jointid.estimation.methods import didim, stiffness_search
+from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import torque_problem
@@ -103,10 +103,8 @@ def test_didim_finds_stiffness_inertias_and_the_sums_of_friction_from_torque_alo
 
 
 @pytest.mark.parametrize("loop", ["L19", "L30"])
-@pytest.mark.parametrize("settings", [FlexibleDIDIM(), FlexibleDIDIM(frequency=30.0)], ids=["grid", "30 Hz"])
-def test_didim_recovers_the_noise_free_twin(
-    loop: str, settings: FlexibleDIDIM, identified: Callable[..., Estimate]
-) -> None:
+@pytest.mark.parametrize("settings", [DIDIM(), DIDIM(frequency=30.0)], ids=["grid", "30 Hz"])
+def test_didim_recovers_the_noise_free_twin(loop: str, settings: DIDIM, identified: Callable[..., Estimate]) -> None:
     axis = twin(loop, noise="none")  # type: ignore[arg-type]
     estimate = identified(loop, settings, noise="none")
     assert all(abs(value / axis.truth[name] - 1) <= 1e-4 for name, value in estimate.values.items())
@@ -118,7 +116,7 @@ def test_didim_recovers_the_noise_free_twin(
 def test_any_known_frequency_leads_to_the_same_answer(loop: str, identified: Callable[..., Estimate]) -> None:
     """On L30 the halved inertia of (13) is an unstable loop: other load shares must be tried."""
     axis = twin(loop, noise="white")  # type: ignore[arg-type]
-    found = [identified(loop, FlexibleDIDIM(frequency=f), noise="white") for f in (22.0, 30.0, 38.0)]
+    found = [identified(loop, DIDIM(frequency=f), noise="white") for f in (22.0, 30.0, 38.0)]
     stiffness = [estimate.values["stiffness"] for estimate in found]
     assert max(stiffness) / min(stiffness) - 1 <= 1e-4
     assert abs(stiffness[0] / axis.truth["stiffness"] - 1) <= 0.01
@@ -127,7 +125,7 @@ def test_any_known_frequency_leads_to_the_same_answer(loop: str, identified: Cal
 @pytest.mark.slow
 def test_nelder_mead_finds_its_way_on_the_fast_loop_too(identified: Callable[..., Estimate]) -> None:
     axis = twin("L30", noise="white")
-    simplex = identified("L30", FlexibleDIDIM.paper(), noise="white")
+    simplex = identified("L30", DIDIM.paper("flexible"), noise="white")
     best = identified("L30", noise="white")
     assert (simplex.fit.filtered_error / best.fit.filtered_error) ** 2 - 1 <= 1e-3
     assert abs(simplex.values["stiffness"] / axis.truth["stiffness"] - 1) <= 0.01
@@ -145,7 +143,7 @@ def test_an_axis_that_moves_at_the_first_sample_is_found_moving() -> None:
         reference=replace(record.reference, values=record.reference.values[cut:]),
         injected=Injection(replace(record.injected.channel, values=record.injected.channel.values[cut:])),
     )
-    estimate = identify(late, axis.loop, FlexibleDIDIM(frequency=30.0))
+    estimate = identify(late, axis.loop, DIDIM(frequency=30.0))
     assert estimate["initial_velocity"].free
     assert float(estimate["initial_velocity"].value or 0.0) > 0.02
     assert abs(estimate.values["stiffness"] / axis.truth["stiffness"] - 1) <= 0.01
@@ -155,7 +153,7 @@ def test_bounds_hold_and_are_named() -> None:
     axis = twin(noise="white")
     parameters = {p.name: p for p in axis.loop.joint.parameters}
     low = {"stiffness": replace(parameters["stiffness"], upper=7.5e5)}
-    estimate = identify(torque_only(axis), axis.loop, FlexibleDIDIM(frequency=30.0), parameters=low)
+    estimate = identify(torque_only(axis), axis.loop, DIDIM(frequency=30.0), parameters=low)
     assert estimate.values["stiffness"] <= 7.5e5
     (bounds,) = (verdict for verdict in estimate.checks.verdicts if verdict.subject == "bounds")
     assert not bounds.good
@@ -170,7 +168,7 @@ def test_a_friction_of_zero_is_not_known_to_a_millionth() -> None:
     assert reference is not None
     noise = 3.0 * np.random.default_rng(0).standard_normal(len(reference))
     made = simulated_record(axis.loop, reference.values, truth, sample_time=1e-3, torque_noise=noise)
-    estimate = identify(made, axis.loop, FlexibleDIDIM(frequency=30.0))
+    estimate = identify(made, axis.loop, DIDIM(frequency=30.0))
     found = estimate["motor_coulomb"]
     assert float(found.value or 0.0) <= 3 * float(found.stderr or 0.0) + 1e-9
     assert float(found.stderr or 0.0) > 1e-3
@@ -182,12 +180,12 @@ def test_a_friction_of_zero_is_not_known_to_a_millionth() -> None:
 
 def test_a_sum_has_the_deviation_of_a_sum(identified: Callable[..., Estimate]) -> None:
     axis = twin(noise="white")
-    estimate = identified("L19", FlexibleDIDIM(frequency=30.0), noise="white")
+    estimate = identified("L19", DIDIM(frequency=30.0), noise="white")
     total, std = estimate.params.total(("Fv1", "load_viscous"))
     assert total == estimate.values["motor_viscous"] + estimate.values["load_viscous"]
     assert std < 0.4 * float(estimate["Fv1"].stderr or 0.0)
     fixed = {"offset": axis.loop.joint.parameters[-1].fixed(-3.16)}
-    held = identify(torque_only(axis), axis.loop, FlexibleDIDIM(frequency=30.0), parameters=fixed)
+    held = identify(torque_only(axis), axis.loop, DIDIM(frequency=30.0), parameters=fixed)
     assert held.params.total(("Fv1", "Fv2", "offset"))[1] == held.params.total(("Fv1", "Fv2"))[1]
 
 
@@ -251,7 +249,7 @@ def test_the_starts_said_to_end_together_are_different_ones(frequency: float, mo
     monkeypatch.setattr(
         stiffness_search, "explore", lambda *arguments: (seen.append(original(*arguments)), seen[-1])[1]
     )
-    estimate = identify(torque_only(axis), axis.loop, FlexibleDIDIM(frequency=frequency))
+    estimate = identify(torque_only(axis), axis.loop, DIDIM(frequency=frequency))
     first, second = (one.values for one in seen[0][:2])
     assert any(abs(first[name] - second[name]) > 0.1 * abs(first[name]) for name in ("motor_inertia", "stiffness"))
     assert "; 2 of 2 starts led there" in estimate.fit.stop
@@ -266,11 +264,11 @@ def test_nelder_mead_reaches_the_minimum_after_one_restart(monkeypatch: pytest.M
     calls = []
     original = kernels.run
     monkeypatch.setattr(kernels, "run", lambda *arguments: (calls.append(1), original(*arguments))[1])
-    simplex = identify(record, axis.loop, FlexibleDIDIM.paper())
+    simplex = identify(record, axis.loop, DIDIM.paper("flexible"))
     assert simplex.fit.simulations == len(calls)  # the reported simulations are those counted
     assert simplex.fit.stop.count("iterations") == 2  # one descent and one restart
     state = tuple(p.fixed(0.0) for p in INITIAL_STATE)  # of the same criterion: on the reference, at rest
-    monkeypatch.setattr(flexible, "_at_rest", lambda *_: state)
+    monkeypatch.setattr(didim, "_at_rest", lambda *_: state)
     calls.clear()
     best = identify(record, axis.loop)
     assert best.fit.simulations == len(calls)
@@ -279,8 +277,8 @@ def test_nelder_mead_reaches_the_minimum_after_one_restart(monkeypatch: pytest.M
     assert "inverse model" in simplex.params.basis
 
 
-@pytest.mark.parametrize("method", [IDIM(), FlexibleDIDIM()], ids=["idim", "ls"])
-def test_ten_kilograms_on_the_load_are_found_there(method: IDIM | FlexibleDIDIM) -> None:
+@pytest.mark.parametrize("method", [IDIM(), DIDIM()], ids=["idim", "ls"])
+def test_ten_kilograms_on_the_load_are_found_there(method: IDIM | DIDIM) -> None:
     before, after = twin(seed=1), twin(seed=2, added_mass=True)
     first, second = (identify(axis.record, axis.loop, method) for axis in (before, after))
     assert second.values["load_inertia"] - first.values["load_inertia"] == pytest.approx(10.2, abs=0.6)
@@ -294,7 +292,7 @@ def test_ten_kilograms_on_the_load_are_found_there(method: IDIM | FlexibleDIDIM)
 
 def test_the_filter_as_printed_warns() -> None:
     axis = twin(noise="white")
-    estimate = identify(torque_only(axis), axis.loop, FlexibleDIDIM(frequency=30.0), filtering=Filtering.as_in_paper())
+    estimate = identify(torque_only(axis), axis.loop, DIDIM(frequency=30.0), filtering=Filtering.as_in_paper())
     assert any(
         "one sample in 12 has its Nyquist frequency at 41.7 Hz" in warning for warning in estimate.checks.warnings
     )
@@ -304,9 +302,9 @@ def test_the_filter_as_printed_warns() -> None:
 
 def test_settings_that_make_no_sense_are_refused() -> None:
     with pytest.raises(MethodError, match=r'minimiser is "simplex"; expected "least-squares" or "nelder-mead"'):
-        FlexibleDIDIM(minimiser="simplex")  # type: ignore[arg-type]
+        DIDIM(minimiser="simplex")  # type: ignore[arg-type]
     with pytest.raises(MethodError, match="positive"):
-        FlexibleDIDIM(frequency=-3.0)
+        DIDIM(frequency=-3.0)
     axis = twin(noise="none")
-    with pytest.raises(MethodError, match="FlexibleDIDIM is not for a rigid joint; use DIDIM"):
-        identify(axis.record, ClosedLoop(RigidJoint(), axis.loop.controller), FlexibleDIDIM())
+    with pytest.raises(MethodError, match=r"DIDIM\.frequency is for a flexible joint, and this is a rigid joint"):
+        identify(axis.record, ClosedLoop(RigidJoint(), axis.loop.controller), DIDIM(frequency=30.0))

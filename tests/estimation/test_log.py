@@ -13,7 +13,6 @@ import pytest
 from jointid.common.errors import MethodError, RecordError
 from jointid.estimation.identify_log import StreamingGaussNewton
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.problems.log_windows import (
     VISITS,
@@ -94,7 +93,7 @@ def test_a_flexible_joint_in_windows_is_that_of_the_whole() -> None:
     reference = trapezoids((0.042, 0.083, 0.125), 0.83, 0.2, PERIOD, duration=600.0)
     force = 30.0 * np.random.default_rng(5).standard_normal(reference.size)
     record = simulated_record(loop, reference, TABLE_2, sample_time=PERIOD, disturbance=force)
-    method = FlexibleDIDIM(frequency=30.0)
+    method = DIDIM(frequency=30.0)
     whole, parts = identify(record, loop, method), identify(record, loop, windows=Windowing(length=15.0), method=method)
     for name in TABLE_2:
         std = whole[name].stderr

@@ -329,8 +329,10 @@ def test_what_cannot_be_identified_is_refused_in_a_sentence() -> None:
         identify(made.without("reference"), LOOP)
     with pytest.raises(MethodError, match="needs the controller"):
         identify(made, RigidJoint(), DIDIM())
-    with pytest.raises(MethodError, match="DIDIM is not for a flexible joint; use FlexibleDIDIM"):
-        identify(made, ClosedLoop(FlexibleJoint(), CONTROLLER), DIDIM())
+    with pytest.raises(
+        MethodError, match=r"DIDIM\.form is for a rigid joint, and this is a flexible joint; leave it out"
+    ):
+        identify(made, ClosedLoop(FlexibleJoint(), CONTROLLER), DIDIM("paper"))
     everything = {p.name: p.fixed(1.0) for p in LOOP.joint.parameters}
     with pytest.raises(MethodError, match="nothing to identify"):
         identify(made, LOOP, parameters=everything)

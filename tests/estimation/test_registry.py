@@ -5,27 +5,19 @@ from __future__ import annotations
 import pytest
 
 import jointid as ji
-from jointid.estimation.methods.registry import METHODS, MODELS, default_method, method_of, methods
-
-NAMES = [name for name, addresses in METHODS.items() for _ in addresses]
+from jointid.estimation.methods.registry import METHODS, MODELS, default_method, methods
 
 
-@pytest.mark.parametrize(("name", "method"), list(zip(NAMES, methods(), strict=True)))
+@pytest.mark.parametrize(("name", "method"), list(zip(METHODS, methods(), strict=True)))
 def test_a_method_says_its_name_and_its_needs(name: str, method: type[ji.DIDIM]) -> None:
     assert (method.name, bool(method.title)) == (name, True)
-    for model in method.models:
+    for model in MODELS:
         assert "torque" in method.channels(model)
         assert all(type(run) is method for _, run in method.compared(model))
-
-
-@pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("name", METHODS)
-def test_every_joint_model_has_the_method(name: str, model: str) -> None:
-    assert model in method_of(name, model).models
 
 
 def test_what_is_identified_chooses_its_method() -> None:
     joint = ji.FlexibleJoint()
     loop = ji.ClosedLoop(joint, ji.Cascade(position_gain=100.0, velocity_gain=2000.0))
-    chosen = [default_method(model, "flexible") for model in (loop, joint, ji.DriveSide(joint), ji.OpenLoop(joint))]
-    assert chosen == [ji.FlexibleDIDIM, ji.IDIM, ji.DriveSideFit, ji.OpenLoopFit]
+    chosen = [default_method(model) for model in (loop, joint, ji.DriveSide(joint), ji.OpenLoop(joint))]
+    assert chosen == [ji.DIDIM, ji.IDIM, ji.DriveSideFit, ji.OpenLoopFit]

@@ -8,7 +8,7 @@ from typing import Literal
 
 import pytest
 
-from jointid.estimation.methods.flexible import FlexibleDIDIM
+from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Cascade
 from jointid.models.joints import FlexibleJoint
@@ -47,7 +47,7 @@ def test_any_start_from_15_to_60_hz_ends_at_the_truth(
     loop: str, frequency: float, identified: Callable[..., Estimate]
 ) -> None:
     axis = twin(loop, noise="none")  # type: ignore[arg-type]
-    estimate = identified(loop, FlexibleDIDIM(frequency=frequency), noise="none")
+    estimate = identified(loop, DIDIM(frequency=frequency), noise="none")
     for name, value in axis.truth.items():
         assert estimate.values[name] == pytest.approx(value, rel=1e-4), name
     assert estimate.fit.simulations <= 700

@@ -26,7 +26,7 @@ from tests.plants import gapped_axis, prismatic, with_spring
 def gapped() -> tuple[ji.Estimate, dict[str, float]]:
     """A drive with a gap of 0.6 of the largest wind-up, 2 % of noise on its log: what is found, and what it has."""
     case, record = gapped_axis()
-    return identify(record, case.loop, ji.FlexibleDIDIM(frequency=case.mode)), case.truth
+    return identify(record, case.loop, ji.DIDIM(frequency=case.mode)), case.truth
 
 
 def test_the_search_goes_on_from_the_best_start_of_the_law(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -129,7 +129,7 @@ def test_what_takes_the_spring_for_linear_refuses_another(gapped: tuple[ji.Estim
     with pytest.raises(MethodError, match="IDIM takes the spring for linear"):
         identify(record, joint, IDIM())
     with pytest.raises(MethodError, match="Nelder-Mead takes the spring for linear"):
-        identify(record, with_spring(prismatic(0).loop, Backlash()), ji.FlexibleDIDIM.paper())
+        identify(record, with_spring(prismatic(0).loop, Backlash()), ji.DIDIM.paper("flexible"))
     with pytest.raises(MethodError, match="Tuning takes the spring for linear"):
         ji.tune(found)
     with pytest.raises(MethodError, match="A state space takes the spring for linear"):

@@ -9,7 +9,6 @@ import pytest
 
 from jointid.common.errors import MethodError
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.models.controllers import Cascade, FirstOrder, Notch, SecondOrder, numbers_of, with_numbers
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Record
@@ -48,9 +47,7 @@ def test_a_flexible_joint_is_identified_with_gains_and_delay() -> None:
     made = problem(where, Fault(line_7), None)
     assert where.record.torque is not None
     record = replace(where.record, torque=replace(where.record.torque, values=made.measured))
-    estimate = identify(
-        record, where.loop, FlexibleDIDIM(frequency=30.0, free=("position_gain", "velocity_gain", "delay"))
-    )
+    estimate = identify(record, where.loop, DIDIM(frequency=30.0, free=("position_gain", "velocity_gain", "delay")))
     for name, value in (where.truth | line_7(where.loop)).items():
         assert estimate[name].value == pytest.approx(value, rel=1e-4), name
     assert estimate.fit.relative_error < 1e-5

@@ -20,7 +20,7 @@ from jointid.diagnostics.faults.findings import Finding, LoopCheck, ParameterShi
 from jointid.diagnostics.faults.numbers import number_fault
 from jointid.diagnostics.faults.registry import FAULTS as KNOWN
 from jointid.estimation.descent import descend
-from jointid.estimation.methods.flexible import FlexibleDIDIM
+from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.estimation.result.estimate import Estimate
@@ -168,7 +168,7 @@ def test_a_slow_motion_leaves_no_fault_too_sure() -> None:
 def test_an_answer_is_checked_with_its_record(identified: Callable[..., Estimate]) -> None:
     axis = twin(noise="white")
     record = axis.record.without("motor_position", "load_position")
-    estimate = identified("L19", FlexibleDIDIM(frequency=30.0), noise="white")
+    estimate = identified("L19", DIDIM(frequency=30.0), noise="white")
     assert check_loop(estimate, record).as_declared
     only = check_loop(estimate, record, LoopTests(faults=("position_gain", "delay")))
     assert {s.name for s in only.tests} == {"position_gain", "delay"}
@@ -327,7 +327,7 @@ def test_a_check_that_is_not_possible_ends_no_identification(
     monkeypatch.setattr("jointid.diagnostics.run_checks.search_faults", refuse)
     axis = twin(noise="white")
     record = axis.record.without("motor_position", "load_position")
-    estimate = ji.identify(record, axis.loop, FlexibleDIDIM(frequency=30.0))
+    estimate = ji.identify(record, axis.loop, DIDIM(frequency=30.0))
     assert estimate.checks.verdicts[-1].said == "not checked: There is no derivative."
     assert estimate.answer.trust.code == "not_checked"
 

@@ -90,7 +90,7 @@ def test_a_load_encoder_parts_the_frictions() -> None:
 def test_the_noise_of_a_first_record_gives_its_own_intervals_back() -> None:
     axis = twin("L19", noise="disturbance")
     record = axis.record.without("motor_position", "load_position")
-    estimate = ji.identify(record, axis.loop, ji.FlexibleDIDIM(frequency=30.0), checks=False)
+    estimate = ji.identify(record, axis.loop, ji.DIDIM(frequency=30.0), checks=False)
     noise = Noise.of(estimate, record)
     problem, _ = rebuild_declared_problem(estimate, record)
     told = predict_test(axis.loop, estimate.values, record, noise, filtering=problem.filtering, parameters={})

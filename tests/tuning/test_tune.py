@@ -15,7 +15,7 @@ from jointid.common.messages import Message
 from jointid.common.text import number
 from jointid.common.transmission import Transmission
 from jointid.config import loads
-from jointid.estimation.methods.flexible import FlexibleDIDIM
+from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import PD, PID, Cascade, StateSpaceController
@@ -48,7 +48,7 @@ RIGID = {"inertia": 100.0, "viscous": 150.0, "coulomb": 20.0, "offset": 3.0}
 @pytest.fixture(scope="module")
 def estimate() -> Estimate:
     axis = twin(seed=4)
-    return identify(axis.record.without("motor_position", "load_position"), axis.loop, FlexibleDIDIM(frequency=30.0))
+    return identify(axis.record.without("motor_position", "load_position"), axis.loop, DIDIM(frequency=30.0))
 
 
 @pytest.fixture(scope="module")

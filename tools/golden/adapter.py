@@ -1227,7 +1227,7 @@ def recorded(record: Any) -> Json:
 
 def flexible_didim(**given: Any) -> Any:
     """Return settings of DIDIM for a flexible joint."""
-    return ji.FlexibleDIDIM(**_keywords(given))
+    return ji.DIDIM(**_keywords(given))
 
 
 def idim(estimator: Any = "ols", *, harmonics: int = 0, period: float | None = None, drift: Any = None) -> Any:

@@ -19,8 +19,9 @@ from jointid.common.errors import JointFileError, MethodError
 from jointid.config import loads
 from jointid.config.loading import parse_toml
 from jointid.config.robot_file import RobotFile
+from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.result.answer import Trust
-from jointid.estimation.robots.idim import KNOWN, RobotEstimate, RobotIDIM
+from jointid.estimation.robots.idim import KNOWN, RobotEstimate
 from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
 from jointid.records.record import Record
 from jointid.simulation.robot_numbers import RobotNumbers
@@ -73,7 +74,7 @@ def identify_robot_case(case: Case, file: RobotFile, path: Path) -> dict[str, An
     said: Mapping[str, Mapping[str, Any]] = estimate.rows
     found = {name: Found(finite(row["value"]), finite(row["std"]) or None, row["unit"]) for name, row in said.items()}
     known = [one for one in found.values() if one.value and one.std and one.std < KNOWN * abs(one.value)]
-    asked = len(found) - (len(file.method.fixed) if isinstance(file.method, RobotIDIM) else 0)
+    asked = len(found) - (len(file.method.fixed) if isinstance(file.method, IDIM) else 0)
     left = 100 * estimate.joint_errors
     worst = file.robot.names[int(np.argmax(left))]
     objected = isinstance(estimate, RobotEstimate) and bool(estimate.objections)

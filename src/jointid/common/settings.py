@@ -41,6 +41,7 @@ class Setting:
         expected: what is expected of a value, in words, where type and bounds do not say it.
         accept: refuses a value by raising a `JointidError`.
         choices: the words that are allowed, where the type does not list them.
+        systems: what it is for, "rigid", "flexible" or "robot"; empty for all.
     """
 
     help: str
@@ -56,6 +57,7 @@ class Setting:
     expected: str = ""
     accept: Callable[[Any], object] | None = None
     choices: tuple[str, ...] = ()
+    systems: tuple[str, ...] = ()
 
     @property
     def description(self) -> str:

@@ -71,7 +71,7 @@ def choose_method(file: FileTable, name: str | None, model: str) -> str | None:
     if name is not None:
         return name
     for default in _defaults():
-        method = method_of(default, model)
+        method = method_of(default)
         if (file.controlled or not method.needs_controller) and set(method.channels(model)) <= set(file.channel_names):
             return default
     return None
@@ -79,7 +79,7 @@ def choose_method(file: FileTable, name: str | None, model: str) -> str | None:
 
 def needed_channels(method: str, controller: Controller | None, model: str) -> tuple[str, ...]:
     """Return the names of the channels that a method reads; of a controller not known, only the reference."""
-    return method_of(method, model).channels(model, controller)
+    return method_of(method).channels(model, controller)
 
 
 def _defaults() -> tuple[str, ...]:
@@ -102,7 +102,7 @@ def _method_faults(file: FileTable) -> Iterator[Fault]:
     def lacking(method: str) -> list[str]:
         needed = needed_channels(method, _law(file), of_model)
         missing = [f"record.channels.{name}" for name in needed if name not in file.channel_names]
-        uncontrolled = method_of(method, of_model).needs_controller and not file.controlled
+        uncontrolled = method_of(method).needs_controller and not file.controlled
         return [*missing, "controller"] if uncontrolled else missing
 
     name = choose_method(file, table.name, of_model)
@@ -111,20 +111,15 @@ def _method_faults(file: FileTable) -> Iterator[Fault]:
         yield fault_at(("method", "name"), rest, "missing")
     else:
         other = next(default for default in _defaults() if default != name)
-        if of_model not in method_of(name, of_model).models:
-            remedy = (
-                f'use method.name = "{other}", or set {file.joint.heading}.model = {messages.either(_models_of(name))}'
-            )
-            yield fault_at(("method", "name"), f' is "{name}", which is not for a {of_model} joint: {remedy}.')
         for key in lacking(name):
-            needing = method_of(name, of_model).called(of_model)
+            needing = method_of(name).called(of_model)
             yield fault_at(
                 tuple(key.split(".")),
                 f" is missing, but {needing} needs it: add it, "
                 f'or use method.name = "{other}", which needs only {_needs(other, of_model)}.',
                 "missing",
             )
-        if "estimator" in keys_of(method_of(name, of_model)) and table.estimator == "iv":
+        if "estimator" in keys_of(method_of(name), of_model) and table.estimator == "iv":
             for key in [key for key in lacking("didim") if key not in lacking(name)]:
                 rest = ' is missing, but method.estimator = "iv" simulates the loop: add it, or use another.'
                 yield fault_at(tuple(key.split(".")), rest, "missing")
@@ -133,21 +128,20 @@ def _method_faults(file: FileTable) -> Iterator[Fault]:
     yield from _free_faults(("method", "free"), table.free, file)
 
 
-def _models_of(name: str, key: str | None = None) -> tuple[str, ...]:
-    """Return the joint models that a method is for, or a key of it."""
-    named = [method for method in methods() if method.name == name and (key is None or key in keys_of(method))]
-    return tuple(model for method in named for model in method.models)
+def _models_of(name: str, key: str) -> tuple[str, ...]:
+    """Return the joint models that a key of a method is for."""
+    return tuple(model for model in MODELS if key in keys_of(method_of(name), model))
 
 
 def _needs(method: str, model: str) -> str:
-    made = method_of(method, model)
+    made = method_of(method)
     *most, last = [*made.channels(model), *(["controller"] if made.needs_controller else [])]
     return f"{', '.join(most)} and {last}"
 
 
 def _no_method(lacking: Mapping[str, list[str]], file: FileTable, model: str) -> str:
     """Return the rest of the sentence on a file that has what no method needs."""
-    lacks = [f"{method_of(method, model).called(model)} lacks {' and '.join(keys)}" for method, keys in lacking.items()]
+    lacks = [f"{method_of(method).called(model)} lacks {' and '.join(keys)}" for method, keys in lacking.items()]
     rigid = choose_method(file, None, "rigid") is not None
     remedy = "add what one of them lacks" + (f', or set {file.joint.heading}.model = "rigid"' if rigid else "")
     return f" is missing, and no method can be chosen: {', '.join(lacks)}; {remedy}."
@@ -160,7 +154,7 @@ def _not_its_own(table: MethodTable, name: str | None, model: str | None, headin
         owner = name if name in owners else owners[0]
         models = _models_of(owner, key)
         strange = name is not None and name not in owners
-        title = method_of(owner, models[0]).title
+        title = method_of(owner).title
         if strange and not {owner, name} <= set(_defaults()):
             remedy = f"leave it out, or use method.name = {messages.either(owners)}"
             yield key, f' is not for the method "{name}": {remedy}.'
@@ -168,7 +162,7 @@ def _not_its_own(table: MethodTable, name: str | None, model: str | None, headin
             remedy = f'leave it out, or set {heading}.model = "{models[0]}"'
             yield key, f" is for {title} of a {models[0]} joint, but the joint is {model}: {remedy}."
         elif name is not None and strange:
-            other = method_of(name, models[0]).title
+            other = method_of(name).title
             yield key, f' is for {title}, but the method is {other}: leave it out, or use method.name = "{owner}".'
         elif key in table.beside_preset():
             yield key, messages.beside_preset(value, str(table.preset))

@@ -80,8 +80,8 @@ class JointFile:
         ... torque = { column = "i_q", unit = "A" }
         ... motor_position = { column = "pos [deg]" }
         ... ''')
-        >>> print(file.method, file.joint.torque_unit)
-        IDIM(estimator='ols', effects=(), encoders='as_logged') A
+        >>> print(file.method.name, file.joint.torque_unit)
+        idim A
     """
 
     joint: Joint

@@ -37,14 +37,17 @@ from jointid.config.schema import (
     ParameterTable,
     RippleTable,
     TransmissionTable,
+    keys_of,
 )
 from jointid.config.schema_record import ChannelsTable, ChannelTable, DriveTable, RecordTable, Source
 from jointid.config.table import Number, Positive, Table, Text, accept_by, fault_at, faults_of, keys_from, refusal
+from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.idim import IDIM
+from jointid.estimation.methods.prescribed import DriveSideFit
+from jointid.estimation.methods.registry import ROBOT
 from jointid.estimation.robots.identify import fit_robot
-from jointid.estimation.robots.idim import RobotEstimate, RobotIDIM
+from jointid.estimation.robots.idim import RobotEstimate
 from jointid.estimation.robots.torque_estimate import (
-    RobotDIDIM,
-    RobotDriveSideFit,
     RobotTorqueEstimate,
 )
 from jointid.models.joints import FlexibleJoint
@@ -169,11 +172,13 @@ class RobotJointTable(JointTable):
         )
 
 
-RobotMethod: TypeAlias = RobotIDIM | RobotDIDIM | RobotDriveSideFit
-_METHODS: dict[str, type] = {"idim": RobotIDIM, "didim": RobotDIDIM, "drive_side": RobotDriveSideFit}
+RobotMethod: TypeAlias = IDIM | DIDIM | DriveSideFit
+_METHODS: dict[str, type[RobotMethod]] = {"idim": IDIM, "didim": DIDIM, "drive_side": DriveSideFit}
 
 
-@keys_from(*_METHODS.values(), types={"fixed": (NumbersByName, dict), "frequencies": (NumbersByName, dict)})
+@keys_from(
+    *_METHODS.values(), systems=ROBOT, types={"fixed": (NumbersByName, dict), "frequencies": (NumbersByName, dict)}
+)
 class RobotMethodTable(Table):
     """[method]: how the robot is identified; some keys are for some methods only."""
 
@@ -194,13 +199,12 @@ class RobotMethodTable(Table):
         Raises:
             JointFileError: a key is of another method.
         """
-        given, own = self.settings("name"), {one.name for one in settings_of(_METHODS[name])}
+        given, own = self.settings("name"), keys_of(_METHODS[name], "robot")
         for key in given:
             if key not in own:
                 rest = f" is a setting of another method than {name}; leave it out."
                 raise JointFileError(fault_at(("method", key), rest, "unknown"))
-        method: RobotMethod = _METHODS[name](**given)
-        return method
+        return _METHODS[name](**given)
 
 
 class RobotFileTable(Table):
@@ -491,7 +495,7 @@ class RobotFile:
     @property
     def closing(self) -> Robot | RobotLoop | RobotDriveSide:
         """The robot as its method takes it: alone, under its controllers, or along its motors' motion."""
-        if isinstance(self.method, RobotDriveSideFit):
+        if isinstance(self.method, DriveSideFit):
             return RobotDriveSide(self.robot)
         return self.loop if self._simulates else self.robot
 
@@ -509,9 +513,7 @@ class RobotFile:
     @property
     def _simulates(self) -> bool:
         """True if the method simulates the robot under its controllers."""
-        return isinstance(self.method, RobotDIDIM) or (
-            isinstance(self.method, RobotIDIM) and self.method.estimator == "iv"
-        )
+        return isinstance(self.method, DIDIM) or (isinstance(self.method, IDIM) and self.method.estimator == "iv")
 
     def write(self, records: Sequence[Record], path: str | os.PathLike[str]) -> None:
         """Write one record of each joint into a file that `records` reads; channels without a column as JOINT.CHANNEL.

@@ -48,7 +48,7 @@ from jointid.config.table import (
     with_keys,
     with_unit,
 )
-from jointid.estimation.methods.registry import Method, MethodName, method_of, methods
+from jointid.estimation.methods.registry import MODELS, Method, MethodName, method_of, methods
 from jointid.models.controllers import (
     FILTERS,
     LAWS,
@@ -232,7 +232,7 @@ class FilteringTable(Table):
         return super().build() if self.preset is None else FILTERINGS[self.preset]()
 
 
-@keys_from(*methods())
+@keys_from(*methods(), systems=MODELS)
 class MethodTable(Table):
     """[method]: how the joint is identified; some keys are for a rigid joint only, others for a flexible one."""
 
@@ -267,14 +267,14 @@ class MethodTable(Table):
 
     def method(self, name: str, model: str) -> Method:
         """Return the method of that name with these settings, for a joint of that model."""
-        made: Any = method_of(name, model)
+        made: Any = method_of(name)
         given = self.settings("name", "preset", *EFFECTS)
         for one in settings_of(made):
             if one.setting.none and given.get(one.name) == one.setting.none:
                 given[one.name] = None
         if has_effects(made):
             given["effects"] = self.effects()
-        method: Method = made.paper(**given) if self.preset == "paper" else made(**given)
+        method: Method = made.paper(model, **given) if self.preset == "paper" else made(**given)
         return method
 
 
@@ -284,9 +284,10 @@ def has_effects(method: type[Method]) -> bool:
     return "effects" in {field.name for field in fields(made)}
 
 
-def keys_of(method: type[Method]) -> tuple[str, ...]:
-    """Return the keys of [method], beside its name, that a method has."""
-    settings = tuple(one.name for one in settings_of(method))
+def keys_of(method: type[Method], model: str) -> tuple[str, ...]:
+    """Return the keys of [method], beside its name, that a method has for a joint of that model."""
+    own = settings_of(method)
+    settings = tuple(one.name for one in own if not one.setting.systems or model in one.setting.systems)
     return (*settings, *(EFFECTS if has_effects(method) else ()), *(("preset",) if hasattr(method, "paper") else ()))
 
 

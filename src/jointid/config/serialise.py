@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from jointid.common.errors import JointFileError
+from jointid.common.errors import JointFileError, MethodError
 from jointid.common.parameters import TORQUE_UNIT, Parameter
 from jointid.common.settings import settings_of
 from jointid.common.transmission import SIDES, Transmission
@@ -129,9 +129,13 @@ def filtering_table(filtering: Filtering) -> dict[str, Any]:
 
 def method_table(method: Method, model: str) -> dict[str, Any]:
     """Return [method] for a joint of that model."""
-    made = method_of(method.name, model)
+    made = method_of(method.name)
     if type(method) is not made:  # it would be read back as the other one
-        raise JointFileError(f"{type(method).__name__} is not for a {model} joint; use {made.__name__}.")
+        raise JointFileError(f"A joint file has no word for {type(method).__name__}; use {made.__name__}.")
+    try:
+        method.require_settings_of(model)
+    except MethodError as error:
+        raise JointFileError(str(error)) from error
     words = {one.name: one.setting.none for one in settings_of(made) if one.setting.none}
     given = {name: word for name, word in words.items() if getattr(method, name) is None}
     return {"name": method.name, **settings(method, "effects"), **given, **_effects(getattr(method, "effects", ()))}

@@ -30,7 +30,6 @@ from jointid.diagnostics.law_comparison import (
 from jointid.diagnostics.method_comparison import MethodComparison, compare_methods
 from jointid.estimation.descent import History, Solved, free_more, least_squares
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.flexible import FlexibleDIDIM, stopping_tolerance
 from jointid.estimation.methods.registry import Task
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.estimation.starts.nonlinear_laws import from_linear_laws
@@ -54,7 +53,7 @@ def compare(
     *,
     filtering: Filtering | None = ...,
     parameters: Mapping[str, Parameter] | None = ...,
-    didim: DIDIM | FlexibleDIDIM | None = ...,
+    didim: DIDIM | None = ...,
     progress: Progress = ...,
 ) -> LawComparison: ...
 
@@ -67,7 +66,7 @@ def compare(
     *,
     filtering: Filtering | None = ...,
     parameters: Mapping[str, Parameter] | None = ...,
-    didim: DIDIM | FlexibleDIDIM | None = ...,
+    didim: DIDIM | None = ...,
     progress: Progress = ...,
 ) -> MethodComparison: ...
 
@@ -79,7 +78,7 @@ def compare(
     *,
     filtering: Filtering | None = None,
     parameters: Mapping[str, Parameter] | None = None,
-    didim: DIDIM | FlexibleDIDIM | None = None,
+    didim: DIDIM | None = None,
     level: float = LEVEL,
     progress: Progress = ignore_progress,
 ) -> MethodComparison | LawComparison | EstimateComparison:
@@ -108,7 +107,7 @@ def compare(
     Example:
         >>> import jointid as ji
         >>> axis = ji.twin(noise="white")
-        >>> found = ji.compare(axis.record, axis.loop, "springs", didim=ji.FlexibleDIDIM(frequency=30.0))
+        >>> found = ji.compare(axis.record, axis.loop, "springs", didim=ji.DIDIM(frequency=30.0))
         >>> found.shown.name
         'linear'
     """
@@ -136,13 +135,13 @@ def _compare_laws(
     among: Literal["springs", "frictions"],
     filtering: Filtering | None,
     parameters: Mapping[str, Parameter] | None,
-    didim: DIDIM | FlexibleDIDIM | None,
+    didim: DIDIM | None,
     progress: Progress,
 ) -> LawComparison:
     """Identify a joint with every law of its spring or friction."""
     settings = _check(loop.joint, among, didim)
     check_record(record)
-    tolerance = stopping_tolerance(settings) if isinstance(settings, FlexibleDIDIM) else settings.tolerance
+    tolerance = settings.stopping_tolerance(loop.joint.model)
     joint, kind, simple = loop.joint, among.removesuffix("s"), _SIMPLE[among]
     history, given, chosen = History(progress), dict(parameters or {}), filtering or Filtering()
     adjust_parameters(joint.parameters, given)  # which refuses names that it does not have
@@ -150,7 +149,7 @@ def _compare_laws(
     own = adjust_parameters(plain.joint.parameters, _of_law(given, joint, plain.joint))
     parts_of(torque_problem(record, plain, chosen, own), among)  # before the search, which takes its time
     task = Task(record, plain.joint, plain, own, chosen, progress)
-    solved = settings.solve(task, history)[0] if isinstance(settings, FlexibleDIDIM) else settings.solve(task, history)
+    solved = settings.solve(task, history)
     if settings.free:
         solved = free_more(solved, settings.free, tolerance, history)
     parts = parts_of(solved.problem, among)
@@ -189,12 +188,13 @@ _SIMPLE: Mapping[str, Spring | Friction] = {"springs": LinearSpring(), "friction
 """The law that is always identified, from which the others begin."""
 
 
-def _check(joint: Joint, among: str, didim: DIDIM | FlexibleDIDIM | None) -> DIDIM | FlexibleDIDIM:
+def _check(joint: Joint, among: str, didim: DIDIM | None) -> DIDIM:
     """Return the settings of DIDIM; raise a `MethodError` if the laws of the joint cannot be compared."""
     if among == "springs" and not isinstance(joint, FlexibleJoint):
         raise MethodError('Only a flexible joint has a spring; received a rigid one: set joint.model = "flexible".')
-    settings = didim or (FlexibleDIDIM() if isinstance(joint, FlexibleJoint) else DIDIM())
-    if isinstance(settings, FlexibleDIDIM) and settings.minimiser != "least-squares":
+    settings = didim or DIDIM()
+    settings.require_settings_of(joint.model)
+    if settings.minimiser != "least-squares":
         raise MethodError(
             f"{among.capitalize()} are compared by least squares; received the minimiser {settings.minimiser}."
         )

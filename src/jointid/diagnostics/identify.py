@@ -15,9 +15,9 @@ from jointid.estimation.problems.log_windows import Windowing
 from jointid.estimation.problems.several_records import SeveralRecords
 from jointid.estimation.result.assemble import CheckResults, assemble
 from jointid.estimation.result.estimate import Estimate
-from jointid.estimation.robots.identify import RobotMethod, fit_robot
-from jointid.estimation.robots.idim import RobotEstimate, RobotIDIM
-from jointid.estimation.robots.torque_estimate import RobotDIDIM, RobotDriveSideFit, RobotTorqueEstimate
+from jointid.estimation.robots.identify import fit_robot
+from jointid.estimation.robots.idim import RobotEstimate
+from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.models.robots.robot import Robot
@@ -52,7 +52,7 @@ def identify(
 def identify(
     record: Sequence[Record],
     model: Robot | RobotLoop | RobotDriveSide,
-    method: RobotMethod | None = None,
+    method: Method | None = None,
     *,
     filtering: Filtering | None = None,
     progress: Progress = ignore_progress,
@@ -62,7 +62,7 @@ def identify(
 def identify(
     record: Record | Sequence[Record] | LongRecord,
     model: ClosedLoop | DriveSide | OpenLoop | Joint | Sequence[ClosedLoop] | Robot | RobotLoop | RobotDriveSide,
-    method: Method | RobotMethod | None = None,
+    method: Method | None = None,
     *,
     filtering: Filtering | None = None,
     parameters: Mapping[str, Parameter] | None = None,
@@ -84,10 +84,10 @@ def identify(
             prescribe the motor's motion and simulate the load; `OpenLoop` to prescribe the torque. For several records
             a loop, or one for each record: of one joint under different gains. A `Robot` alone, a `RobotLoop` with its
             controllers, or a `RobotDriveSide` along the motors' motion.
-        method: `DIDIM` (rigid), `FlexibleDIDIM`, `IDIM`, `DriveSideFit` or `OpenLoopFit` with its settings; by default
+        method: `DIDIM`, `IDIM`, `DriveSideFit` or `OpenLoopFit` with its settings; by default
             DIDIM when the controller is known, even where the record has a motor position, which is then not read; that
-            of a `DriveSide` or an `OpenLoop`; otherwise IDIM. Several records and a log are identified by DIDIM. Of a
-            robot `RobotIDIM`, `RobotDIDIM` or `RobotDriveSideFit`; by default what the model asks for.
+            of a `DriveSide` or an `OpenLoop`; otherwise IDIM. Several records and a log are identified by DIDIM. A
+            robot likewise, but there is no `OpenLoopFit`.
         filtering: see `Filtering`; its defaults follow the sample time.
         parameters: changes to the joint's parameters by name: fixed values, starts, bounds; for several records, of the
             joint without anything added.
@@ -145,8 +145,6 @@ def identify(
                 "give the records alone."
             )
         return fit_robot(record, model, method, filtering=filtering, progress=progress)
-    if isinstance(method, RobotIDIM | RobotDIDIM | RobotDriveSideFit):
-        raise MethodError(f"{type(method).__name__} is for a robot; give a Robot, a RobotLoop or a RobotDriveSide.")
     fit = fit_records(
         record, model, method, filtering=filtering, parameters=parameters, several=several, windows=windows,
         progress=progress,

@@ -22,7 +22,6 @@ from jointid.common.parameters import Parameter
 from jointid.common.text import number, pluralise
 from jointid.diagnostics.identify import identify
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.registry import Method, methods
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter
@@ -130,7 +129,7 @@ def compare_methods(
     *,
     filtering: Filtering | None = None,
     parameters: Mapping[str, Parameter] | None = None,
-    didim: DIDIM | FlexibleDIDIM | None = None,
+    didim: DIDIM | None = None,
     progress: Progress = ignore_progress,
 ) -> MethodComparison:
     """Identify a joint by every method that the record and the model allow.
@@ -166,12 +165,10 @@ def compare_methods(
     return replace(found, disagreements=_describe_disagreements(found.estimates))
 
 
-def _list_methods(
-    model: ClosedLoop | Joint, didim: DIDIM | FlexibleDIDIM | None
-) -> Iterator[tuple[str, ClosedLoop | Joint, Method]]:
+def _list_methods(model: ClosedLoop | Joint, didim: DIDIM | None) -> Iterator[tuple[str, ClosedLoop | Joint, Method]]:
     """Yield the name of each method, the model with its friction law, and the method."""
     joint = model.joint if isinstance(model, ClosedLoop) else model
-    made = [one.compared(joint.model) for one in methods() if joint.model in one.models]
+    made = [one.compared(joint.model) for one in methods()]
     runs = [
         [(label, didim if didim is not None and didim.name == method.name else method) for label, method in each]
         for each in made

@@ -23,7 +23,6 @@ from jointid.common.messages import Progress
 from jointid.common.parameters import Bounds, Parameter, adjust_parameters
 from jointid.estimation.identify_record import identify_record
 from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.flexible import FlexibleDIDIM
 from jointid.estimation.methods.registry import Method, default_method
 from jointid.estimation.problems.log_windows import (
     FEW,
@@ -81,8 +80,8 @@ def identify_log(
 
     See `jointid.identify`. An interrupt of the last passes ends them, and the estimate is of what was read.
     """
-    chosen = method or default_method(loop, loop.joint.model)()
-    if not isinstance(chosen, DIDIM | FlexibleDIDIM):
+    chosen = method or default_method(loop)()
+    if not isinstance(chosen, DIDIM):
         raise MethodError("A long record is identified by simulating its loop; give the method didim.")
     if loop.joint.friction.follows_time:
         raise MethodError(

@@ -8,7 +8,7 @@ from dataclasses import replace
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import Parameter, Quantity, adjust_parameters
-from jointid.estimation.methods.registry import Method, Task, default_method, method_of
+from jointid.estimation.methods.registry import Method, Task, default_method
 from jointid.estimation.record_warnings import record_warnings
 from jointid.estimation.result.assemble import FitResult
 from jointid.models.joints import ClosedLoop, Joint
@@ -33,7 +33,7 @@ def identify_record(
     """
     loop = model if isinstance(model, ClosedLoop) else None
     joint = model.joint if isinstance(model, ClosedLoop | DriveSide | OpenLoop) else model
-    chosen = method or default_method(model, joint.model)()
+    chosen = method or default_method(model)()
     wanted = adjust_parameters(joint.parameters, parameters or {})
     check_record(record)
     _require_fit(chosen, joint, loop)
@@ -70,10 +70,7 @@ def _require_fit(method: Method, joint: Joint, loop: ClosedLoop | None) -> None:
             f"{method.title} simulates the closed loop, so it needs the controller; give a ClosedLoop, or use IDIM "
             "with a motor_position."
         )
-    if joint.model not in method.models:
-        other = method_of(method.name, joint.model)
-        remedy = other if joint.model in other.models else default_method(loop or joint, joint.model)
-        raise MethodError(f"{type(method).__name__} is not for a {joint.model} joint; use {remedy.__name__}.")
+    method.require_settings_of(joint.model)
     if not method.any_law:
         joint.require_linear(f"{method.title} takes")
     if method.name == "drive_side":

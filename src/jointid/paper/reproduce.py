@@ -20,7 +20,6 @@ from jointid import (
     ClosedLoop,
     Estimate,
     Filtering,
-    FlexibleDIDIM,
     FlexibleJoint,
     Record,
     RigidJoint,
@@ -120,7 +119,7 @@ def reproduce(seed: int = 1, progress: Progress = ignore_progress) -> Reproducti
     progress("The test of F12")
     damping = next(p for p in axis.loop.joint.parameters if p.name == "damping")
     fixed = {"damping": damping.fixed(0.0)}
-    without_damping = identify(keep_torque_only(axis), axis.loop, FlexibleDIDIM(), parameters=fixed, checks=False)
+    without_damping = identify(keep_torque_only(axis), axis.loop, DIDIM(), parameters=fixed, checks=False)
     return Reproduction(seed, rigid, first, second, without_damping)
 
 
@@ -133,9 +132,9 @@ def _reproduce_experiment(axis: Twin, other: Twin, tables: str, progress: Progre
     progress(f"{tables}: IDIM")
     idim = identify(axis.record, axis.loop, IDIM())
     progress(f"{tables}: DIDIM by Nelder-Mead")
-    didim = identify(keep_torque_only(axis), axis.loop, FlexibleDIDIM.paper())
+    didim = identify(keep_torque_only(axis), axis.loop, DIDIM.paper("flexible"))
     progress(f"{tables}: DIDIM by least squares, for its deviations")
-    best = identify(keep_torque_only(axis), axis.loop, FlexibleDIDIM(), checks=False)
+    best = identify(keep_torque_only(axis), axis.loop, DIDIM(), checks=False)
     # An inverse model's values in a loop that can be simulated.
     filtering = Filtering().resolve(idim.data.sample_time, "flexible")
     simulable = replace(idim.identified, method="didim", loop=axis.loop, filtering=filtering)

@@ -73,7 +73,7 @@ def flexible_twin() -> tuple[ji.Record, ji.Estimate]:
     """The twin's record from torque alone, and its estimate."""
     axis = ji.twin(noise="white")
     record = axis.record.without("motor_position", "load_position")
-    return record, ji.identify(record, axis.loop, ji.FlexibleDIDIM(frequency=30.0), checks=False)
+    return record, ji.identify(record, axis.loop, ji.DIDIM(frequency=30.0), checks=False)
 
 
 def test_tuning_and_predictions_are_drawn_to_their_end(flexible_twin: tuple[ji.Record, ji.Estimate]) -> None:

@@ -12,8 +12,9 @@ from jointid.common.arrays import FloatArray
 from jointid.diagnostics.robots.diagnose import RobotDiagnosis, diagnose_robot
 from jointid.diagnostics.robots.parameters import Told, parameters_by_joint
 from jointid.diagnostics.robots.torques import DIRECTION, FRICTION
+from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.robots.didim import identify_rigid_robot
-from jointid.estimation.robots.idim import RobotIDIM, identify_robot
+from jointid.estimation.robots.idim import identify_robot
 from jointid.estimation.robots.torque_estimate import identify_robot_from_torques
 from jointid.models.controllers import Controller
 from jointid.records.record import Record
@@ -157,7 +158,7 @@ def test_an_offset_is_told_with_the_sum_that_it_stands_for() -> None:
 
 def test_what_is_fixed_is_neither_told_nor_not_told() -> None:
     records = records_of(arm(), 2, noise=0.2)
-    free, kept = (identify_robot(arm(), records, RobotIDIM(fixed=one)) for one in ({}, {"Fv4": 1.5, "offset2": 0.0}))
+    free, kept = (identify_robot(arm(), records, IDIM(fixed=one)) for one in ({}, {"Fv4": 1.5, "offset2": 0.0}))
     assert set(free.told) - set(kept.told) >= {"Fv4"}
     found = diagnose_robot(kept, records)
     known = {one.name: one.known for joint in found.joints for one in joint.parameters}

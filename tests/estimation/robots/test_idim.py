@@ -12,10 +12,12 @@ import jointid as ji
 from jointid.common.errors import MethodError, RecordError
 from jointid.diagnostics.robots.validation import RobotValidation
 from jointid.diagnostics.validation import validate
+from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.robots.consistent import consistent_robot
-from jointid.estimation.robots.idim import RobotIDIM, identify_robot
+from jointid.estimation.robots.idim import identify_robot
 from jointid.estimation.robots.instruments import robot_instruments
 from jointid.estimation.robots.regression import base_rows, motion_of_robot
+from jointid.models.ripple import PositionHarmonics
 from jointid.models.robots.base_parameters import base_parameters
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -45,7 +47,7 @@ def test_intervals_hold_the_truth_and_weights_help_the_wrist() -> None:
     found = identify_robot(ARM, records)
     off = (found.values - truth(found.base)) / found.covariance.std
     assert np.mean(np.abs(off) < 2) > 0.85 and np.abs(off).max() < 5
-    plain = identify_robot(ARM, records, RobotIDIM("ols"))
+    plain = identify_robot(ARM, records, IDIM("ols"))
     last = [i for i, name in enumerate(found.names) if name.endswith("6")]
     assert np.mean(found.covariance.std[last] / plain.covariance.std[last]) < 0.6
 
@@ -93,7 +95,7 @@ def test_a_rise_of_friction_that_the_record_does_not_reach_is_refused() -> None:
         MethodError, match=r"joint2 is declared to rise below 0\.002 rad/s, .* fix FS2 by method\.fixed"
     ):
         identify_robot(declared, records)
-    found = identify_robot(declared, records, RobotIDIM(fixed={"FS2": 0.5}))
+    found = identify_robot(declared, records, IDIM(fixed={"FS2": 0.5}))
     assert found.params["FS2"] == 0.5 and not found.objections
 
 
@@ -130,7 +132,7 @@ def test_outliers_do_not_reach_the_robust_estimate() -> None:
     spoilt = torque.values.copy()
     spoilt[1000:1050] += 300.0
     records[4] = replace(records[4], torque=replace(torque, values=spoilt))
-    wrong, right = (identify_robot(ARM, records, RobotIDIM(one)) for one in ("weighted", "robust"))
+    wrong, right = (identify_robot(ARM, records, IDIM(one)) for one in ("weighted", "robust"))
     at = right.names.index("Fc5")
     assert abs(right.values[at] - COULOMB[4]) < 0.1 < abs(wrong.values[at] - COULOMB[4])
 
@@ -161,7 +163,7 @@ def test_a_parameter_that_is_known_is_kept_and_helps_the_others(
     estimator: Literal["ols", "weighted", "robust"],
 ) -> None:
     records = records_of(ARM, 2, noise=0.5)
-    free, kept = (identify_robot(ARM, records, RobotIDIM(estimator, one)) for one in ({}, {"Fv4": VISCOUS[3]}))
+    free, kept = (identify_robot(ARM, records, IDIM(estimator, fixed=one)) for one in ({}, {"Fv4": VISCOUS[3]}))
     at, beside = free.names.index("Fv4"), free.names.index("Fc4")
     assert kept.values[at] == VISCOUS[3] != free.values[at]
     assert kept.covariance.std[at] == 0
@@ -201,7 +203,7 @@ def test_instruments_from_the_loop_are_free_of_the_positions_noise() -> None:
     for seed in range(1, 5):
         loop, records = noisy(seed)
         for name, found in off.items():
-            estimate = identify_robot(loop.robot, records, RobotIDIM(name), loop=loop)  # type: ignore[arg-type]
+            estimate = identify_robot(loop.robot, records, IDIM(name), loop=loop)  # type: ignore[arg-type]
             assert estimate.converged
             found.append((estimate.values - estimate.base.with_friction(loop.robot)) / estimate.covariance.std)
     mean = {name: np.mean(found, axis=0) for name, found in off.items()}
@@ -229,15 +231,19 @@ def test_the_printed_estimate() -> None:
 
 def test_a_robot_is_identified_by_the_verb_of_a_joint() -> None:
     records = records_of(ARM, 1)
-    found, direct = ji.identify(records, ARM, RobotIDIM("ols")), identify_robot(ARM, records, RobotIDIM("ols"))
+    found, direct = ji.identify(records, ARM, IDIM("ols")), identify_robot(ARM, records, IDIM("ols"))
     assert isinstance(found, ji.RobotEstimate)
     assert np.array_equal(found.values, direct.values)
-    with pytest.raises(MethodError, match="RobotDIDIM is not for a Robot; use RobotIDIM"):
-        ji.identify(records, ARM, ji.RobotDIDIM())
+    with pytest.raises(MethodError, match="DIDIM is not for a Robot; use IDIM"):
+        ji.identify(records, ARM, ji.DIDIM())
     with pytest.raises(MethodError, match="without parameters, SeveralRecords or windows"):
         ji.identify(records[0], ARM)  # type: ignore[call-overload]
-    with pytest.raises(MethodError, match="RobotIDIM is for a robot"):
-        ji.identify(records[0], ji.RigidJoint(), RobotIDIM())  # type: ignore[call-overload]
+    with pytest.raises(MethodError, match=r"IDIM\.fixed is for a robot, and this is a rigid joint"):
+        ji.identify(records[0], ji.RigidJoint(), IDIM(fixed={"Fv": 1.0}))
+    with pytest.raises(MethodError, match=r"IDIM\.encoders is for a flexible joint, and this is a robot"):
+        ji.identify(records, ARM, IDIM(encoders="same_zero"))
+    with pytest.raises(MethodError, match=r"IDIM\.effects are of a joint, and this is a robot"):
+        ji.identify(records, ARM, IDIM(effects=(PositionHarmonics(0.1),)))
 
 
 def test_what_is_refused() -> None:
@@ -247,11 +253,11 @@ def test_what_is_refused() -> None:
     with pytest.raises(RecordError, match=r"joint1: .*motor_position"):
         identify_robot(ARM, (replace(records[0], motor_position=None), *records[1:]))
     with pytest.raises(MethodError, match='estimator is "tls"'):
-        RobotIDIM("tls")  # type: ignore[arg-type]
+        IDIM("tls")  # type: ignore[arg-type]
     with pytest.raises(MethodError, match="expected a controller of each joint"):
-        identify_robot(ARM, records, RobotIDIM("iv"))
+        identify_robot(ARM, records, IDIM("iv"))
     with pytest.raises(MethodError, match='A name in fixed is "Ia1"; expected'):
-        identify_robot(ARM, records, RobotIDIM(fixed={"Ia1": 2.0}))
+        identify_robot(ARM, records, IDIM(fixed={"Ia1": 2.0}))
     still = replace(records[5], motor_position=replace(records[5].motor_position, values=np.zeros(5001)))
     with pytest.raises(MethodError, match=r"Nothing in this record excites|cannot be told apart"):
         identify_robot(ARM, (*records[:5], still))

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from jointid.common.errors import MethodError
+from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.robots.drive_gains import identify_drive_gains
 from jointid.estimation.robots.flexible import SpringVerdict
-from jointid.estimation.robots.idim import RobotIDIM, identify_robot
+from jointid.estimation.robots.idim import identify_robot
 from jointid.estimation.robots.payload import Payload, identify_payload, payload_difference, payload_of_torques
 from jointid.estimation.robots.torque_estimate import identify_robot_from_torques
 from jointid.models.robots.inertial import MassProperties
@@ -60,7 +61,7 @@ def test_a_payload_is_weighed_within_a_percent_both_ways() -> None:
 
 def test_a_number_of_the_empty_robot_may_be_fixed() -> None:
     """It is not the loaded one's, so the estimates that are compared leave it free."""
-    records, settings = pair(12), RobotIDIM(fixed={"Ia6": 0.3})
+    records, settings = pair(12), IDIM(fixed={"Ia6": 0.3})
     found = identify_payload(ARM, *records, settings)
     assert found.agrees
     assert found.rows["mass"]["value"] == pytest.approx(3.0, rel=0.01)
@@ -71,7 +72,7 @@ def test_a_number_of_the_empty_robot_may_be_fixed() -> None:
 
 def test_a_payload_is_not_weighed_by_instruments() -> None:
     with pytest.raises(MethodError, match=r'"iv" has no instruments there; use "weighted", "robust" or "ols"'):
-        identify_payload(ARM, *pair(12), RobotIDIM(estimator="iv"))
+        identify_payload(ARM, *pair(12), IDIM(estimator="iv"))
 
 
 def test_two_deviations_hold_the_payload() -> None:

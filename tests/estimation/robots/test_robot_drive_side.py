@@ -192,7 +192,7 @@ def test_where_links_are_at_first_is_no_merit_of_an_estimate() -> None:
     """In a record that begins in motion: a robot that is right leaves as little, there and elsewhere."""
     twin = two((12.0, 18.0))
     begun = logged(twin, duration=8.0, first=1500)
-    estimate = ji.identify(begun, ji.RobotDriveSide(twin.robot), ji.RobotDriveSideFit(frequencies=hertz(twin)))
+    estimate = ji.identify(begun, ji.RobotDriveSide(twin.robot), ji.DriveSideFit(frequencies=hertz(twin)))
     assert "joint1.initial_link_velocity" in estimate.fit.names
     assert np.all(estimate.joint_errors < 0.015)
     assert np.all(estimate.nominal_errors < 1.1 * estimate.joint_errors)
@@ -203,7 +203,7 @@ def test_where_links_are_at_first_is_no_merit_of_an_estimate() -> None:
 def test_a_robot_that_does_not_hold_is_not_praised() -> None:
     """Frequencies far off lead to a wrong place: what is left of the torques says so, first."""
     twin = two((12.0, 18.0))
-    wrong = ji.RobotDriveSideFit(frequencies={"joint1": 40.0, "joint2": 6.0}, evaluations=1)
+    wrong = ji.DriveSideFit(frequencies={"joint1": 40.0, "joint2": 6.0}, evaluations=1)
     text = ji.identify(logged(twin), ji.RobotDriveSide(twin.robot), wrong).document().text()
     assert "More than a tenth of the torque of joint1" in " ".join(text.split())
 

@@ -43,9 +43,7 @@ def flexible() -> Report:
     """Of the twin's flexible joint."""
     axis = ji.twin()
     record = axis.record.without("motor_position", "load_position")
-    return ji.Report.of(
-        ji.identify(record, axis.loop, ji.FlexibleDIDIM(frequency=30.0)), record, profiles=["stiffness"]
-    )
+    return ji.Report.of(ji.identify(record, axis.loop, ji.DIDIM(frequency=30.0)), record, profiles=["stiffness"])
 
 
 @cache

@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.robots.flexible import SpringVerdict
 from jointid.estimation.robots.idim import identify_robot
-from jointid.estimation.robots.torque_estimate import RobotDIDIM, RobotTorqueEstimate
+from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
 from jointid.estimation.robots.torque_estimate import identify_robot_from_torques as identify
 from jointid.output.report.robots import RobotReport
 from jointid.records.record import Record
@@ -23,7 +24,7 @@ def test_what_is_refused_is_not_in_the_table() -> None:
     loop, driven = twin.loop(), twin.records(2.0, multisine=0.01)
     logged = simulate(loop, driven).records(driven)
     records = tuple(Record(torque=one.torque, reference=one.reference) for one in logged)
-    found = identify(loop, records, RobotDIDIM(evaluations=3))
+    found = identify(loop, records, DIDIM(evaluations=3))
     refused = SpringVerdict("joint1", False, None, None, 1234.0)
     estimate: RobotTorqueEstimate = replace(found, springs=(refused,))
     told = RobotReport.of(estimate, records)

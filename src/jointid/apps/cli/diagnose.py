@@ -85,7 +85,7 @@ def friction(joint: Path, /, *, options: Options = DEFAULTS, filtering: Filterin
 
 def _compare(file: JointFile, among: Literal["methods", "springs", "frictions"], options: Options) -> None:
     """Compare methods or laws, and write the result."""
-    from jointid import DIDIM, FlexibleDIDIM, MethodError, compare
+    from jointid import DIDIM, MethodError, compare
 
     if file.loop is None and among != "methods":  # before the record is read
         raise MethodError(f"{among.capitalize()} are compared in the closed loop; declare the [controller].")
@@ -93,7 +93,7 @@ def _compare(file: JointFile, among: Literal["methods", "springs", "frictions"],
     ready(options.progress)
     known = {"filtering": file.filtering, "parameters": file.parameters, "progress": options.progress}
     model = file.loop or file.joint
-    settings = didim if isinstance(didim, DIDIM | FlexibleDIDIM) else None
+    settings = didim if isinstance(didim, DIDIM) else None
     deliver(compare(record, model, among, didim=settings, **known), options.json)  # type: ignore[call-overload]
 
 

@@ -40,7 +40,7 @@ def payload(
         json: also write the answer as JSON to this file.
         quiet: say nothing of the progress of searches.
     """
-    from jointid import RobotFile, RobotIDIM, identify_drive_gains, identify_payload
+    from jointid import IDIM, RobotFile, identify_drive_gains, identify_payload
 
     outputs = Outputs({"--json": json})
     outputs.spare("--without", without)
@@ -56,12 +56,12 @@ def payload(
         )
         deliver(found, json)
         return
-    if not isinstance(file.method, RobotIDIM):
+    if not isinstance(file.method, IDIM):
         raise MethodError(
             "The drives' gains are found by IDIM, from motor positions and torques, and this robot file asks for "
             "DIDIM or the drive side; add --set method.name=idim, and declare record.channels.motor_position."
         )
-    if file.method.fixed or file.method.estimator != RobotIDIM().estimator:
+    if file.method.fixed or file.method.estimator not in (None, "weighted"):
         raise MethodError(
             "The drives' gains are searched with all parameters free, each joint weighed by its error; leave "
             "method.fixed and method.estimator out, or add --set method.estimator=weighted --set method.fixed={}."

@@ -226,7 +226,7 @@ def _design_robot(
     """Plan the motion that tells most of a robot, beside that of a first record where there is one."""
     import numpy as np
 
-    from jointid import RobotIDIM, design_robot_test, figures
+    from jointid import IDIM, design_robot_test, figures
     from jointid.planning.robots.first_record import first_record
 
     first = own = None
@@ -242,7 +242,7 @@ def _design_robot(
         sample_time = first.sample_time
     found = design_robot_test(
         file.robot, file.limits, duration=duration or (_DURATION if first is None else first.duration),
-        sample_time=sample_time, loop=None if isinstance(file.method, RobotIDIM) else file.loop,
+        sample_time=sample_time, loop=None if isinstance(file.method, IDIM) else file.loop,
         # Of a motion that was never played nothing is logged: such a robot is foretold without.
         feed_forward="none" if file.feed_forward == "logged" else file.feed_forward,
         noise=None if first is None else first.noise, present=None if first is None else first.motion, motion=own,

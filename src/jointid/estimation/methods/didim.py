@@ -1,7 +1,7 @@
-"""DIDIM for rigid joints: direct and inverse dynamic identification models, from torque and reference only.
+"""DIDIM: direct and inverse dynamic identification models, from torque and reference only.
 
-The closed loop is simulated at the current parameters, and the torque error is made least, with the output
-sensitivities J = d tau_sim / d chi, from several starts: one answer, whatever the start.
+**A rigid joint.** The closed loop is simulated at the current parameters, and the torque error is made least, with the
+output sensitivities J = d tau_sim / d chi, from several starts: one answer, whatever the start.
 
 By name there is what the paper does instead [P section IV.A]: the inverse dynamic regressor W is evaluated on the
 simulated motion, and least squares on the torque gives the next parameters, until nothing changes. The paper's form
@@ -19,47 +19,82 @@ inertia (`starts.rigid_joint`). From each a descent with the motor at rest at th
 more with it moving; or, where a form is named, the steps of the regressor from the first start, and descents where they
 lead to no joint. From there, with nonlinear laws, a descent from each of their starts; and one with more of the
 surroundings free.
+
+**A flexible joint.** The load is not controlled, so the regressor on the simulated motion is no approximation of the
+Jacobian [P section IV.B]; what is left is the criterion itself, ``J = ||Y - Ys||^2`` of the filtered, decimated torque.
+Two ways down:
+
+- least squares with the output sensitivities, by SciPy's bounded trust region;
+- Nelder-Mead by the rules of MATLAB's ``fminsearch``, as the paper did, restarted because it stops early.
+
+Both begin as the paper does, with a rigid identification at low frequency. Its values are divided between the sides,
+by halves in the paper (13), and the stiffness follows from a known or guessed frequency: ``K12 = mu (2 pi f)^2`` with
+``mu = ZZ1 ZZ2 / (ZZ1 + ZZ2)``. Where the frequency is not known, a grid of frequencies and load shares is simulated,
+and the best few are refined: half of such a grid is unstable for a fast loop, and the rest has local minima.
+
+**A robot** is searched for by `estimation.robots`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.settings import add_settings_to_docstring, setting
+from jointid.common.parameters import Parameter
+from jointid.common.settings import add_settings_to_docstring, declare, setting
 from jointid.estimation.descent import History, Solved, free_more, least_squares, or_moving
-from jointid.estimation.methods.force_in_loop import instruments, uncertainty_of_least_error
-from jointid.estimation.methods.registry import SURROUNDINGS, Method, Task
+from jointid.estimation.methods.force_in_loop import instruments, uncertainty_of_least_error, widened_for_force
+from jointid.estimation.methods.registry import (
+    EVALUATIONS,
+    FREQUENCIES,
+    MODELS,
+    OFFSETS,
+    ROBOT,
+    SURROUNDINGS,
+    Method,
+    Task,
+)
 from jointid.estimation.methods.regressor_steps import REPRODUCED, RegressorSteps, describe_unstable
+from jointid.estimation.methods.stiffness_search import StiffnessSearch, search_by_simplex
+from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, beginning_position, torque_problem
 from jointid.estimation.result.assemble import FitResult
 from jointid.estimation.result.build_result import build_closed_loop_result
+from jointid.estimation.result.stiffness_identifiability import visible
 from jointid.estimation.starts.nonlinear_laws import from_linear_laws, with_linear_laws
 from jointid.estimation.starts.rigid_joint import Start, rigid_starts
 from jointid.models.controllers import REFERENCE
 from jointid.models.joints import ClosedLoop
+from jointid.records.record import Record
+from jointid.solvers.nelder_mead import NelderMead
 from jointid.solvers.regression import refuse_idle
 from jointid.solvers.solve import Status
+from jointid.uncertainty.covariance import Covariance
 from jointid.uncertainty.position_dependent_error import uncertainty
 
 _ROUNDING = 1e-10  # of the torque: an error this small is rounding
 _BETTER = 1e-6  # of the residual: by as much a later end has to be better than an earlier one
 _LEAST = "by least squares"
 _LEAST_ERROR = 'set method.form = "least-squares"'
+_LEAST_SQUARES = 'set method.minimiser = "least-squares"'
+_TOLERANCES = {"rigid": 1e-7, "flexible": 1e-8}
+_SIMPLEX_TOLERANCE = 1e-4  # that of fminsearch
+_NOTHING = 0.5  # of the torque: an end that leaves so much is no answer
+_RIGID, _FLEXIBLE = ("rigid",), ("flexible",)
 
 
 @add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class DIDIM(Method):
-    """Settings of DIDIM."""
+    """Settings of DIDIM; some are of a rigid or a flexible joint, or of a robot, alone."""
 
     name = "didim"
     title = "DIDIM"
-    models = ("rigid",)
     default_for = ClosedLoop
     needs_controller = True
     any_law = True
@@ -68,42 +103,126 @@ class DIDIM(Method):
         "least-squares",
         "what is searched for: the least torque error (least-squares), or the fixed point of steps by the regressor, "
         "which solve for the change of the parameters (residual) or, as (11) in the paper, for the parameters (paper)",
+        systems=_RIGID,
     )
     start: Literal["inversion", "regular", "given"] = setting(
         "inversion",
         "where the search begins: the controller turned round, a regular inertia without friction, or the starts of "
         "the parameters",
+        systems=_RIGID,
     )
     # Scaling at every iteration would bias the result where the bandwidth it assumes is not the real one.
     scaled_iterations: int = setting(
         2,
         "first iterations in which the simulated gains follow the inertia, from a regular or a given start",
         at_least=0,
+        systems=_RIGID,
     )
-    tolerance: float = setting(1e-7, "change of the residual's norm to stop at, as a share", above=0)
-    step_tolerance: float = setting(1e-7, "change of every parameter to stop at, too, as a share of itself", above=0)
-    iterations: int = setting(30, "iterations at most", at_least=1)
+    tolerance: float | None = setting(
+        None,
+        "change of the criterion, and of a flexible joint's parameters, to stop at, as a share; without it 1e-7 for a "
+        "rigid joint, 1e-8 for a flexible one, and 1e-4 with Nelder-Mead",
+        above=0,
+        systems=MODELS,
+    )
+    step_tolerance: float = setting(
+        1e-7, "change of every parameter to stop at, too, as a share of itself", above=0, systems=_RIGID
+    )
+    iterations: int = setting(30, "iterations at most", at_least=1, systems=("rigid", "robot"))
     initial_state: Literal["free", "reference"] = setting(
-        "free", "whether position and velocity at the first sample are estimated, or those of the reference at rest"
+        "free",
+        "whether position and velocity at the first sample are estimated, or those of the reference at rest",
+        systems=_RIGID,
     )
-    free: tuple[str, ...] = setting((), SURROUNDINGS)
+    minimiser: Literal["least-squares", "nelder-mead"] = setting(
+        "least-squares",
+        "least squares with the output sensitivities, or the paper's simplex by MATLAB's fminsearch",
+        systems=_FLEXIBLE,
+    )
+    frequency: float | None = setting(
+        None,
+        "free-free frequency from which the stiffness starts, with the inertia halved; without it the best of a "
+        "grid, a simulation each",
+        unit="Hz",
+        above=0,
+        systems=_FLEXIBLE,
+    )
+    rigid_cutoff: float | None = setting(
+        None,
+        "cut-off of the rigid identification that gives the start; without it 0.5 % of the sampling frequency",
+        unit="Hz",
+        above=0,
+        systems=_FLEXIBLE,
+    )
+    simulations: int = setting(6000, "simulations of one descent of Nelder-Mead at most", at_least=1, systems=_FLEXIBLE)
+    restarts: int = setting(
+        3,
+        "restarts of Nelder-Mead at most, each from where the last one stopped; it ends when one gains nothing",
+        at_least=0,
+        systems=_FLEXIBLE,
+    )
+    statistics: Literal["sensitivities", "inverse-model"] = setting(
+        "sensitivities",
+        "whether the standard deviations are those of the output sensitivities, or the paper's of the inverse model, "
+        "far too small",
+        systems=_FLEXIBLE,
+    )
+    free: tuple[str, ...] = setting((), SURROUNDINGS, systems=MODELS)
+    offsets: bool = setting(True, OFFSETS, systems=ROBOT)
+    evaluations: int = setting(60, EVALUATIONS, at_least=1, systems=ROBOT)
+    frequencies: Mapping[str, float] = field(
+        default_factory=dict, hash=False, metadata=declare(FREQUENCIES, systems=ROBOT)
+    )
 
     @classmethod
-    def paper(cls) -> DIDIM:
-        """Return the settings of the paper: form (11), regular start, stop at 2.5 % or after 10 iterations."""
-        return cls("paper", "regular", 1, 0.025, 0.025, 10, "reference")
+    def paper(cls, model: str = "rigid", frequency: float | None = 30.0) -> DIDIM:
+        """Return the settings of the paper.
+
+        Args:
+            model: "rigid": form (11), regular start, stop at 2.5 % or after 10 iterations; "flexible": Nelder-Mead with
+                the tolerance of ``fminsearch``, its statistics.
+            frequency: of a flexible joint, Hz; the paper measured 30 Hz with its output blocked.
+        """
+        if model == "rigid":
+            return cls("paper", "regular", 1, 0.025, 0.025, 10, "reference")
+        return cls(
+            minimiser="nelder-mead", frequency=frequency, tolerance=_SIMPLEX_TOLERANCE, restarts=1,
+            statistics="inverse-model",
+        )  # fmt: skip
+
+    @property
+    def tells_of_its_loop(self) -> bool:
+        """True by least squares: the paper's search need not end there, and its loop would be blamed for that."""
+        return self.minimiser == "least-squares"
+
+    def stopping_tolerance(self, model: str) -> float:
+        """Return the tolerance that the search stops at: its own, or the default of the joint's model."""
+        return self.tolerance or (_TOLERANCES[model] if self.minimiser == "least-squares" else _SIMPLEX_TOLERANCE)
+
+    @property
+    def _tolerance(self) -> float:
+        return self.stopping_tolerance("rigid")
 
     def identify(self, task: Task) -> FitResult:
-        """Identify a rigid joint from torque and reference; a motor position in the record is not read.
+        """Identify a joint from torque and reference; a motor position in the record is not read.
 
-        The filter goes over torque and columns alike. With a cut-off well below the loop's bandwidth, the regressor is
-        the Jacobian; above it convergence slows down.
+        The filter goes over torque and columns alike. The mode of a flexible joint must lie below the cut-off. With a
+        cut-off well below the bandwidth of a rigid joint's loop, the regressor is the Jacobian; above it convergence
+        slows down.
 
         Raises:
             RecordError: a channel is missing.
-            MethodError: the joint is flexible, the record does not determine the parameters, or the loop cannot be
-                simulated at the start.
+            MethodError: the record does not determine the parameters, or the loop cannot be simulated at any start.
         """
+        return self._identify_rigid(task) if task.joint.model == "rigid" else self._identify_flexible(task)
+
+    def solve(self, task: Task, history: History) -> Solved:
+        """Search for the least torque error from all starts; nonlinear laws from the end with linear ones."""
+        return (
+            self._solve_rigid(task, history) if task.joint.model == "rigid" else self._solve_flexible(task, history)[0]
+        )
+
+    def _identify_rigid(self, task: Task) -> FitResult:
         assert task.loop is not None
         declared = torque_problem(task.record, task.loop, task.filtering, task.parameters)
         problem = with_linear_laws(declared)
@@ -114,11 +233,11 @@ class DIDIM(Method):
         starts = rigid_starts(problem, self.start, task.progress)
         solved, how = self._search(problem, list(starts.values()), history)
         if problem is not declared:
-            solved = history.finish(solved, self.tolerance)
-            solved = from_linear_laws(declared, solved, self.tolerance, history)
+            solved = history.finish(solved, self._tolerance)
+            solved = from_linear_laws(declared, solved, self._tolerance, history)
         if self.free:
             aside = history if problem is not declared else History(task.progress)  # which keeps the trace of the steps
-            solved = free_more(solved, self.free, self.tolerance, aside)
+            solved = free_more(solved, self.free, self._tolerance, aside)
             history.tally.evaluations += aside.tally.evaluations if aside is not history else 0
         problem, x, end = solved.problem, solved.x, solved.solution
         run, error, J = solved.run or problem.simulate(x), end.residual, -end.jacobian
@@ -137,14 +256,13 @@ class DIDIM(Method):
             history.tally.evaluations,
         )  # fmt: skip
 
-    def solve(self, task: Task, history: History) -> Solved:
-        """Search for the least torque error from all starts; nonlinear laws from the end with linear ones."""
+    def _solve_rigid(self, task: Task, history: History) -> Solved:
         assert task.loop is not None
         declared = torque_problem(task.record, task.loop, task.filtering, task.parameters)
         problem = with_linear_laws(declared)
         starts = rigid_starts(problem, self.start, task.progress)
-        solved = history.finish(self._descend(problem, list(starts.values()), history), self.tolerance)
-        return solved if problem is declared else from_linear_laws(declared, solved, self.tolerance, history)
+        solved = history.finish(self._descend(problem, list(starts.values()), history), self._tolerance)
+        return solved if problem is declared else from_linear_laws(declared, solved, self._tolerance, history)
 
     def _search(self, problem: ClosedLoopProblem, starts: list[Start], history: History) -> tuple[Solved, str]:
         """Search as the form asks, and return the end and how it was found.
@@ -174,7 +292,7 @@ class DIDIM(Method):
             MethodError: the loop cannot be simulated at any start, and the sentence says why at the first.
         """
         resting, ends, failures = problem.keeping(self._first_sample(problem)), list[Solved](), list[MethodError]()
-        solver = least_squares(resting, self.tolerance)
+        solver = least_squares(resting, self._tolerance)
         for count, start in enumerate(starts):
             try:
                 started = self._first_positions(resting, start, history)
@@ -224,5 +342,94 @@ class DIDIM(Method):
 
     def _steps(self, problem: ClosedLoopProblem, history: History) -> RegressorSteps:
         """Return the steps by the regressor that these settings ask for."""
-        tolerances = self.tolerance, self.step_tolerance
+        tolerances = self._tolerance, self.step_tolerance
         return RegressorSteps(self.form, *tolerances, self.iterations, self.scaled_iterations, problem.size, history)
+
+    def _identify_flexible(self, task: Task) -> FitResult:
+        record, progress = task.record, task.progress
+        history = History(progress)
+        solved, simulations = self._solve_flexible(task, history)
+        starts = solved.solution.starts
+        if self.free:
+            solved = free_more(solved, self.free, self.stopping_tolerance("flexible"), history)
+        problem, x = solved.problem, solved.solution.x
+        error, J = history.counted(problem).linearise(x)
+        run = problem.simulate(x)
+        history.tally.evaluations += 1
+        stop, converged = solved.solution.message, solved.solution.converged
+        if np.linalg.norm(error) > _NOTHING * problem.size:
+            stop = f"no answer: the search ended where the model explains little of the torque ({stop})"
+            converged = False
+        names = [p.name for p in problem.free]
+        known = uncertainty(J, J, error, problem.cells(run), names, problem.torque_unit)
+        paper = self.minimiser == "nelder-mead"
+        how = "Nelder-Mead" if paper else "least squares"
+        spring = covariance = None
+        if self.statistics == "inverse-model":
+            covariance = inverse_model_covariance(problem, x, error)
+            history.tally.evaluations += 1
+        else:
+            spring = visible(problem, x, J, known, starts, progress)
+            history.tally.evaluations += spring.simulations
+            if spring.shown:  # what is refused has no interval to widen
+                known = widened_for_force(known, problem, x, J, history)
+        variant = f"DIDIM by {how} {'from the pseudo-regular start' if paper else 'from a grid of starts'}"
+        return build_closed_loop_result(
+            record, problem, x, run, (stop, converged), known, J, variant, history.trace,
+            history.tally.evaluations + simulations, spring=spring, paper=covariance,
+        )  # fmt: skip
+
+    def _solve_flexible(self, task: Task, history: History) -> tuple[Solved, int]:
+        """Search, and return the end and the number of simulations of the rigid joints it began with."""
+        loop, tolerance = task.loop, self.stopping_tolerance("flexible")
+        assert loop is not None
+        problem = torque_problem(task.record, loop, task.filtering, task.parameters, _at_rest(task.record, self))
+        problem = problem if loop.joint.gravity is None else _hanging(problem)
+        if self.minimiser == "nelder-mead":
+            loop.joint.require_linear("Nelder-Mead takes", _LEAST_SQUARES)
+            loop.joint.require_no_ripple("Nelder-Mead takes", _LEAST_SQUARES)
+            solver = NelderMead(tolerance, self.simulations, self.restarts)
+            return search_by_simplex(problem, task, self.frequency, self.rigid_cutoff, solver, history)
+        linear = with_linear_laws(problem)
+        own = replace(task, loop=linear.loop, joint=linear.joint)
+        search = StiffnessSearch(linear, own, self.frequency, self.rigid_cutoff, tolerance, history)
+        solved, simulations = search.search()
+        if linear is not problem:
+            solved = from_linear_laws(problem, solved, tolerance, history)
+        return solved, simulations
+
+
+def _at_rest(record: Record, settings: DIDIM) -> tuple[Parameter, ...]:
+    """Return the initial state at rest: on the reference for Nelder-Mead, which should search no more than it must.
+
+    Where a rigid model of a flexible joint puts the motor is no guide: it is off by more than its deviations say.
+    """
+    assert record.reference is not None
+    position, velocity = INITIAL_STATE
+    home = float(record.reference.values[0])
+    known = position.fixed(home) if settings.minimiser == "nelder-mead" else replace(position, start=home)
+    return known, velocity.fixed(0.0)
+
+
+def _hanging(problem: ClosedLoopProblem) -> ClosedLoopProblem:
+    """Return the problem with the motor, at the first sample, where its load makes it hang."""
+    home = beginning_position(problem)
+    return problem.changed({p.name: replace(p, start=home) for p in problem.parameters if p.name == "initial_position"})
+
+
+def inverse_model_covariance(problem: ClosedLoopProblem, x: FloatArray, error: FloatArray) -> Covariance:
+    """Return the paper's covariance of the joint's free parameters, ``s^2 (W' W)^-1`` with W on the simulated motion.
+
+    It is that of a regression on W, which is not what torque-only identification solves: for a flexible joint the
+    output sensitivities are not W, and Fv1, Fv2 come out many times surer than they are.
+    """
+    run = problem.simulate(x)
+    columns = problem.loop.joint.regressor(run.motor, run.load)
+    names = [p.name for p in problem.loop.joint.parameters]
+    free = [names.index(p.name) for p in problem.free_joint]
+    W = np.concatenate([problem.filtered(equation[:, free]) for equation in columns])
+    variance = float(error @ error) / (len(W) - W.shape[1])  # the paper's r counts the rows of both equations
+    norms = np.linalg.norm(W, axis=0)
+    inverse = np.linalg.inv((W / norms).T @ (W / norms))
+    roots = np.sqrt(np.diag(inverse))
+    return Covariance(np.sqrt(variance) * roots / norms, inverse / np.outer(roots, roots), 0)

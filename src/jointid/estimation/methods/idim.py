@@ -13,7 +13,7 @@ sure.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Literal, TypeAlias
@@ -23,7 +23,7 @@ import numpy as np
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity
-from jointid.common.settings import add_settings_to_docstring, setting
+from jointid.common.settings import add_settings_to_docstring, declare, setting
 from jointid.common.transmission import Side
 from jointid.estimation.methods.linear import (
     Rows,
@@ -86,17 +86,23 @@ class IDIM(Method):
     title = "IDIM"
     default_for = Joint
 
-    estimator: Estimator = setting(
-        "ols",
-        "ordinary least squares; weighted, each equation of a flexible joint by the size of its error; robust, rows "
-        "that do not fit weigh less or nothing; iv, instruments from the simulated loop, for which the controller is "
-        "needed",
+    estimator: Estimator | None = setting(
+        None,
+        "ols, ordinary least squares; weighted, each equation of a flexible joint or a robot by the size of its error; "
+        "robust, rows that do not fit weigh less or nothing; iv, instruments from the simulated loop, for which the "
+        "controller is needed; without it ols for a joint, weighted for a robot",
     )
     effects: tuple[Effect, ...] = ()
     encoders: Literal["as_logged", "same_zero"] = setting(
         "as_logged",
         "whether the encoders of motor and load may count from different zeros, whose difference is then estimated, or "
         "are known to have the same",
+        systems=("flexible",),
+    )
+    fixed: Mapping[str, float] = field(
+        default_factory=dict,
+        hash=False,
+        metadata=declare("by the symbols of parameters what they are known to be", systems=("robot",)),
     )
 
     @classmethod
@@ -145,7 +151,7 @@ class IDIM(Method):
         def solved(effects: tuple[Effect, ...]) -> _Found:
             made = regression(effects)
             if self.estimator != "iv":
-                solve = {"ols": ordinary, "weighted": weighted, "robust": robust}[self.estimator]
+                solve = {"ols": ordinary, "weighted": weighted, "robust": robust}[self.estimator or "ols"]
                 return _Found(made, solve(made.rows), effects)
             assert loop is not None
             columns = simulated_instruments(record, loop, made.model, made.parameters, filtering, effects)
@@ -290,7 +296,7 @@ def _answer(task: Task, settings: IDIM, filtering: Filtering, delay: float, foun
         ),
         settings=Settings(
             method="idim",
-            variant=_VARIANTS[settings.estimator],
+            variant=_VARIANTS[settings.estimator or "ols"],
             joint=joint,
             loop=None,
             filtering=filtering,
@@ -304,7 +310,7 @@ def _stop(settings: IDIM, solution: Solution) -> str:
     if settings.estimator == "iv":
         how = "converged: nothing changes any more" if solution.converged else "still changing"
         return f"{how} after {solution.steps} simulations"
-    if settings.estimator == "ols":
+    if settings.estimator in (None, "ols"):
         return "a linear regression has one step"
     lost = 100 * float(np.mean(solution.shares == 0.0))
     without = f"; {lost:.2g} % of the rows do not fit and weigh nothing" if settings.estimator == "robust" else ""

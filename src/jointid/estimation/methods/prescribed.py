@@ -19,7 +19,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -28,9 +28,9 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress
 from jointid.common.parameters import Parameter
-from jointid.common.settings import add_settings_to_docstring, setting
+from jointid.common.settings import add_settings_to_docstring, declare, setting
 from jointid.estimation.methods.endogeneity import judged
-from jointid.estimation.methods.registry import Method, Task
+from jointid.estimation.methods.registry import EVALUATIONS, FREQUENCIES, MODELS, OFFSETS, ROBOT, Method, Task
 from jointid.estimation.problems.base import LOG_DELAY, log_delay
 from jointid.estimation.problems.closed_loop import initial_of
 from jointid.estimation.problems.prescribed import CURRENT_LAG, DriveSideProblem, motion_problem, position_problem
@@ -63,7 +63,7 @@ def _log_delay() -> Any:
 def _frequency() -> Any:
     """Return the setting of the mode that the search starts from."""
     words = "motor-locked frequency of the start; without it the best of a grid"
-    return setting(None, words, unit="Hz", above=0)
+    return setting(None, words, unit="Hz", above=0, systems=MODELS)
 
 
 @add_settings_to_docstring
@@ -83,14 +83,23 @@ class DriveSideFit(Method):
         unit="s",
         at_least=0,
         none="estimated",
+        systems=MODELS,
     )
     frequency: float | None = _frequency()
     instruments: Literal["tested", "always", "never"] = setting(
         "tested",
         "whether the reference and the injected signal replace least squares when they show that it is biased, "
         "always or never",
+        systems=MODELS,
     )
-    tolerance: float = setting(1e-8, "change of the criterion or the parameters to stop at, as a share", above=0)
+    tolerance: float = setting(
+        1e-8, "change of the criterion or the parameters to stop at, as a share", above=0, systems=MODELS
+    )
+    offsets: bool = setting(True, OFFSETS, systems=ROBOT)
+    evaluations: int = setting(60, EVALUATIONS, at_least=1, systems=ROBOT)
+    frequencies: Mapping[str, float] = field(
+        default_factory=dict, hash=False, metadata=declare(FREQUENCIES, systems=ROBOT)
+    )
 
     def surroundings(self, sample_time: float) -> tuple[Parameter, ...]:
         """Return the parameters of the log, free where they are to be estimated."""

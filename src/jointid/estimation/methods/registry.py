@@ -15,7 +15,8 @@ from importlib import import_module
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, TypeAlias
 
-from jointid.common.settings import check_settings
+from jointid.common.errors import MethodError
+from jointid.common.settings import check_settings, settings_of
 
 if TYPE_CHECKING:
     from jointid.common.messages import Progress
@@ -26,18 +27,15 @@ if TYPE_CHECKING:
     from jointid.records.record import Record
     from jointid.records.signals.filtering import Filtering
 
-METHODS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+METHODS: Mapping[str, str] = MappingProxyType(
     {
-        "didim": ("didim.DIDIM", "flexible.FlexibleDIDIM"),
-        "idim": ("idim.IDIM",),
-        "drive_side": ("prescribed.DriveSideFit",),
-        "open_loop": ("prescribed.OpenLoopFit",),
+        "didim": "didim.DIDIM",
+        "idim": "idim.IDIM",
+        "drive_side": "prescribed.DriveSideFit",
+        "open_loop": "prescribed.OpenLoopFit",
     }
 )
-"""Module and class of every method by its name; several classes are one method with settings for each joint model.
-
-Of two methods whose needs are met the first is the default.
-"""
+"""Module and class of every method by its name; of two methods whose needs are met the first is the default."""
 
 if TYPE_CHECKING:
     MethodName: TypeAlias = str
@@ -48,6 +46,11 @@ else:
 MODELS = ("rigid", "flexible")
 """The models of a joint."""
 
+ROBOT = ("robot",)
+"""The system of settings that are a robot's alone."""
+
+_CALLED = {"rigid": "a rigid joint", "flexible": "a flexible joint", "robot": "a robot"}
+
 
 SURROUNDINGS = (
     "what surrounds the joint and is identified with it, by least squares from where DIDIM ends, from what is "
@@ -55,6 +58,14 @@ SURROUNDINGS = (
     '"log_delay"'
 )
 """What the methods that simulate the loop say of their setting ``free``."""
+
+OFFSETS = "whether a constant torque of each motor is identified, too"
+EVALUATIONS = "simulations with derivatives at most, of each search of springs"
+FREQUENCIES = (
+    "by the names of the flexible joints the frequencies of motor against link, Hz, at which the search of springs "
+    "begins; without them they are looked for"
+)
+"""What the methods that simulate a robot say of their settings."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +95,6 @@ class Method(Protocol):
     Attributes:
         name: in the joint file, on the command line and in an answer.
         title: in a report.
-        models: of the joints that it is for.
         default_for: the type of model that it identifies where no method is named, None if it must be named.
         needs_controller: whether it simulates the closed loop.
         any_law: whether it identifies springs and frictions that are not linear.
@@ -92,7 +102,6 @@ class Method(Protocol):
 
     name: ClassVar[str]
     title: ClassVar[str]
-    models: ClassVar[tuple[str, ...]] = MODELS
     default_for: ClassVar[Any] = None
     needs_controller: ClassVar[bool] = False
     any_law: ClassVar[bool] = False
@@ -117,6 +126,20 @@ class Method(Protocol):
         """Return label and settings of each of its runs in a comparison of methods; the first is the usual one."""
         return ((cls.title, cls()),) if cls.needs_controller else ()
 
+    def require_settings_of(self, system: str) -> None:
+        """Refuse a setting that means nothing for a "rigid" or a "flexible" joint, or a "robot".
+
+        Raises:
+            MethodError: such a setting is not at its default.
+        """
+        for one in settings_of(type(self)):
+            systems, default = one.setting.systems, one.factory() if one.factory else one.default
+            if systems and system not in systems and getattr(self, one.name) != default:
+                meant = " or ".join(_CALLED[each] for each in systems)
+                raise MethodError(
+                    f"{type(self).__name__}.{one.name} is for {meant}, and this is {_CALLED[system]}; leave it out."
+                )
+
     @property
     def tells_of_its_loop(self) -> bool:
         """True if a check of the loop may begin at its estimate."""
@@ -130,25 +153,19 @@ class Method(Protocol):
 @cache
 def methods() -> tuple[type[Method], ...]:
     """Return every method's class, in the order of the registry."""
-    places = [address.split(".") for addresses in METHODS.values() for address in addresses]
+    places = [address.split(".") for address in METHODS.values()]
     return tuple(getattr(import_module(f"{__package__}.{module}"), made) for module, made in places)
 
 
-def method_of(name: str, model: str) -> type[Method]:
-    """Return the class of the method of that name for a joint model; any of its classes where it has none for it."""
-    named = [method for method in methods() if method.name == name]
-    return next((method for method in named if model in method.models), named[0])
+def method_of(name: str) -> type[Method]:
+    """Return the class of the method of that name."""
+    return next(method for method in methods() if method.name == name)
 
 
-def default_method(model: object, joint_model: str) -> type[Method]:
+def default_method(model: object) -> type[Method]:
     """Return the class of the method that identifies a model where none is named.
 
     Args:
-        model: the closed loop, the drive side, the open loop, or the joint alone.
-        joint_model: of its joint.
+        model: the closed loop, the drive side, the open loop, or the joint or robot alone.
     """
-    return next(
-        method
-        for method in methods()
-        if method.default_for is not None and isinstance(model, method.default_for) and joint_model in method.models
-    )
+    return next(one for one in methods() if one.default_for is not None and isinstance(model, one.default_for))

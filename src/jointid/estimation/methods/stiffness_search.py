@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -26,8 +27,7 @@ from jointid.common.errors import MethodError
 from jointid.common.messages import Progress
 from jointid.common.parameters import Quantity
 from jointid.estimation.descent import History, Solved, least_squares, or_moving, roughly
-from jointid.estimation.methods.didim import DIDIM
-from jointid.estimation.methods.registry import Task
+from jointid.estimation.methods.registry import Method, Task, method_of
 from jointid.estimation.problems.base import INITIAL_STATE
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem, torque_problem
 from jointid.estimation.result.assemble import FitResult
@@ -55,7 +55,6 @@ _RIGID_BELOW = 0.28  # of the crossover frequency; both are the paper's for its 
 _LOWER = (4.0, 4.0)  # times lower cut-offs are tried where a rigid joint cannot be identified
 _LOWER_AGAIN = (4.0, 16.0)  # times lower cut-offs of the rigid start, where no end explains the torque
 _NOTHING = 0.5  # of the torque: an end that leaves so much is no answer
-_ROUGH = DIDIM("residual", tolerance=1e-3, step_tolerance=1e-2, iterations=6)  # a start needs no more
 _REFINED = 6  # starts that are refined at most, until two of them end together
 _BESIDE = 3  # times an end that no second start led to is begun again beside itself
 # Ends closer than this in frequency, and in what remains, are one: along a flat valley a descent ends no nearer to the
@@ -228,9 +227,12 @@ def rough_rigid_joint(task: Task, cutoff: float | None, progress: Progress) -> F
     assert record.torque is not None
     sample_time = record.torque.sample_time
 
+    didim: Any = method_of("didim")  # whose module imports this one
+    rough: Method = didim("residual", tolerance=1e-3, step_tolerance=1e-2, iterations=6)  # a start needs no more
+
     def identified(edge: float) -> FitResult:
         progress(f"identifying the joint as rigid, below {edge:.3g} Hz")
-        return _ROUGH.identify(
+        return rough.identify(
             Task(record, rigid.joint, rigid, rigid.joint.parameters, Filtering(cutoff=edge), progress)
         )
 

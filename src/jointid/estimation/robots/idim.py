@@ -14,8 +14,7 @@ be none.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,8 +22,8 @@ from jointid.common.arrays import FloatArray
 from jointid.common.document import Document, Documented, Facts, Heading, Listing, Paragraph, Table
 from jointid.common.errors import MethodError
 from jointid.common.messages import no_choice
-from jointid.common.settings import add_settings_to_docstring, check_settings, declare, setting
 from jointid.common.text import interval, join, number
+from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.linear import (
     Instruments,
     Rows,
@@ -63,55 +62,37 @@ _WORDS = {
 }
 
 
-@add_settings_to_docstring
-@dataclass(frozen=True, slots=True)
-class RobotIDIM:
-    """Settings of IDIM of a robot."""
+def solve_rows(settings: IDIM, rows: Rows, instruments: Instruments | None = None) -> Solution:
+    """Return the solution of all parameters, the fixed ones' deviations 0; one joint has nothing to weigh.
 
-    estimator: Literal["ols", "weighted", "robust", "iv"] = setting(
-        "weighted",
-        "ordinary least squares, each joint weighed by the size of its error, robust beside that, or by instruments "
-        "from simulations under the controllers",
-    )
-    fixed: Mapping[str, float] = field(
-        default_factory=dict, metadata=declare("by the symbols of parameters what they are known to be")
-    )
+    Args:
+        settings: of the method.
+        rows: of all parameters.
+        instruments: from `robot_instruments`, of "iv" alone.
 
-    def __post_init__(self) -> None:
-        check_settings(self)
-
-    def solve(self, rows: Rows, instruments: Instruments | None = None) -> Solution:
-        """Return the solution of all parameters, the fixed ones' deviations 0; one joint has nothing to weigh.
-
-        Args:
-            rows: of all parameters.
-            instruments: from `robot_instruments`, of "iv" alone.
-
-        Raises:
-            MethodError: a fixed parameter is none, or the rows do not determine the others.
-        """
-        for name in self.fixed:
-            if name not in rows.names:
-                raise MethodError(f"A name in fixed{no_choice(name, rows.names)}")
-        kept = np.array([self.fixed.get(name, 0.0) for name in rows.names])
-        free = [i for i, name in enumerate(rows.names) if name not in self.fixed]
-        if not free:
-            raise MethodError("All parameters are fixed, so there is nothing to identify; leave some of them out.")
-        left = replace(rows, Y=rows.Y - rows.W @ kept, W=rows.W[:, free], names=tuple(rows.names[i] for i in free))
-        solution = self._solved(left, instruments, kept, free)
-        return with_fixed(solution, kept, free) if self.fixed else solution
-
-    def _solved(self, rows: Rows, instruments: Instruments | None, kept: FloatArray, free: Sequence[int]) -> Solution:
-        if self.estimator == "iv":
-            if instruments is None:
-                raise MethodError(
-                    'The estimator "iv" simulates the robot under its controllers; expected a controller of each joint '
-                    'in the loop: give one, or use "weighted".'
-                )
-            return by_instruments(rows, instruments, kept, free)
-        if self.estimator == "robust":
-            return robust(rows)
-        return ordinary(rows) if self.estimator == "ols" or rows.equations == 1 else weighted(rows)
+    Raises:
+        MethodError: a fixed parameter is none, or the rows do not determine the others.
+    """
+    for name in settings.fixed:
+        if name not in rows.names:
+            raise MethodError(f"A name in fixed{no_choice(name, rows.names)}")
+    kept = np.array([settings.fixed.get(name, 0.0) for name in rows.names])
+    free = [i for i, name in enumerate(rows.names) if name not in settings.fixed]
+    if not free:
+        raise MethodError("All parameters are fixed, so there is nothing to identify; leave some of them out.")
+    left = replace(rows, Y=rows.Y - rows.W @ kept, W=rows.W[:, free], names=tuple(rows.names[i] for i in free))
+    if settings.estimator == "iv":
+        if instruments is None:
+            raise MethodError(
+                'The estimator "iv" simulates the robot under its controllers; expected a controller of each joint '
+                'in the loop: give one, or use "weighted".'
+            )
+        solution = by_instruments(left, instruments, kept, free)
+    elif settings.estimator == "robust":
+        solution = robust(left)
+    else:
+        solution = ordinary(left) if settings.estimator == "ols" or rows.equations == 1 else weighted(left)
+    return with_fixed(solution, kept, free) if settings.fixed else solution
 
 
 def with_fixed(solution: Solution, kept: FloatArray, free: Sequence[int]) -> Solution:
@@ -155,7 +136,7 @@ class RobotEstimate(Documented):
     joint_errors: FloatArray
     nominal: FloatArray
     nominal_errors: FloatArray
-    settings: RobotIDIM
+    settings: IDIM
     filtering: Filtering
     converged: bool = True
 
@@ -261,7 +242,7 @@ class RobotEstimate(Documented):
             f"{self.robot.name}: {len(self.base)} base parameters of {len(self.robot)} joints",
             (
                 *(Paragraph(one, lead=True, tone="bad") for one in (*self.objections, *self.cautions)),
-                Facts((("method", f"IDIM of a robot, {_WORDS[self.settings.estimator]}"),)),
+                Facts((("method", f"IDIM of a robot, {_WORDS[self.settings.estimator or 'weighted']}"),)),
                 errors_table(self.robot, errors, "of the record it was identified from"),
                 Table(("parameter", "value, 2 sigma", "unit", "sigma, %", "nominal"), rows, caption, (0, 1, 2)),
                 *((Heading("Sums that the parameters stand for"), Listing(sums)) if details else ()),
@@ -292,7 +273,7 @@ class RobotEstimate(Documented):
 def identify_robot(
     robot: Robot,
     records: Sequence[Record],
-    settings: RobotIDIM | None = None,
+    settings: IDIM | None = None,
     *,
     filtering: Filtering | None = None,
     loop: RobotLoop | None = None,
@@ -314,13 +295,13 @@ def identify_robot(
 
     Valid for joints that are rigid in the band of the filter: below about a fifth of the first resonance.
     """
-    settings = settings or RobotIDIM()
+    settings = settings or IDIM()
     base = base_parameters(robot)
     motion = motion_of_robot(robot, records, filtering or Filtering())
     rows = base_rows(robot, base, motion)
     require_reached(robot, rows, settings.fixed)
     by_loop = robot_instruments(loop, records, base, motion) if loop and settings.estimator == "iv" else None
-    solution = settings.solve(rows, by_loop)
+    solution = solve_rows(settings, rows, by_loop)
     nominal = _nominal(robot, base, rows)
     values = solution.fit.values
     return RobotEstimate(

@@ -23,9 +23,13 @@ from jointid.common.document import Document, Documented, Paragraph, Table
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.text import interval, join
+from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.linear import Rows
-from jointid.estimation.robots.identify import RobotMethod, fit_robot
-from jointid.estimation.robots.idim import KNOWN, RobotEstimate, RobotIDIM, identify_robot
+from jointid.estimation.methods.prescribed import DriveSideFit
+from jointid.estimation.methods.registry import Method
+from jointid.estimation.robots.identify import fit_robot
+from jointid.estimation.robots.idim import KNOWN, RobotEstimate, identify_robot, solve_rows
 from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
 from jointid.estimation.robots.regression import base_rows, motion_of_robot, require_reached
 from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
@@ -178,7 +182,7 @@ def identify_payload(
     model: Robot | RobotLoop | RobotDriveSide,
     empty: Sequence[Record],
     loaded: Sequence[Record],
-    method: RobotMethod | None = None,
+    method: Method | None = None,
     *,
     filtering: Filtering | None = None,
     progress: Progress = ignore_progress,
@@ -200,13 +204,13 @@ def identify_payload(
         RecordError: as of `jointid.identify`.
     """
     robot = model if isinstance(model, Robot) else model.robot
-    if isinstance(method, RobotIDIM) or (method is None and isinstance(model, Robot)):
+    if isinstance(method, IDIM) or (method is None and isinstance(model, Robot)):
         together = payload_of_both_records(robot, empty, loaded, method, filtering)
         # What is fixed is the empty robot's: with the payload it is another number.
-        free = replace(method or RobotIDIM(), fixed={})
+        free = replace(method or IDIM(), fixed={})
         one, other = (identify_robot(robot, records, free, filtering=filtering) for records in (empty, loaded))
         return Payload(together, payload_difference(one, other))
-    offsets = method is None or method.offsets
+    offsets = not isinstance(method, DIDIM | DriveSideFit) or method.offsets
     require_told(payload_columns(robot_parameters(robot, offsets=offsets)))
 
     def identify(records: Sequence[Record], which: str) -> RobotTorqueEstimate:
@@ -228,7 +232,7 @@ def payload_of_both_records(
     robot: Robot,
     empty: Sequence[Record],
     loaded: Sequence[Record],
-    settings: RobotIDIM | None = None,
+    settings: IDIM | None = None,
     filtering: Filtering | None = None,
 ) -> PayloadParameters:
     """Fit the payload to both records in one regression.
@@ -249,9 +253,9 @@ def payload_of_both_records(
             'A payload is identified from two records without a simulation, so the estimator "iv" has no instruments '
             'there; use "weighted", "robust" or "ols".'
         )
-    settings = settings or RobotIDIM()
+    settings = settings or IDIM()
     rows = both_records(robot, empty, loaded, filtering or Filtering(), settings.fixed)
-    solution = settings.solve(rows)
+    solution = solve_rows(settings, rows)
     own = slice(len(rows.names) - len(SYMBOLS), None)
     of_payload = covariance_of(solution.covariance.matrix[own, own], solution.covariance.bandwidth)
     return _payload(robot, solution.fit.values[own], of_payload)

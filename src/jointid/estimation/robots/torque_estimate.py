@@ -8,8 +8,7 @@ the friction that was found.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,9 +17,10 @@ from jointid.common.document import Document, Documented, Facts, Paragraph, Tabl
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.parameters import TORQUE_UNIT, unit_of
-from jointid.common.settings import add_settings_to_docstring, check_settings, declare, setting
 from jointid.common.text import interval, join, number
 from jointid.common.units import Kind
+from jointid.estimation.methods.didim import DIDIM
+from jointid.estimation.methods.prescribed import DriveSideFit
 from jointid.estimation.robots.consistent import Sums
 from jointid.estimation.robots.didim import RobotFit, identify_rigid_robot
 from jointid.estimation.robots.drive_side import RobotDriveSideProblem, drive_side_problem, identify_flexible_drive_side
@@ -48,54 +48,6 @@ _UNSETTLED = (
 )
 
 
-def _evaluations() -> Any:
-    """Return the setting of how long a search of springs may be."""
-    return setting(60, "simulations with derivatives at most, of each search of springs", at_least=1)
-
-
-def _frequencies() -> Any:
-    """Return the setting of where a search of springs begins."""
-    return field(
-        default_factory=dict,
-        metadata=declare(
-            "by the names of the flexible joints the frequencies of motor against link, Hz, at which the search of "
-            "springs begins; without them they are looked for"
-        ),
-    )
-
-
-@add_settings_to_docstring
-@dataclass(frozen=True, slots=True)
-class RobotDIDIM:
-    """Settings of DIDIM of a robot."""
-
-    offsets: bool = setting(True, "whether a constant torque of each motor is identified, too")
-    iterations: int = setting(30, "iterations at most, of the robot of rigid joints", at_least=1)
-    evaluations: int = _evaluations()
-    frequencies: Mapping[str, float] = _frequencies()
-
-    def __post_init__(self) -> None:
-        check_settings(self)
-
-
-@add_settings_to_docstring
-@dataclass(frozen=True, slots=True)
-class RobotDriveSideFit:
-    """Settings of the drive side of a robot."""
-
-    offsets: bool = setting(True, "whether a constant torque of each motor is identified, too")
-    evaluations: int = _evaluations()
-    frequencies: Mapping[str, float] = _frequencies()
-    log_delay: float | None = setting(
-        None,
-        "how much later than it acts the log shows the torque, of all joints alike; without it identified",
-        unit="s",
-    )
-
-    def __post_init__(self) -> None:
-        check_settings(self)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotTorqueEstimate(Documented):
     """A robot's friction, rotors, springs and base parameters, from torques and references, or motor positions.
@@ -113,7 +65,7 @@ class RobotTorqueEstimate(Documented):
     fit: RobotFit
     nominal_errors: FloatArray
     springs: tuple[SpringVerdict, ...]
-    settings: RobotDIDIM | RobotDriveSideFit
+    settings: DIDIM | DriveSideFit
     filtering: Filtering
 
     @property
@@ -294,7 +246,7 @@ def parameter_units(robot: Robot, parameters: RobotParameters) -> dict[str, str]
 def identify_robot_from_torques(
     loop: RobotLoop,
     records: Sequence[Record],
-    settings: RobotDIDIM | None = None,
+    settings: DIDIM | None = None,
     *,
     filtering: Filtering | None = None,
     progress: Progress = ignore_progress,
@@ -311,7 +263,7 @@ def identify_robot_from_torques(
     Raises:
         RecordError, MethodError: see `identify_rigid_robot` and `identify_flexible_robot`.
     """
-    settings = settings or RobotDIDIM()
+    settings = settings or DIDIM()
     springs: tuple[SpringVerdict, ...] = ()
     if any(loop.robot.flexible):
         found = identify_flexible_robot(
@@ -329,7 +281,7 @@ def identify_robot_from_torques(
 def identify_robot_drive_side(
     robot: Robot,
     records: Sequence[Record],
-    settings: RobotDriveSideFit | None = None,
+    settings: DriveSideFit | None = None,
     *,
     filtering: Filtering | None = None,
     progress: Progress = ignore_progress,
@@ -346,7 +298,7 @@ def identify_robot_drive_side(
     Raises:
         RecordError, MethodError: see `identify_flexible_drive_side`.
     """
-    settings = settings or RobotDriveSideFit()
+    settings = settings or DriveSideFit()
     found = identify_flexible_drive_side(
         robot, records, filtering, frequencies=settings.frequencies or None, offsets=settings.offsets,
         evaluations=settings.evaluations, delay=settings.log_delay, progress=progress,
@@ -359,7 +311,7 @@ def _held_beside_nominal(
     records: Sequence[Record],
     fit: RobotFit,
     springs: tuple[SpringVerdict, ...],
-    settings: RobotDIDIM | RobotDriveSideFit,
+    settings: DIDIM | DriveSideFit,
     filtering: Filtering | None,
 ) -> RobotTorqueEstimate:
     nominal = nominal_numbers(setup.robot, fit.parameters.numbers(fit.values))

@@ -168,7 +168,7 @@ def _build_joint(answer: Json, joint: Joint, loop: ClosedLoop | None) -> Identif
     return IdentifiedJoint(
         method,
         joint,
-        loop if method_of(method, joint.model).needs_controller else None,
+        loop if method_of(method).needs_controller else None,
         values,
         filtering,
         float(answer["delay"]),

@@ -86,7 +86,7 @@ class Report(Pages):
             >>> import jointid as ji
             >>> axis = ji.twin(noise="white")
             >>> record = axis.record.without("motor_position", "load_position")
-            >>> estimate = ji.identify(record, axis.loop, ji.FlexibleDIDIM(frequency=30.0))
+            >>> estimate = ji.identify(record, axis.loop, ji.DIDIM(frequency=30.0))
             >>> told = ji.Report.of(estimate, record, profiles=["stiffness"])
             >>> "## Checks" in told.markdown()
             True

@@ -71,7 +71,7 @@ def _source(estimate: Estimate) -> str:
     """Return the model, the method, the channels and the side of the values."""
     data, settings = estimate.data, estimate.settings
     channels = join([_CHANNELS.get(name, name.replace("_", " ")) for name in data.channels])
-    title = method_of(settings.method, settings.joint.model).title
+    title = method_of(settings.method).title
     gear = settings.joint.transmission
     side = "" if gear is None else f" The transmission is {gear}."
     return f"{settings.joint.model.capitalize()} joint, identified by {title} from {channels} of {data.record}.{side}"
