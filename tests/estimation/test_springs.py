@@ -48,7 +48,7 @@ def test_the_search_goes_on_from_the_best_start_of_the_law(monkeypatch: pytest.M
     monkeypatch.setattr(History, "solve", watch)
     monkeypatch.setattr(History, "finish", stop)
     with pytest.raises(MethodError, match="enough"):
-        identify(record, case.loop, ji.FlexibleDIDIM(frequency=case.mode))
+        identify(record, case.loop, ji.DIDIM(frequency=case.mode))
 
 
 def test_a_gap_is_found_with_the_stiffness_behind_it(gapped: tuple[ji.Estimate, dict[str, float]]) -> None:
