@@ -38,11 +38,9 @@ from .output.json.documents import to_dict
 from .output.report import Report
 from .output.report.robots import RobotReport
 from .paper.twin import twin
-from .planning.design import design_test
+from .planning.design import design
 from .planning.limits import AxisLimits
-from .planning.predict import Noise, planned_record, predict_test
-from .planning.robots.design import design_robot_test
-from .planning.robots.motions import JointLimits
+from .planning.predict import Noise
 from .records.chunks import Log
 from .records.columns import Column
 from .records.drives import Drive
@@ -83,7 +81,6 @@ __all__ = [
     "Gravity",
     "JointFile",
     "JointFileError",
-    "JointLimits",
     "JointSpring",
     "JointidError",
     "Link",
@@ -116,8 +113,7 @@ __all__ = [
     "compare",
     "consistent_robot",
     "convert",
-    "design_robot_test",
-    "design_test",
+    "design",
     "diagnose",
     "examine",
     "excitation",
@@ -132,8 +128,6 @@ __all__ = [
     "learn_controller",
     "load",
     "load_robot",
-    "planned_record",
-    "predict_test",
     "prepare",
     "read",
     "read_report",

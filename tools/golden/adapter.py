@@ -44,6 +44,7 @@ from jointid.paper.published import TABLES
 from jointid.paper.recomputed import compare_table as recomputed
 from jointid.paper.recomputed import find_misprints
 from jointid.paper.reproduce import reproduce
+from jointid.planning.predict import planned_record, predict_test
 from jointid.records.resampling import Resampling
 from jointid.simulation.closed_loop import Initial, simulate_many
 from jointid.simulation.sensitivities import simulate_sensitivities
@@ -1393,7 +1394,7 @@ def dossier(found: Any, record: Any) -> Json:
 
 def predicted(driven: Any, values: Mapping[str, float], reference: Any, **noise: Any) -> Json:
     """Return the deviations that a test of a reference of 1 ms will give, and what is said of them."""
-    made = ji.predict_test(driven, _valued(values), ji.planned_record(driven, reference, 1e-3), ji.Noise(**noise))
+    made = predict_test(driven, _valued(values), planned_record(driven, reference, 1e-3), ji.Noise(**noise))
     return {"text": text(str(made)), "std": numbers(made.covariance.std)}
 
 

@@ -228,9 +228,8 @@ def test_the_next_test_has_its_place() -> None:
     loop = estimate.settings.loop
     assert loop is not None
     limits = ji.AxisLimits(stroke=0.2, speed=0.3, acceleration=2.0, torque=100.0)
-    found = ji.design_test(
-        loop, estimate.values, ji.Noise(log=0.5), limits=limits, duration=4.0, sample_time=1e-3, seconds=0.1
-    )
+    asked = {"values": estimate.values, "noise": ji.Noise(log=0.5), "limits": limits, "seconds": 0.1}
+    found = ji.design(loop, duration=4.0, sample_time=1e-3, **asked)  # type: ignore[call-overload]
     planned = replace(told, design=found)
     text = planned.markdown()
     assert text.index("## The next test\n") < text.index("## Appendix") < text.index("## The next test in full\n")

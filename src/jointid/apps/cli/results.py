@@ -68,11 +68,10 @@ def report(
     """
     from numpy.linalg import LinAlgError
 
-    from jointid import JointFile, Report
+    from jointid import JointFile, Report, design
     from jointid.output.report import repetition, tune_to_limit
     from jointid.output.report.page import require_extra
     from jointid.output.report.pages import require_page
-    from jointid.planning.design import plan_from_estimate
 
     page = html if html or markdown or figures else Path("report.html")
     outputs = Outputs({"--html": page, "--json": options.json}, folders={"--markdown": markdown, "--figures": figures})
@@ -110,7 +109,7 @@ def report(
         stated = replace(stated, tuned=tuned)
     if plan is not None:
         try:
-            found = plan_from_estimate(estimate, record, goal=plan, limits=file.limits, progress=options.progress)
+            found = design(estimate, record, goal=plan, limits=file.limits, progress=options.progress)
             stated = replace(stated, design=found)
         except (JointidError, LinAlgError) as error:
             stated.data.absent["design"] = str(error)

@@ -229,8 +229,8 @@ SHAPES: Mapping[str, Shape] = {
     "ParameterOfJoint": keys("value std unit nominal formula known at_least"),
     "RobotDesign": document(
         "jointid.robot_design/1",
-        "robot=robot.name joints=robot.names sentence sample_time parameters noise of_record limits reached passed "
-        "modes tried",
+        "robot=robot.name joints=robot.names sentence sample_time parameters noise of_record limits=allowed reached "
+        "passed modes tried",
         samples=lambda design: len(design.reference),
     ),
     "RobotSimulation": {
