@@ -81,7 +81,7 @@ def judging(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
 
 def test_a_rigid_axis_shows_no_spring(monkeypatch: pytest.MonkeyPatch) -> None:
     judging(monkeypatch, "linear", "backlash", "three-piece")  # the fewest parameters, and the most
-    loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0))
+    loop = ji.ClosedLoop(ji.RigidJoint(), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))
     reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
     truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
     record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)

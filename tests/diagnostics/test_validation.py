@@ -12,7 +12,7 @@ import jointid as ji
 from jointid.diagnostics.validation import Prediction
 
 RATE = 1e-3
-LAW = ji.Cascade(position_gain=40.0, velocity_gain=2000.0)
+LAW = ji.controller.Cascade(position_gain=40.0, velocity_gain=2000.0)
 LOOP = ji.ClosedLoop(ji.RigidJoint(), LAW)
 TRUTH = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
 

@@ -207,7 +207,7 @@ def test_the_table_marks_what_a_fault_changes_and_what_is_only_known_with_anothe
 
 def test_a_parameter_at_its_bound_reads_it_and_the_verdict_says_so() -> None:
     """A friction that comes out negative is kept at 0 while the others are identified."""
-    loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0))
+    loop = ji.ClosedLoop(ji.RigidJoint(), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))
     reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
     truth = {"inertia": 30.0, "viscous": -20.0, "coulomb": 15.0, "offset": 2.0}
     estimate = ji.identify(ji.simulated_record(loop, reference, truth, sample_time=1e-3), loop, checks=False)
@@ -293,7 +293,7 @@ def test_a_rigid_joint_is_not_advised_to_be_identified_as_rigid() -> None:
 
 
 def test_an_inertia_of_each_record_comes_before_what_they_share() -> None:
-    loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0))
+    loop = ji.ClosedLoop(ji.RigidJoint(), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))
     reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
     truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
     records = [ji.simulated_record(loop, reference, truth | {"inertia": m}, sample_time=1e-3) for m in (30.0, 45.0)]

@@ -163,7 +163,7 @@ def test_the_load_encoder_of_the_kr300_is_late(data_dir: Path) -> None:
 
 def test_a_joint_is_identified_from_a_slow_torque(tmp_path: Path) -> None:
     """The log has a sample each period of the loop, and shows every fourth torque four times, from its second on."""
-    loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0, period=T))
+    loop = ji.ClosedLoop(ji.RigidJoint(), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0, period=T))
     reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=T)
     truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
     made = ji.simulated_record(loop, reference, truth, sample_time=T)

@@ -268,7 +268,7 @@ def test_a_record_in_pieces_is_not_resampled() -> None:
 
 def test_every_answer_says_that_its_record_was_resampled(saved: Saved) -> None:
     """A rigid axis that is logged late by up to 0.3 of a sample, and identified from what was resampled."""
-    loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0, period=T))
+    loop = ji.ClosedLoop(ji.RigidJoint(), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0, period=T))
     fine = 20
     reference = np.repeat(ji.excitation.trapezoids((0.1, 0.2), 2.0, 0.1, T, duration=2.0), fine)
     truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}

@@ -23,13 +23,13 @@ from jointid import (
     FlexibleJoint,
     Record,
     RigidJoint,
-    Validation,
     identify,
     validate,
 )
 from jointid.common.document import Block, Document, Heading, Paragraph, Picture, Table
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.text import number
+from jointid.diagnostics.validation import Validation
 from jointid.paper.errata import ERRATA
 from jointid.paper.published import SYMBOLS, TABLES
 from jointid.paper.recomputed import DENOMINATORS, Denominator, compare_table

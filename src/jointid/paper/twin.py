@@ -20,9 +20,10 @@ from typing import Literal
 
 import numpy as np
 
-from jointid import Cascade, ClosedLoop, Filtering, FlexibleJoint, Record, excitation, simulated_record
+from jointid import ClosedLoop, Filtering, FlexibleJoint, Record, excitation, simulated_record
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.controller import Cascade
 from jointid.paper.published import TABLES
 
 SAMPLE_TIME = 1e-3

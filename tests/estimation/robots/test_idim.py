@@ -232,7 +232,7 @@ def test_the_printed_estimate() -> None:
 def test_a_robot_is_identified_by_the_verb_of_a_joint() -> None:
     records = records_of(ARM, 1)
     found, direct = ji.identify(records, ARM, IDIM("ols")), identify_robot(ARM, records, IDIM("ols"))
-    assert isinstance(found, ji.RobotEstimate)
+    assert isinstance(found, ji.robots.RobotEstimate)
     assert np.array_equal(found.values, direct.values)
     with pytest.raises(MethodError, match="DIDIM is not for a Robot; use IDIM"):
         ji.identify(records, ARM, ji.DIDIM())

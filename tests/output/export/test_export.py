@@ -142,7 +142,7 @@ def test_friction_that_identify_was_told_on_the_command_line_comes_into_the_join
         "inertia": 95.0, "viscous_forwards": 200.0, "coulomb_forwards": 20.0, "viscous_backwards": 190.0,
         "coulomb_backwards": 22.0, "offset": 0.0,
     }  # fmt: skip
-    told = answer(ji.RigidJoint(friction=ji.AsymmetricFriction()), values)
+    told = answer(ji.RigidJoint(friction=ji.friction.AsymmetricFriction()), values)
     (tmp_path / "out.json").write_text(json.dumps(told), encoding="utf-8")
     assert exported(tmp_path, "filled.toml") == 0
     file = ji.load(tmp_path / "filled.toml")
@@ -218,7 +218,7 @@ def test_estimates_of_every_kind_are_exported_as_they_are_found() -> None:
     first, second = (ji.twin("L19", seed=seed).record for seed in (1, 2))
     loop = ji.ClosedLoop(
         ji.RigidJoint(),
-        ji.Cascade(position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15065188),
+        ji.controller.Cascade(position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15065188),
     )
     alone = ji.identify(first, loop, filtering=ji.Filtering(cutoff=5.0))
     both = ji.identify([first, second], [loop, loop], filtering=ji.Filtering(cutoff=5.0))
@@ -237,7 +237,9 @@ def test_estimates_of_every_kind_are_exported_as_they_are_found() -> None:
 
 def test_to_the_other_side_and_back_nothing_changes() -> None:
     gear = ji.Transmission(load="revolute", ratio=100.0, sign=-1)
-    joint = ji.FlexibleJoint("revolute", ji.AsymmetricFriction(), gravity=ji.Gravity("link"), transmission=gear)
+    joint = ji.FlexibleJoint(
+        "revolute", ji.friction.AsymmetricFriction(), gravity=ji.Gravity("link"), transmission=gear
+    )
     values = {p.name: 1.0 + i for i, p in enumerate(joint.parameters)}
     here = model(joint, values)
     back = here.on("motor").on("load")

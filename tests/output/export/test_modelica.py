@@ -25,7 +25,7 @@ REFERENCE = ji.excitation.trapezoids((0.042, 0.125), 0.83, 0.05, 1e-3, duration=
 def torque_of(
     joint: Joint,
     values: Mapping[str, float],
-    law: ji.Cascade,
+    law: ji.controller.Cascade,
     reference: np.ndarray,
     side: str | None = None,
     to_side: float = 1.0,
@@ -52,9 +52,9 @@ def test_the_twin_s_torque_is_ours_to_the_last_digits_through_reversals_and_rest
 
 @pytest.mark.slow
 def test_asymmetric_friction_and_a_link_s_weight_are_told_whole() -> None:
-    weight = ji.Gravity("link", ji.Counterbalance(cos=0.2, rate=0.05))
-    joint = ji.RigidJoint("revolute", ji.AsymmetricFriction(), gravity=weight)
-    law = ji.Cascade(position_gain=30.0, velocity_gain=2.0)
+    weight = ji.Gravity("link", ji.spring.Counterbalance(cos=0.2, rate=0.05))
+    joint = ji.RigidJoint("revolute", ji.friction.AsymmetricFriction(), gravity=weight)
+    law = ji.controller.Cascade(position_gain=30.0, velocity_gain=2.0)
     values = {
         "inertia": 0.04, "viscous_forwards": 0.05, "coulomb_forwards": 0.1, "viscous_backwards": 0.08,
         "coulomb_backwards": 0.16, "gravity_cos": 0.6, "gravity_sin": -0.2, "offset": 0.0, "counterbalance_cos": 0.2,
@@ -67,7 +67,9 @@ def test_asymmetric_friction_and_a_link_s_weight_are_told_whole() -> None:
 
 
 def test_a_weight_pulls_down_and_its_counterbalance_up() -> None:
-    joint = ji.RigidJoint("revolute", gravity=ji.Gravity("link", ji.Counterbalance(cos=0.2, rate=0.05), angle=0.5))
+    joint = ji.RigidJoint(
+        "revolute", gravity=ji.Gravity("link", ji.spring.Counterbalance(cos=0.2, rate=0.05), angle=0.5)
+    )
     values = {"inertia": 0.04, "viscous": 0.0, "coulomb": 0.0, "offset": 0.0, "gravity_cos": 0.6, "gravity_sin": -0.2}
     values |= {"counterbalance_cos": 0.2, "counterbalance_rate": 0.05}
     plant = ModelicaModel(ji.export(model(joint, values), "modelica").text, "axis", motor_position=0.7)

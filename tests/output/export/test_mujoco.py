@@ -48,7 +48,11 @@ class Plant:
 
 
 def mjcf_torque(
-    joint: Joint, values: Mapping[str, float], law: ji.Cascade, reference: np.ndarray, timestep: float | None = None
+    joint: Joint,
+    values: Mapping[str, float],
+    law: ji.controller.Cascade,
+    reference: np.ndarray,
+    timestep: float | None = None,
 ) -> np.ndarray:
     """The torque of the motor's loop around MuJoCo; joint and law are of the motor's side."""
     told = model(joint, values)
@@ -119,18 +123,18 @@ LINK = {
 
 @pytest.mark.parametrize(("ratio", "sign"), [(1.0, 1), (20.0, 1), (20.0, -1)])
 def test_a_link_weighs_what_it_does(ratio: float, sign: int) -> None:
-    balance = ji.Counterbalance(cos=0.2, rate=0.05)
+    balance = ji.spring.Counterbalance(cos=0.2, rate=0.05)
     transmission = ji.Transmission(load="revolute", ratio=ratio, sign=sign, side="motor")
     gravity = ji.Gravity("link", balance, angle=sign / ratio)
     joint = ji.RigidJoint("revolute", gravity=gravity, transmission=transmission)
     reference = ratio * ji.excitation.trapezoids([0.5, 2.0], 8.0, 1.0, 1e-3, duration=4.0)
-    law = ji.Cascade(position_gain=30.0, velocity_gain=2.0)
+    law = ji.controller.Cascade(position_gain=30.0, velocity_gain=2.0)
     ours = simulated(joint, law, reference, LINK)
     assert apart(mjcf_torque(joint, LINK, law, reference, timestep=1e-4), ours) < 0.003
 
 
 def test_uneven_coulomb_friction_is_an_even_one_and_a_force() -> None:
-    joint, law = ji.RigidJoint(friction=ji.AsymmetricFriction()), CONTROLLERS["L19"]
+    joint, law = ji.RigidJoint(friction=ji.friction.AsymmetricFriction()), CONTROLLERS["L19"]
     values = {
         "inertia": 95.0, "viscous_forwards": 200.0, "viscous_backwards": 200.0, "coulomb_forwards": 24.0,
         "coulomb_backwards": 15.0, "offset": 0.0,
@@ -144,11 +148,11 @@ def test_uneven_coulomb_friction_is_an_even_one_and_a_force() -> None:
 
 def test_a_vertical_axis_with_uneven_friction_on_both_sides_loses_nothing_but_sticking() -> None:
     law = CONTROLLERS["L19"]
-    weighing = ji.FlexibleJoint(gravity=ji.Gravity("constant", ji.Counterbalance(rate=40.0)))
+    weighing = ji.FlexibleJoint(gravity=ji.Gravity("constant", ji.spring.Counterbalance(rate=40.0)))
     values = TABLE_2 | {"offset": 0.0, "gravity_constant": 35.0, "counterbalance_rate": 40.0}
     ours = simulated(weighing, law, REFERENCE, values)
     assert apart(mjcf_torque(weighing, values, law, REFERENCE, timestep=1e-4), ours) < 0.003
-    uneven = ji.FlexibleJoint(friction=ji.AsymmetricFriction())
+    uneven = ji.FlexibleJoint(friction=ji.friction.AsymmetricFriction())
     values = {name: TABLE_2[name] for name in ("motor_inertia", "stiffness", "damping", "load_inertia")}
     values |= {f"{side}_viscous_{way}": 100.0 for side in ("motor", "load") for way in ("forwards", "backwards")}
     values |= {"motor_coulomb_forwards": 14.0, "motor_coulomb_backwards": 8.0, "offset": 0.0}

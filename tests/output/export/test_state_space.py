@@ -124,7 +124,7 @@ def test_the_file_says_what_is_lost_and_where_its_numbers_come_from() -> None:
     for words in ("Coulomb friction of the motor, 10.000 N", "of the load, 10.400 N", "a constant force of -3.1600 N"):
         assert words in lost
     assert document["units"]["torque"] == "N"
-    held = ji.Gravity("constant", ji.Counterbalance(rate=50.0))
+    held = ji.Gravity("constant", ji.spring.Counterbalance(rate=50.0))
     weighing = ji.RigidJoint(gravity=held)
     values = {"inertia": 2.0, "viscous": 3.0, "coulomb": 0.0, "offset": 0.0}
     values |= {"gravity_constant": 9.0, "counterbalance_rate": 50.0}

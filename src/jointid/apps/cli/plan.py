@@ -15,9 +15,10 @@ from jointid.common.errors import MethodError, RecordError
 from jointid.common.files import write_whole
 
 if TYPE_CHECKING:
-    from jointid import AxisLimits, Record, RobotFile
+    from jointid import AxisLimits, Record
     from jointid.common.arrays import FloatArray
     from jointid.config import JointFile
+    from jointid.config.robot_file import RobotFile
     from jointid.planning.design import Design
 
 _SAMPLE_TIME, _DURATION = 1e-3, 10.0  # s, of a robot's test where no file and no record says them
@@ -182,7 +183,8 @@ def design(
             its file reads references, and the page.
         figure: also save reference, torque and spectrum as PNG, SVG or PDF.
     """
-    from jointid import JointFile, figures
+    from jointid import figures
+    from jointid.config import JointFile
     from jointid.planning.design import plan_from_estimate
 
     outputs = Outputs({"--json": options.json}, {"--figure": figure}, {"--out": out})
@@ -226,8 +228,9 @@ def _design_robot(
     """Plan the motion that tells most of a robot, beside that of a first record where there is one."""
     import numpy as np
 
-    from jointid import IDIM, design_robot_test, figures
+    from jointid import IDIM, figures
     from jointid.planning.robots.first_record import first_record
+    from jointid.robots import design_robot_test
 
     first = own = None
     sample_time = file.source.sample_time or _SAMPLE_TIME
