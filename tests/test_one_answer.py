@@ -35,7 +35,7 @@ velocity_gain = 2000.0
 
 def _recorded(folder: Path, gain: float) -> JointFile:
     """Write a record of a drive, and a joint file that declares its position gain."""
-    loop = ji.ClosedLoop(ji.RigidJoint(), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))
+    loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))
     reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
     truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
     noise = 0.5 * np.random.default_rng(0).standard_normal(reference.size)

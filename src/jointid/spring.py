@@ -1,4 +1,4 @@
-"""Springs between motor and load, and the counterbalance of a load: `ji.FlexibleJoint(spring=ji.spring.Backlash())`."""
+"""Springs between motor and load, `FlexibleJoint("revolute", spring=Backlash())`, and the counterbalance of a load."""
 
 from jointid.models.gravity import Counterbalance
 from jointid.models.springs import (

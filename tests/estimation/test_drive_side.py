@@ -26,7 +26,7 @@ from jointid.solvers.bounded_least_squares import LevenbergMarquardt
 from jointid.solvers.solve import Solution, solve
 from jointid.uncertainty.covariance import band_deviations, sandwich
 
-JOINT = ji.FlexibleJoint()
+JOINT = ji.FlexibleJoint("prismatic")
 PHYSICAL = ("motor_inertia", "stiffness", "load_inertia")
 FILTERING = ji.Filtering(cutoff=60.0)
 
@@ -57,7 +57,7 @@ def test_a_delay_before_the_torque_is_found_without_the_controller() -> None:
 
 def test_an_inertia_whose_interval_holds_0_is_said_to_be_unknown() -> None:
     """A rigid joint that is light, slow and noisy; with little noise its inertia is told."""
-    joint = ji.RigidJoint()
+    joint = ji.RigidJoint("prismatic")
     loop = ji.ClosedLoop(joint, ji.controller.Cascade(position_gain=50.0, velocity_gain=1000.0))
     truth = {"inertia": 2.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
     reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=0.2, travel=0.4, sample_time=1e-3)
@@ -287,7 +287,7 @@ def test_a_record_without_instruments_says_that_it_was_not_tested() -> None:
 
 
 def test_a_rigid_joint_needs_no_load() -> None:
-    joint, truth = ji.RigidJoint(), {"inertia": 100.0, "viscous": 200.0, "coulomb": 20.0, "offset": -3.0}
+    joint, truth = ji.RigidJoint("prismatic"), {"inertia": 100.0, "viscous": 200.0, "coulomb": 20.0, "offset": -3.0}
     loop = ji.ClosedLoop(joint, CONTROLLERS["L19"])
     reference = ji.excitation.trapezoids(speeds=(0.05, 0.12), acceleration=0.83, travel=0.2, sample_time=1e-3, rest=0.4)
     record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)

@@ -105,7 +105,9 @@ def test_it_is_told_in_words_numbers_and_files(designed: Design, tmp_path: Path)
     assert answer["tests"]["proposed"]["std"]["stiffness"] == designed.proposed.std["stiffness"]
     paths = designed.write(tmp_path / "next")
     assert sorted(path.name for path in paths) == ["how-to-run.md", "test.csv", "test.mat"]
-    table = ji.read(tmp_path / "next" / "test.csv", {"reference": ji.Column("reference", "m")}, time="t")
+    table = ji.read(
+        tmp_path / "next" / "test.csv", {"reference": ji.Column("reference", "m")}, time="t", kind="prismatic"
+    )
     assert table.reference is not None
     assert table.reference.values == pytest.approx(designed.proposed.reference, abs=1e-12)
     assert "jointid examine" in (tmp_path / "next" / "how-to-run.md").read_text()

@@ -1429,7 +1429,7 @@ def write(record: Any, path: Path, **given: Any) -> Path:
 def written_and_read(record: Any, path: Path) -> Json:
     """Return a record that was written under the names of its channels and read back."""
     ji.write(record, path)
-    return recorded(ji.read(path, {name: name for name in record.channels}))
+    return recorded(ji.read(path, {name: name for name in record.channels}, kind="prismatic"))
 
 
 def by_profile(record: Any, path: Path, profile: str, columns: Mapping[str, str]) -> Json:
@@ -1442,7 +1442,7 @@ def by_profile(record: Any, path: Path, profile: str, columns: Mapping[str, str]
 def read_resampled(path: Path, sample_time: float, method: Any) -> Json:
     """Return a record with a clock that is not uniform, brought to one that is."""
     names = {"torque": "torque", "reference": "reference"}
-    return recorded(ji.read(path, names, resample=Resampling(sample_time, method)))
+    return recorded(ji.read(path, names, resample=Resampling(sample_time, method), kind="prismatic"))
 
 
 def behind_gear(path: Path, model: str, gear: Mapping[str, Any], numbers_of_law: Mapping[str, Any]) -> tuple[Any, Any]:

@@ -110,7 +110,7 @@ def reproduce(seed: int = 1, progress: Progress = ignore_progress) -> Reproducti
     axis, heavy = twin(seed=seed), twin(seed=seed + 1, added_mass=True)
     others = twin(seed=seed + 2, pulses_seed=1), twin(seed=seed + 3, added_mass=True, pulses_seed=1)
     progress("Table 1: the rigid joint, below 5 Hz")
-    rigid_loop = ClosedLoop(RigidJoint(), axis.loop.controller)
+    rigid_loop = ClosedLoop(RigidJoint("prismatic"), axis.loop.controller)
     rigid = identify(
         keep_torque_only(axis), rigid_loop, DIDIM("residual"), filtering=Filtering(cutoff=5.0), checks=False
     )

@@ -46,8 +46,8 @@ def torque_of(
 
 def test_the_twin_s_torque_is_ours_to_the_last_digits_through_reversals_and_rests() -> None:
     law = CONTROLLERS["L19"]
-    ours = simulated(ji.FlexibleJoint(), law, REFERENCE, TABLE_2)
-    assert apart(torque_of(ji.FlexibleJoint(), TABLE_2, law, REFERENCE), ours) < 1e-6
+    ours = simulated(ji.FlexibleJoint("prismatic"), law, REFERENCE, TABLE_2)
+    assert apart(torque_of(ji.FlexibleJoint("prismatic"), TABLE_2, law, REFERENCE), ours) < 1e-6
 
 
 @pytest.mark.slow
@@ -106,26 +106,28 @@ def test_a_ripple_seen_from_the_other_side_of_a_turned_screw_gives_the_same_torq
 def test_what_was_identified_stands_in_it_and_a_hostile_name_does_not_break_it() -> None:
     name = 'axis"; end axis;\nmodel evil // */'
     record = 'run\u2028"7"\nend x; \\'
-    text = ji.export(model(ji.FlexibleJoint(), TABLE_2, name, record), "modelica").text
+    text = ji.export(model(ji.FlexibleJoint("prismatic"), TABLE_2, name, record), "modelica").text
     assert text.startswith("model axis_end_axis_model_evil ")
     plant = ModelicaModel(text, "axis_end_axis_model_evil")
     for parameter, value in TABLE_2.items():
         assert plant.values[parameter] == value
     assert all(line.startswith("  //") for line in text.splitlines() if "run" in line)
-    assert ModelicaModel(ji.export(model(ji.FlexibleJoint(), TABLE_2, "model"), "modelica").text, "joint_model")
+    assert ModelicaModel(
+        ji.export(model(ji.FlexibleJoint("prismatic"), TABLE_2, "model"), "modelica").text, "joint_model"
+    )
 
 
 @pytest.mark.parametrize(
     "spring", [pytest.param(Backlash(), marks=pytest.mark.slow), ThreePieceSpring()], ids=["backlash", "three-piece"]
 )
 def test_a_spring_in_pieces_gives_our_torque(spring: Spring) -> None:
-    joint, law = ji.FlexibleJoint(spring=spring), CONTROLLERS["L19"]
+    joint, law = ji.FlexibleJoint("prismatic", spring=spring), CONTROLLERS["L19"]
     reference = REFERENCE[:400]
     ours = simulated(joint, law, reference, PIECES)
     coarse, fine = (apart(torque_of(joint, PIECES, law, reference, steps=steps), ours) for steps in (4, 16))
     assert fine < 3e-5  # the interpreter steps over the edges of the pieces
     assert fine < 0.5 * coarse
-    assert apart(simulated(ji.FlexibleJoint(), law, reference, PIECES), ours) > 0.01
+    assert apart(simulated(ji.FlexibleJoint("prismatic"), law, reference, PIECES), ours) > 0.01
 
 
 @pytest.mark.parametrize(
@@ -142,7 +144,7 @@ def test_a_spring_in_pieces_gives_our_torque(spring: Spring) -> None:
     ],
 )
 def test_a_smooth_law_gives_our_torque(law: str) -> None:
-    whole = ji.FlexibleJoint()
+    whole = ji.FlexibleJoint("prismatic")
     if law == "ripple":
         joint = replace(whole, ripple=PositionHarmonics(0.02, 2))
     else:
@@ -154,7 +156,7 @@ def test_a_smooth_law_gives_our_torque(law: str) -> None:
 
 
 def test_pieces_that_do_not_follow_each_other_are_refused() -> None:
-    joint = ji.FlexibleJoint(spring=ThreePieceSpring())
+    joint = ji.FlexibleJoint("prismatic", spring=ThreePieceSpring())
     for wrong in ({"torque_2": 10.0}, {"stiffness_2": 0.0}, {"stiffness_2": -1.0}):
         with pytest.raises(ji.MethodError, match="expected pieces that follow each other"):
             ji.export(model(joint, PIECES | wrong), "modelica")

@@ -114,7 +114,7 @@ def export(
         >>> import jointid as ji
         >>> record = ji.twin("L19", noise="none").record
         >>> law = ji.controller.Cascade(position_gain=160.18, velocity_gain=243.45, gain=35.15)
-        >>> loop = ji.ClosedLoop(ji.RigidJoint(), law)
+        >>> loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), law)
         >>> rigid = ji.identify(record, loop, filtering=ji.Filtering(cutoff=5.0))
         >>> print(ji.export(rigid, "urdf").lost[0][:16])
         a constant force
