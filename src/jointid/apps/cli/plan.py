@@ -15,9 +15,10 @@ from jointid.common.errors import MethodError, RecordError
 from jointid.common.files import write_whole
 
 if TYPE_CHECKING:
-    from jointid import AxisLimits, Record, RobotFile
+    from jointid import AxisLimits, Record
     from jointid.common.arrays import FloatArray
     from jointid.config import JointFile
+    from jointid.config.robot_file import RobotFile
     from jointid.planning.joint_design import Design
 
 
@@ -181,8 +182,9 @@ def design(
             its file reads references, and the page.
         figure: also save reference, torque and spectrum as PNG, SVG or PDF.
     """
-    from jointid import JointFile, figures
     from jointid import design as run
+    from jointid import figures
+    from jointid.config import JointFile
 
     outputs = Outputs({"--json": options.json}, {"--figure": figure}, {"--out": out})
     outputs.spare("--motion", motion)

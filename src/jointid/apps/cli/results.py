@@ -24,12 +24,10 @@ from jointid.common.parallel import Aside
 from jointid.estimation.methods.registry import MethodName
 
 if TYPE_CHECKING:
-    from jointid import (
-        JointFile,
-        Report,
-        RobotFile,
-        RobotReport,
-    )
+    from jointid import Report
+    from jointid.config import JointFile
+    from jointid.config.robot_file import RobotFile
+    from jointid.robots import RobotReport
 
 Language = Literal["joint-file", "state-space", "matlab", "mjcf", "urdf", "modelica"]
 
@@ -68,7 +66,8 @@ def report(
     """
     from numpy.linalg import LinAlgError
 
-    from jointid import JointFile, Report, design
+    from jointid import Report, design
+    from jointid.config import JointFile
     from jointid.output.report import repetition, tune_to_limit
     from jointid.output.report.page import require_extra
     from jointid.output.report.pages import require_page
@@ -141,8 +140,9 @@ def _robot_report(
     file: RobotFile, options: Options, choices: dict[str, str | None], held_out: Path | None, html: str
 ) -> RobotReport:
     """Identify a robot, and report it, held against another record where one is given."""
-    from jointid import RobotReport, validate
+    from jointid import validate
     from jointid.output.report import repetition
+    from jointid.robots import RobotReport
 
     records = file.record(options.record, judged=True)
     estimate = file.identify(records, options.progress)
@@ -192,8 +192,9 @@ def validate(
         figure: also save measured, simulated and error torque as PNG, SVG or PDF.
         residuals: also save the error against velocity and position, and its autocorrelation, likewise.
     """
-    from jointid import JointFile, figures
+    from jointid import figures
     from jointid import validate as run
+    from jointid.config import JointFile
     from jointid.output import json as answers
 
     outputs = Outputs({"--json": options.json}, {"--figure": figure, "--residuals": residuals})
@@ -272,7 +273,7 @@ def export(
         delay: of a state space, in s, from a sample of the torque to its effect; without it as identified.
         timestep: of MJCF, in s.
     """
-    from jointid import JointFile
+    from jointid.config import JointFile
     from jointid.output import json as answers
     from jointid.output.export import export as run
     from jointid.output.export import find_language, read_estimated
@@ -306,8 +307,8 @@ def export(
 
 def _export_robot(file: RobotFile, out: Path) -> None:
     """Identify a robot, and write bodies that fit, as URDF or MJCF."""
-    from jointid import RobotEstimate, consistent_robot
     from jointid.output.export.robot_model import write_robot
+    from jointid.robots import RobotEstimate, consistent_robot
 
     estimate = file.identify(file.record())
     if not (estimate.converged if isinstance(estimate, RobotEstimate) else estimate.fit.converged):
