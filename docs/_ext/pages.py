@@ -37,7 +37,7 @@ REPOSITORY = {
 
 BY_MODULE = (
     "models.disturbances.Drift",
-    "models.ripple.PositionHarmonics",
+    "models.position_forces.PositionHarmonics",
     "models.linear.frequency_response",
     "common.parameters.Parameter",
     "output.export.read_estimated",

@@ -28,8 +28,8 @@ from .estimation.robots.torque_estimate import (
 )
 from .models.controllers import PD, PID, Cascade, StateSpaceController, filters
 from .models.friction import AsymmetricFriction, SymmetricFriction
-from .models.gravity import Counterbalance, Gravity
 from .models.joints import ClosedLoop, FlexibleJoint, RigidJoint
+from .models.position_forces import Counterbalance, Gravity
 from .models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from .output import figures
 from .output.export import export, state_space

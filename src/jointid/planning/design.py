@@ -481,7 +481,7 @@ def plan_from_estimate(
     free = [p.name for p in estimate.params.rows if p.free and p.of_joint]
     rows = [i for i, p in enumerate(q for q in estimate.params.rows if q.free) if p.of_joint]
     covariance = estimate.params.covariance[np.ix_(rows, rows)]
-    fixed = {p.name: p.fixed(estimate.values[p.name]) for p in loop.joint.parameters if p.name not in free}
+    fixed = {p.name: p.fix(estimate.values[p.name]) for p in loop.joint.parameters if p.name not in free}
     settings: dict[str, object] = {
         "present": record, "covariance": covariance, "tap": record.tap, "filtering": estimate.settings.filtering,
         "parameters": fixed, "record": estimate.data.record,

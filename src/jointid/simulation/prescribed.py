@@ -36,7 +36,7 @@ from jointid.simulation.closed_loop import Initial, Outcome, simulate
 from jointid.simulation.loop_input import LoopInput, prepare
 from jointid.simulation.sensitivities import (
     coefficient_seeds,
-    gravity_seed,
+    gravity_slope,
     simulate_sensitivities,
     start_slope,
     taped_rows,
@@ -303,7 +303,7 @@ class _Load:
                 start[LOAD_STATE.index(name), j] = 1.0
                 continue
             seeds[:, j] = by_name[name]
-            weights[:, j] = gravity_seed(self.joint, name)
+            weights[:, j] = gravity_slope(self.joint, name)
             start[:, j] = start_slope(lambda at: _start(self.joint, self.motion, at), self.values, name)
             if name in pushes:
                 explicit.append(np.append(pushes[name], pushes[name][-1]))

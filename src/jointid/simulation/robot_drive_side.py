@@ -25,9 +25,8 @@ from jointid.common.arrays import FloatArray
 from jointid.models.robots.robot import Robot, Tree
 from jointid.simulation.kernels.robot_loop import Clock, Controllers, Driven, RobotTape, Seen
 from jointid.simulation.prescribed import spline_of
-from jointid.simulation.robot_columns import columns_of
 from jointid.simulation.robot_numbers import Bools, MassNumbers, NumberOf, NumberPlace, RobotNumbers
-from jointid.simulation.robot_sensitivities import seeds_of, slopes_at_start
+from jointid.simulation.robot_sensitivities import columns_of, seeds_of, slopes_at_start
 from jointid.simulation.robot_start import places_at_start, speeds_at_start
 from jointid.simulation.robots import MassMotion, RobotOutcome, choose_steps, outcome_of
 

@@ -205,7 +205,7 @@ def _propagate(out: ClosedLoopRun, names: Sequence[str], positions: bool) -> tup
             elif segments is not None:  # the same in every segment
                 pieces[:, :14, j] = by_name[name]
             if out.gravity is not None:
-                weights[:, j] = gravity_seed(joint, name)
+                weights[:, j] = gravity_slope(joint, name)
             if smooth is not None:
                 dlaws[:, j], dplaces[:, :, j] = smooth[name]
             # At rest it else begins where the motor is, whatever it is like.
@@ -299,7 +299,7 @@ def segment_seeds(joint: Joint, values: Mapping[str, float], name: str) -> Float
     return np.asarray(np.imag(found) / _IMAGINARY)
 
 
-def gravity_seed(joint: Joint, name: str) -> FloatArray:
+def gravity_slope(joint: Joint, name: str) -> FloatArray:
     """Constant derivatives of the gravity factors by a parameter, (3,)."""
     one = joint.gravity_coefficients({p.name: float(p.name == name) for p in joint.parameters})
     return np.zeros(3) if one is None else one[:3]

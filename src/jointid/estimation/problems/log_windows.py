@@ -311,7 +311,7 @@ def window_problem(
     Raises:
         RecordError: a channel is missing.
     """
-    known = tuple(p.fixed(0.0) for p in (*INITIAL_STATE, INITIAL_TORQUE))
+    known = tuple(p.fix(0.0) for p in (*INITIAL_STATE, INITIAL_TORQUE))
     return begin_window(torque_problem(record, loop, filtering, parameters, known).freeing(*free), record)
 
 
