@@ -232,9 +232,12 @@ def clock_faults(stamps: FloatArray, tolerance: float | None = CLOCK_TOLERANCE, 
     jumped = error > max(_JUMP, tolerance)
     if jumped.any():
         first = int(np.argmax(jumped))
+        step, lost = float(steps[first]), round(float(steps[first]) / sample_time) - 1
+        late = f"leaves out {pluralise(lost, 'sample')}" if lost > 0 else "steps early"
+        found = f"{'runs backward' if step < 0 else late} (a step of {step:g} s, expected {sample_time:g} s)"
         faults.append(
             f"{name} jumps {pluralise(int(jumped.sum()), 'time')}: after sample {first}"
-            f"{format_instant(stamps, first)} it {_jump(float(steps[first]), sample_time)}; cut the record there, or "
+            f"{format_instant(stamps, first)} it {found if step else 'repeats its stamp'}; cut the record there, or "
             "give sample_time without time if only the stamps are wrong."
         )
     jitter = np.where(jumped, 0.0, error)
@@ -247,12 +250,3 @@ def clock_faults(stamps: FloatArray, tolerance: float | None = CLOCK_TOLERANCE, 
             "if only the stamps jitter."
         )
     return faults
-
-
-def _jump(step: float, sample_time: float) -> str:
-    """Describe a jump of the clock."""
-    if step == 0:
-        return "repeats its stamp"
-    lost = round(step / sample_time) - 1
-    late = f"leaves out {pluralise(lost, 'sample')}" if lost > 0 else "steps early"
-    return f"{'runs backward' if step < 0 else late} (a step of {step:g} s, expected {sample_time:g} s)"

@@ -157,7 +157,14 @@ def _open(path: Path) -> Iterator[_Contents]:
             file = nptdms.TdmsFile.open(raw)
             if file.file_status.incomplete_final_segment:
                 raise RecordError(f"{path.name} ends in the middle of its data; {_REMEDY}.")
-            contents = _Contents(path, list(_list_channels(file)), dict(_list_scalars(file)))
+            owners = {"": file.properties} | {f"{group.name}/": group.properties for group in file.groups()}
+            scalars = {
+                f"{prefix}{name}": float(value)
+                for prefix, properties in owners.items()
+                for name, value in properties.items()
+                if isinstance(value, int | float | np.number) and not isinstance(value, bool)
+            }
+            contents = _Contents(path, list(_list_channels(file)), scalars)
         require_unique_names(path, [channel.name for channel in contents.channels])
         if not contents.channels:
             raise RecordError(f"{path.name} holds no channel of numbers; log the signals as numbers.")
@@ -195,14 +202,6 @@ def _list_channels(file: Nptdms) -> Iterator[_Channel]:
             yield channel._replace(clock=clock)
             if clock and not is_common:
                 yield channel._replace(name=clock, unit="s", is_time=True)
-
-
-def _list_scalars(file: Nptdms) -> Iterator[tuple[str, float]]:
-    """Yield the numeric properties of the file and its groups."""
-    for prefix, properties in (("", file.properties), *((f"{g.name}/", g.properties) for g in file.groups())):
-        for name, value in properties.items():
-            if isinstance(value, int | float | np.number) and not isinstance(value, bool):
-                yield f"{prefix}{name}", float(value)
 
 
 def _read_unit(channel: Nptdms) -> str:
