@@ -153,7 +153,7 @@ class ClosedLoopRun:
 
     @property
     def trace(self) -> Trace:
-        """What the run left, as the kernels filled it."""
+        """The kernels' output arrays."""
         from jointid.simulation.kernels.drive import Trace
 
         return Trace(
