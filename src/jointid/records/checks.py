@@ -12,7 +12,6 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import RecordError
 from jointid.common.text import number
 from jointid.common.units import unit, units_of
-from jointid.records.checks import find_hunting
 from jointid.records.columns import finite_faults
 from jointid.records.record import Channel, InjectionPoint, Record, Tap
 from jointid.records.resampling import update_interval
