@@ -221,7 +221,11 @@ def notebook_html(document: Document, sentence: str = "") -> str:
     for block in document.blocks:
         if isinstance(block, Picture):
             continue
-        fewer = _fewer(block)
+        fewer = block
+        if isinstance(block, Table):
+            fewer = replace(block, rows=block.rows[:_ROWS]) if len(block.rows) > _ROWS else block
+        elif isinstance(block, Listing):
+            fewer = Listing(block.items[:_ITEMS]) if len(block.items) > _ITEMS else block
         made = block_html(fewer)
         if len(made) > room:
             whole = False
@@ -232,15 +236,6 @@ def notebook_html(document: Document, sentence: str = "") -> str:
     if not whole:
         parts.append("<p>There is more: print it.</p>")
     return "\n".join(['<div class="jointid">', *parts, "</div>"])
-
-
-def _fewer(block: Block) -> Block:
-    """Truncate the rows of a block."""
-    if isinstance(block, Table) and len(block.rows) > _ROWS:
-        return replace(block, rows=block.rows[:_ROWS])
-    if isinstance(block, Listing) and len(block.items) > _ITEMS:
-        return Listing(block.items[:_ITEMS])
-    return block
 
 
 def data_frame(rows: Mapping[str, Mapping[str, object]], index: str) -> DataFrame:
@@ -314,15 +309,13 @@ def _render_markdown(block: Block) -> str:
         return _add_caption(_plain(block.caption), f"{fence}\n{block.text.rstrip()}\n{fence}")
     if isinstance(block, Picture):
         return f"![{_plain(block.text)}]({block.name})\n\n*{_plain(block.text)}*"
-    return "\n".join(f"- {line}" for line in _points(block))
-
-
-def _points(block: Listing | Verdicts | Facts) -> list[str]:
     if isinstance(block, Listing):
-        return [_plain(item) for item in block.items]
-    if isinstance(block, Verdicts):
-        return [f"**{_ANSWERS[good]}** — {_plain(asked)} {_plain('; '.join(why))}" for asked, good, why in block.rows]
-    return [f"{_plain(name)}: {_plain(value)}" for name, value in block.pairs]
+        lines = [_plain(item) for item in block.items]
+    elif isinstance(block, Verdicts):
+        lines = [f"**{_ANSWERS[good]}** — {_plain(asked)} {_plain('; '.join(why))}" for asked, good, why in block.rows]
+    else:
+        lines = [f"{_plain(name)}: {_plain(value)}" for name, value in block.pairs]
+    return "\n".join(f"- {line}" for line in lines)
 
 
 def _add_caption(caption: str, text: str) -> str:

@@ -156,7 +156,13 @@ class Friction:
 
     def columns(self, velocity: FloatArray) -> FloatArray:
         """Return the regressor of the law's parameters, shape (samples, parameters)."""
-        return np.stack([_column(c, velocity) for c in self.coefficients]).T
+        columns = []
+        for one in self.coefficients:
+            moving, sign = np.ones(velocity.shape, dtype=np.bool_), np.sign(velocity)
+            if len(one.directions) == 1:
+                moving = velocity > 0 if one.directions == ("forwards",) else velocity < 0
+            columns.append((velocity if one.part == "viscous" else sign) * moving)
+        return np.stack(columns).T
 
     def directions(self, values: Mapping[str, float], prefix: str = "") -> Directions:
         """Return the coefficients for both directions of motion."""
@@ -223,15 +229,6 @@ class Friction:
 def _slots(law: Friction) -> tuple[str | None, ...]:
     """Return the names of a law's coefficients, in the order of `Directions`; every simulation asks for them."""
     return tuple(law.coefficient_name(part, direction) for part in PARTS for direction in DIRECTIONS)
-
-
-def _column(one: Coefficient, velocity: FloatArray) -> FloatArray:
-    """Return the regressor column of a coefficient, (samples,)."""
-    if len(one.directions) == 2:
-        return velocity if one.part == "viscous" else np.sign(velocity)
-    forwards = one.directions == ("forwards",)
-    moving = velocity > 0 if forwards else velocity < 0
-    return np.asarray((velocity if one.part == "viscous" else 1.0 if forwards else -1.0) * moving)
 
 
 @dataclass(frozen=True, slots=True)

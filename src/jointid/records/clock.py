@@ -96,7 +96,13 @@ def _stamped_clock(
     wrong = clock_faults(stamps, tolerance, f'The time column "{column}"')
     if wrong:
         return Clock(), wrong
-    period = measure_irregularity(stamps).sample_time if tolerance is None else _period(stamps)
+    first, count = float(stamps[1] - stamps[0]), stamps.size - 1
+    if tolerance is None:
+        period = measure_irregularity(stamps).sample_time
+    elif np.array_equal(stamps[0] + np.arange(stamps.size) * first, stamps):
+        period = first  # stamps that were computed give their sample time back to the last bit
+    else:  # the mean over the record is better than any one step; its thirteenth digit is rounding
+        period = float(f"{(stamps[-1] - stamps[0]) / count:.12g}")
     if sample_time is not None and not is_same_rate(sample_time, period):
         wrong = [
             f'The sample time is given as {sample_time:g} s, and column "{column}" has {period:g} s; '
@@ -163,15 +169,6 @@ def _time_column(table: Table, time: str | None) -> tuple[str, list[str]]:
     several = ", ".join(f'"{name}"' for name in names)
     fact = f"more than one time column ({several})" if names else 'no column called "t" or "time"'
     return "", [f"{table.source} has {fact}; give sample_time, or the name of the time column as time."]
-
-
-def _period(stamps: FloatArray) -> float:
-    """Sample time [s] of checked stamps."""
-    index, first = np.arange(stamps.size), float(stamps[1] - stamps[0])
-    if np.array_equal(stamps[0] + index * first, stamps):
-        return first  # stamps that were computed give their sample time back to the last bit
-    # The mean over the record is better than any one step; its thirteenth digit is rounding.
-    return float(f"{(stamps[-1] - stamps[0]) / index[-1]:.12g}")
 
 
 def measure_irregularity(stamps: FloatArray) -> Irregularity:

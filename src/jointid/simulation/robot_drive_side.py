@@ -152,7 +152,9 @@ def run_drive_side(prescribed: MotorMotion, numbers: RobotNumbers, steps: int | 
         taken = steps or choose_steps(prescribed.tree, links, prescribed.step, _with_heavy_motors(numbers, _HELD))
         outcome = RobotOutcome.FINISHED if taken <= _STEPS else RobotOutcome.TOO_STIFF
     if outcome is RobotOutcome.FINISHED:
-        start, speeds = _steady(prescribed, numbers)
+        speeds, stiff = speeds_at_start(prescribed, numbers), np.full(n, -np.inf)
+        start, _ = places_at_start(prescribed, numbers, prescribed.position[0], stiff)
+        speeds[numbers.rotors] = prescribed.joined[0]
         places = start.copy()
         if numbers.beside.size:
             places[:n] += numbers.beside[:, 0]
@@ -238,14 +240,6 @@ def _with_heavy_motors(numbers: RobotNumbers, heavy: float = _HEAVY) -> RobotNum
     masses[numbers.rotors] = 0.0
     masses[numbers.rotors, 0] = heavy
     return replace(numbers, masses=masses)
-
-
-def _steady(prescribed: MotorMotion, numbers: RobotNumbers) -> tuple[FloatArray, FloatArray]:
-    """Return positions and velocities of all masses at the first sample, in steady motion."""
-    speeds = speeds_at_start(prescribed, numbers)
-    speeds[numbers.rotors] = prescribed.joined[0]
-    stiff = np.full(numbers.rotors.size, -np.inf)
-    return places_at_start(prescribed, numbers, prescribed.position[0], stiff)[0], speeds
 
 
 def _motion(prescribed: MotorMotion, numbers: RobotNumbers, tape: RobotTape) -> MassMotion:

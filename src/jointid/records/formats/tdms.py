@@ -171,16 +171,14 @@ def _open(path: Path) -> Iterator[_Contents]:
         yield contents
 
 
-def _find_beginning(channel: Nptdms) -> np.datetime64 | None:
-    """First instant of a waveform or channel; None if not stated."""
-    is_instants = np.dtype(channel.dtype).kind == "M"
-    found = channel.read_data(0, 1)[0] if is_instants else channel.properties.get(_START)
-    return found if isinstance(found, np.datetime64) and found >= _UNSET else None
-
-
 def _list_channels(file: Nptdms) -> Iterator[_Channel]:
     every = [channel for group in file.groups() for channel in group.channels() if len(channel)]
-    begins = {channel.path: begin for channel in every if (begin := _find_beginning(channel)) is not None}
+    begins = {}  # the first instant of a waveform, or of a channel of instants
+    for channel in every:
+        is_instants = np.dtype(channel.dtype).kind == "M"
+        begin = channel.read_data(0, 1)[0] if is_instants else channel.properties.get(_START)
+        if isinstance(begin, np.datetime64) and begin >= _UNSET:
+            begins[channel.path] = begin
     late = {path: float((begin - min(begins.values())) / np.timedelta64(1, "s")) for path, begin in begins.items()}
     for group in file.groups():
         prefix = "" if group.name == _NAMELESS else f"{group.name}/"
