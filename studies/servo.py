@@ -102,7 +102,7 @@ def _foretold() -> FloatArray:
 
 def _problem(axis: Twin) -> ClosedLoopProblem:
     problem = torque_problem(axis.record, axis.loop, FILTERING, axis.loop.joint.parameters)
-    still = tuple(p.fixed(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
+    still = tuple(p.fix(0.0) if p.name == "initial_velocity" else p for p in problem.parameters)
     return replace(problem, parameters=still)
 
 

@@ -55,7 +55,7 @@ class Sinusoid:
         loop = ClosedLoop(joint, CONTROLLERS[loop_name])
         reference = 0.05 * time + 0.02 / self.w * np.sin(self.w * time)
         made = simulated_record(loop, reference, truth, sample_time=T, initial=Initial(0.0, 0.07))
-        initial = (INITIAL_STATE[0].fixed(0.0), INITIAL_STATE[1].fixed(0.07))
+        initial = (INITIAL_STATE[0].fix(0.0), INITIAL_STATE[1].fix(0.07))
         problem = torque_problem(made, loop, Filtering(), joint.parameters, initial)
         x = problem.vector(truth)
         _, jacobian = problem.sensitivities(x)
@@ -248,7 +248,7 @@ def test_the_sandwich_is_the_inverse_model_s_where_all_three_are_one() -> None:
 
 def _twin_problem(loop: str) -> tuple[ClosedLoopProblem, dict[str, float]]:
     axis = twin(loop, noise="none")  # type: ignore[arg-type]
-    fixed = tuple(p.fixed(0.0) for p in INITIAL_STATE)
+    fixed = tuple(p.fix(0.0) for p in INITIAL_STATE)
     joint = axis.loop.joint.parameters
     return torque_problem(axis.record, axis.loop, Filtering(cutoff=60.0), joint, fixed), axis.truth
 

@@ -38,7 +38,7 @@ REPOSITORY = {
 
 BY_MODULE = (
     "models.disturbances.Drift",
-    "models.ripple.PositionHarmonics",
+    "models.position_forces.PositionHarmonics",
     "models.linear.frequency_response",
     "common.parameters.Parameter",
     "config.contents.JointFile",

@@ -19,8 +19,8 @@ from .estimation.problems.log_windows import Windowing
 from .estimation.problems.several_records import SeveralRecords
 from .estimation.result.estimate import Estimate
 from .estimation.robots.payload import identify_payload
-from .models.gravity import Gravity
 from .models.joints import ClosedLoop, FlexibleJoint, RigidJoint
+from .models.position_forces import Gravity
 from .models.robots.robot import Robot
 from .output import figures
 from .output.export import export, state_space

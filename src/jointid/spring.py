@@ -1,6 +1,6 @@
 """Springs between motor and load, `FlexibleJoint("revolute", spring=Backlash())`, and the counterbalance of a load."""
 
-from jointid.models.gravity import Counterbalance
+from jointid.models.position_forces import Counterbalance
 from jointid.models.springs import (
     Backlash,
     CubicSpring,

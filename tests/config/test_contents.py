@@ -34,9 +34,8 @@ from jointid.models.controllers import (
 )
 from jointid.models.disturbances import Drift
 from jointid.models.friction import AsymmetricFriction, SymmetricFriction
-from jointid.models.gravity import GRAVITY_PARAMETERS, Counterbalance, Gravity
 from jointid.models.joints import FlexibleJoint, RigidJoint
-from jointid.models.ripple import PositionHarmonics
+from jointid.models.position_forces import GRAVITY_PARAMETERS, Counterbalance, Gravity, PositionHarmonics
 from jointid.records.columns import Column
 from jointid.records.drives import Drive
 from jointid.records.record import InjectionPoint, Tap, Timing
@@ -248,8 +247,8 @@ def test_all_of_a_file() -> None:
         filtering=Filtering(100.0, 20.0, 5, (10, 0), "as_sampled", "warned"),
         parameters={
             "stiffness": dataclasses.replace(known["stiffness"], start=8e5, lower=1e3, upper=1e7),
-            "damping": known["damping"].fixed(126.0),
-            "motor_inertia": dataclasses.replace(known["motor_inertia"].fixed(0.1), upper=1.0),
+            "damping": known["damping"].fix(126.0),
+            "motor_inertia": dataclasses.replace(known["motor_inertia"].fix(0.1), upper=1.0),
             "load_inertia": known["load_inertia"],
         },
         source=Source(

@@ -46,9 +46,8 @@ from jointid.models.controllers import (
 )
 from jointid.models.disturbances import Drift
 from jointid.models.friction import AsymmetricFriction, SymmetricFriction
-from jointid.models.gravity import Counterbalance, Gravity
 from jointid.models.joints import FlexibleJoint, Joint, RigidJoint
-from jointid.models.ripple import PositionHarmonics
+from jointid.models.position_forces import Counterbalance, Gravity, PositionHarmonics
 from jointid.models.springs import ElasticLoad
 from jointid.records.columns import Column, known_units
 from jointid.records.drives import Drive, profile_names
@@ -217,7 +216,7 @@ def joint_files(draw: st.DrawFn) -> JointFile:
         ),
         parameters={
             p.name: draw(
-                st.sampled_from((p, p.fixed(min(3.0, p.upper)), dataclasses.replace(p, upper=min(5.0, p.upper))))
+                st.sampled_from((p, p.fix(min(3.0, p.upper)), dataclasses.replace(p, upper=min(5.0, p.upper))))
             )
             for p in joint.parameters
             if p.free and draw(st.booleans())

@@ -247,7 +247,7 @@ def test_what_was_kept_fixed_is_no_reason_not_to_answer(stiff_axis: tuple[Record
     record, _ = stiff_axis
     loop = ClosedLoop(FlexibleJoint("prismatic"), CONTROLLERS["L19"])
     stiffness = next(p for p in loop.joint.parameters if p.name == "stiffness")
-    estimate = identify(record, loop, parameters={"stiffness": stiffness.fixed(1e9)})
+    estimate = identify(record, loop, parameters={"stiffness": stiffness.fix(1e9)})
     assert estimate.checks.bounds
     assert "would" in str(design_stiffness_test(estimate, record))
 

@@ -131,8 +131,8 @@ def test_what_is_declared_of_one_law_is_not_taken_for_another_s(
     case, _ = plain
     record, given = some_of(case.clean, 3000), {p.name: p for p in case.loop.joint.parameters}
     declared = {
-        "stiffness": given["stiffness"].fixed(0.5 * case.truth["stiffness"]),
-        "offset": given["offset"].fixed(0.0),
+        "stiffness": given["stiffness"].fix(0.5 * case.truth["stiffness"]),
+        "offset": given["offset"].fix(0.0),
     }
     loop = with_spring(case.loop, TwoPieceSpring())
     found = compare_springs(record, loop, parameters=declared, didim=ji.DIDIM(frequency=case.mode))

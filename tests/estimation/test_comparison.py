@@ -58,7 +58,7 @@ def test_what_cannot_run_is_listed_with_the_reason(emps: Record) -> None:
     assert list(alone.estimates) == ["IDIM-LS", "IDIM-IRLS", "IDIM-LS asymmetric"]
     assert "DIDIM cannot run: DIDIM simulates the closed loop, so it needs the controller" in str(alone)
     fixed = compare(
-        emps, RigidJoint("prismatic"), parameters={"viscous": RigidJoint("prismatic").parameters[1].fixed(207.0)}
+        emps, RigidJoint("prismatic"), parameters={"viscous": RigidJoint("prismatic").parameters[1].fix(207.0)}
     )
     assert fixed.estimates["IDIM-LS"].values["viscous"] == 207.0
     assert fixed.estimates["IDIM-LS asymmetric"].values["viscous_forwards"] == pytest.approx(171, abs=1)

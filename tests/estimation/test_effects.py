@@ -14,8 +14,7 @@ from jointid.estimation.methods.idim import IDIM
 from jointid.models.disturbances import Drift, effect_columns
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import ClosedLoop, RigidJoint
-from jointid.models.motion import Motion
-from jointid.models.ripple import PositionHarmonics
+from jointid.models.position_forces import Motion, PositionHarmonics
 from jointid.output import json as answers
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering

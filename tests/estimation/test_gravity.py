@@ -17,8 +17,8 @@ from jointid.estimation.result.build_result import find_lost
 from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Cascade
 from jointid.models.friction import AsymmetricFriction
-from jointid.models.gravity import Counterbalance, Gravity
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
+from jointid.models.position_forces import Counterbalance, Gravity
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Initial
@@ -170,7 +170,7 @@ def test_a_short_travel_tells_only_sums(travel: float) -> None:
 
 def test_fixing_the_offset_tells_the_rest() -> None:
     offset = next(p for p in ARM.joint.parameters if p.name == "offset")
-    estimate = identify(torque_only(arm(0.2, noise=0.3)), ARM, parameters={"offset": offset.fixed(0.5)})
+    estimate = identify(torque_only(arm(0.2, noise=0.3)), ARM, parameters={"offset": offset.fix(0.5)})
     cosine = estimate["gravity_cos"]
     assert cosine.value == pytest.approx(40.0, abs=0.1)
     assert cosine.stderr is not None

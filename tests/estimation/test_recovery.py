@@ -110,14 +110,14 @@ def test_didim_recovers_asymmetric_friction_on_a_rotary_pd_loop() -> None:
 
 def test_a_fixed_parameter_keeps_its_value_and_a_wrong_one_biases_the_others() -> None:
     made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
-    right = {"offset": Parameter("offset", "offset", Quantity.FORCE).fixed(-3.2)}
+    right = {"offset": Parameter("offset", "offset", Quantity.FORCE).fix(-3.2)}
     estimate = identify(made, LOOP, parameters=right)
     assert estimate.values["offset"] == -3.2
     assert estimate["offset"].stderr is None
     assert errors(estimate.values, TRUTH) <= 1e-6
     idim = identify(made, LOOP, IDIM(), parameters=right)
     assert idim.values["offset"] == -3.2
-    wrong = {"viscous": Parameter("viscous", "Fv", Quantity.VISCOUS).fixed(100.0)}
+    wrong = {"viscous": Parameter("viscous", "Fv", Quantity.VISCOUS).fix(100.0)}
     assert errors(identify(made, LOOP, parameters=wrong).values, TRUTH) > 0.01
 
 
@@ -266,7 +266,7 @@ def test_a_wrong_loop_is_not_called_a_good_fit() -> None:
 
 def test_an_inertia_that_is_known_may_be_fixed_under_every_start() -> None:
     made = simulated_record(LOOP, MOVING, TRUTH, sample_time=T)
-    known = {"inertia": LOOP.joint.parameters[0].fixed(TRUTH["inertia"])}
+    known = {"inertia": LOOP.joint.parameters[0].fix(TRUTH["inertia"])}
     for start in ("inversion", "regular", "given"):
         estimate = identify(made, LOOP, DIDIM(start=start), parameters=known)  # type: ignore[arg-type]
         assert errors(estimate.values, TRUTH) <= 1e-6
@@ -336,7 +336,7 @@ def test_what_cannot_be_identified_is_refused_in_a_sentence() -> None:
         MethodError, match=r"DIDIM\.form is for a rigid joint, and this is a flexible joint; leave it out"
     ):
         identify(made, ClosedLoop(FlexibleJoint("prismatic"), CONTROLLER), DIDIM("paper"))
-    everything = {p.name: p.fixed(1.0) for p in LOOP.joint.parameters}
+    everything = {p.name: p.fix(1.0) for p in LOOP.joint.parameters}
     with pytest.raises(MethodError, match="nothing to identify"):
         identify(made, LOOP, parameters=everything)
     with pytest.raises(MethodError, match=r"No parameter is called mass; this model has inertia"):

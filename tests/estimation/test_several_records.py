@@ -139,7 +139,7 @@ def test_what_is_fixed_and_bounded_is_so_without_the_added_mass() -> None:
     axis = twins("none")
     known = {p.name: p for p in axis.loop.joint.parameters}
     records = [logged(axis.loop, axis.truth), logged(axis.loop, heavier(axis.truth))]
-    fixed = {"load_inertia": known["load_inertia"].fixed(axis.truth["load_inertia"])}
+    fixed = {"load_inertia": known["load_inertia"].fix(axis.truth["load_inertia"])}
     found = identify(
         records, axis.loop, several=SeveralRecords(added_inertia=[0.0, KILOGRAMS]), parameters=fixed, method=QUICK
     )

@@ -116,7 +116,7 @@ def test_what_takes_friction_for_a_line_refuses_it() -> None:
 def test_what_is_free_must_begin_without_the_change() -> None:
     case = rigid(prismatic(1))
     loop, values = slow(case, RISES)
-    held = {p.name: p.fixed(values[p.name]) for p in loop.joint.parameters if not p.name.startswith("stribeck")}
+    held = {p.name: p.fix(values[p.name]) for p in loop.joint.parameters if not p.name.startswith("stribeck")}
     with pytest.raises(MethodError, match="add to a plain one is free, stribeck_force and stribeck_speed"):
         identify(noisy(case, loop, values), loop, parameters=held)
 
@@ -126,7 +126,7 @@ def test_a_speed_without_a_change_is_not_told() -> None:
     loop, values = slow(case, RISES)
     change = next(p for p in loop.joint.parameters if p.name == "stribeck_force")
     with pytest.raises(MethodError, match="stribeck_speed"):
-        identify(noisy(case, loop, values), loop, parameters={"stribeck_force": change.fixed(0.0)})
+        identify(noisy(case, loop, values), loop, parameters={"stribeck_force": change.fix(0.0)})
 
 
 def test_a_change_that_leaves_no_friction_at_rest_is_no_joint() -> None:

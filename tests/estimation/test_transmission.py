@@ -23,9 +23,8 @@ from jointid.estimation.result.parts import EstimatedParameter, bounds_on_other_
 from jointid.models.controllers import Cascade
 from jointid.models.disturbances import Drift
 from jointid.models.friction import AsymmetricFriction, SymmetricFriction
-from jointid.models.gravity import Counterbalance, Gravity
 from jointid.models.joints import ClosedLoop, FlexibleJoint, Joint, RigidJoint
-from jointid.models.ripple import PositionHarmonics
+from jointid.models.position_forces import Counterbalance, Gravity, PositionHarmonics
 from jointid.output.json import to_dict
 from jointid.records.record import Channel, Record
 from jointid.simulation.excitation import pulses, trapezoids

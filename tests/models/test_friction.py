@@ -12,7 +12,7 @@ from jointid.config import dumps, loads
 from jointid.config.contents import JointFile
 from jointid.estimation.methods.idim import IDIM
 from jointid.models.controllers import Cascade
-from jointid.models.friction import DIRECTIONS, FRICTIONS, PARTS, Friction, friction_named
+from jointid.models.friction import DIRECTIONS, FRICTIONS, PARTS, Friction, find_friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.models.linear import linear_joints
 from jointid.output import json as answers
@@ -42,8 +42,8 @@ def values_of(law: Friction) -> dict[str, float]:
 
 @EVERY_LAW
 def test_a_law_has_one_coefficient_for_each_part_and_direction(law: Friction) -> None:
-    assert FRICTIONS[law.name] is type(law) and friction_named(law.name) == law
-    assert friction_named(law.contrast) != law
+    assert FRICTIONS[law.name] is type(law) and find_friction(law.name) == law
+    assert find_friction(law.contrast) != law
     assert law.linear == (law.lines == law) == (len(law.parameters()) == len(law.coefficients))
     acting = [(c.part, direction) for c in law.coefficients for direction in c.directions]
     assert len(set(acting)) == len(acting)

@@ -8,9 +8,9 @@ import pytest
 from jointid.common.errors import MethodError
 from jointid.common.parameters import Parameter, Quantity, adjust_parameters
 from jointid.models.controllers import Cascade
-from jointid.models.friction import AsymmetricFriction, SymmetricFriction, friction_named
+from jointid.models.friction import AsymmetricFriction, SymmetricFriction, find_friction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
-from jointid.models.motion import Motion
+from jointid.models.position_forces import Motion
 from jointid.paper.twin import TABLE_2, TABLE_4
 from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
@@ -90,7 +90,7 @@ def test_the_offset_is_fixed_beside_asymmetric_friction() -> None:
 
 def test_a_friction_that_is_not_known_is_refused() -> None:
     with pytest.raises(MethodError, match=r'Friction "dahl" is not known; use symmetric, asymmetric, .*, presliding'):
-        friction_named("dahl")
+        find_friction("dahl")
 
 
 def test_adjusting_a_parameter_that_is_not_there_lists_those_that_are() -> None:

@@ -12,9 +12,8 @@ import jointid as ji
 from jointid.common.errors import MethodError
 from jointid.models.joints import FlexibleJoint, RigidJoint, of_whole
 from jointid.models.linear import frequency_response, linear_joints
-from jointid.models.motion import Motion
-from jointid.models.ripple import PositionHarmonics
-from jointid.models.springs import ElasticLoad, spring_named
+from jointid.models.position_forces import Motion, PositionHarmonics
+from jointid.models.springs import ElasticLoad, find_spring
 from jointid.output import json as answers
 from jointid.paper.twin import TABLE_2
 from jointid.planning.predict import _holding_torque
@@ -39,7 +38,7 @@ def test_a_ripple_on_the_load_is_one_of_the_whole_where_the_spring_does_not_give
 @pytest.mark.parametrize("spring", [None, "cubic", "elastic-load"])
 def test_the_spring_carries_the_ripple_of_a_load_at_rest(spring: str | None) -> None:
     joint = FlexibleJoint("prismatic", ripple=replace(RIPPLE, side="load"))
-    joint = joint if spring is None else replace(joint, spring=spring_named(spring))
+    joint = joint if spring is None else replace(joint, spring=find_spring(spring))
     values = TABLE_2 | SWINGS | {"cubic_stiffness": 0.0, "load_harmonic_1_cosine": 80.0, "load_harmonic_1_sine": 0.0}
     start = joint.start(values, 0.0, 0.0)
     assert start[0] - start[2] == pytest.approx(80.0 / TABLE_2["stiffness"])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from jointid.models.joints import FlexibleJoint
-from jointid.models.motion import Motion
+from jointid.models.position_forces import Motion
 from jointid.paper.errata import ERRATA, markdown
 from jointid.paper.published import EXPERIMENT, REGRESSOR, SYMBOLS, TABLES, PublishedTable
 from jointid.paper.recomputed import (

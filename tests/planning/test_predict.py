@@ -72,7 +72,7 @@ def test_intervals_scale_as_they_must() -> None:
 def test_a_fixed_parameter_is_not_predicted_and_narrows_the_others() -> None:
     test, noise = planned_record(LOOP, REFERENCE, T), Noise(log=0.01)
     free = predict_test(LOOP, TRUTH, test, noise)
-    fixed = {p.name: p.fixed(0.05) for p in LOOP.joint.parameters if p.name == "viscous"}
+    fixed = {p.name: p.fix(0.05) for p in LOOP.joint.parameters if p.name == "viscous"}
     told = predict_test(LOOP, TRUTH, test, noise, parameters=fixed)
     assert "viscous" not in told.joint
     assert told.std["coulomb"] < free.std["coulomb"]

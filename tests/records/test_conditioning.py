@@ -198,7 +198,7 @@ def test_idim_picks_the_position_at_a_slow_torque(tmp_path: Path) -> None:
         "motor_position": Column("q"),
     }
     record = read(path, columns, kind="revolute")
-    fixed = {"coulomb": ji.RigidJoint("prismatic").parameters[2].fixed(0.0)}
+    fixed = {"coulomb": ji.RigidJoint("prismatic").parameters[2].fix(0.0)}
     filtering = ji.Filtering(position_cutoff=60.0, cutoff=10.0, borders=(20, 20))
     estimate = ji.identify(record, ji.RigidJoint("revolute"), filtering=filtering, parameters=fixed)
     assert estimate["inertia"].value == pytest.approx(2.0, rel=2e-3)

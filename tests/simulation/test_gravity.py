@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from jointid.models.controllers import Cascade
-from jointid.models.gravity import Counterbalance, Gravity
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
+from jointid.models.position_forces import Counterbalance, Gravity
 from jointid.records.record import Channel, Record, Timing
 from jointid.simulation.closed_loop import Initial, Outcome, Simulation, simulate, simulate_torque
 from jointid.simulation.excitation import trapezoids

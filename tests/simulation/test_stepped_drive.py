@@ -12,9 +12,8 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
 from jointid.models.controllers import Cascade, numbers_of
 from jointid.models.friction import FRICTIONS, PARTS
-from jointid.models.gravity import Gravity
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint, frictions_beside, springs_beside
-from jointid.models.ripple import PositionHarmonics
+from jointid.models.position_forces import Gravity, PositionHarmonics
 from jointid.models.springs import SPRINGS
 from jointid.records.record import Channel, Record
 from jointid.simulation.closed_loop import Initial, Outcome, simulate

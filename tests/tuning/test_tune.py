@@ -22,7 +22,7 @@ from jointid.models.controllers import PD, PID, Cascade, StateSpaceController
 from jointid.models.controllers.drive_numbers import DriveNumber
 from jointid.models.friction import AsymmetricFriction
 from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
-from jointid.models.ripple import PositionHarmonics
+from jointid.models.position_forces import PositionHarmonics
 from jointid.output.figures import draw
 from jointid.output.json import dumps, to_dict
 from jointid.paper.twin import TABLE_2, twin

@@ -37,7 +37,7 @@ from jointid.config import load_joint
 from jointid.diagnostics.report_data import collect_report_data as collect
 from jointid.models.disturbances import Drift
 from jointid.models.linear import frequency_response
-from jointid.models.ripple import PositionHarmonics
+from jointid.models.position_forces import PositionHarmonics
 from jointid.output.export import read_estimated
 from jointid.paper.errata import ERRATA
 from jointid.paper.published import TABLES

@@ -52,7 +52,7 @@ from jointid.estimation.robots.torque_estimate import (
 )
 from jointid.models.joints import FlexibleJoint
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
-from jointid.models.springs import SPRINGS, ElasticLoad, spring_named
+from jointid.models.springs import SPRINGS, ElasticLoad, find_spring
 from jointid.planning.limits import ROBOT_LIMITS, AxisLimits
 from jointid.records.formats import Table as RecordedTable
 from jointid.records.formats import read_table
@@ -94,7 +94,7 @@ class JointSpringTable(Table):
 
     shorthand = "law"
 
-    law: Annotated[Text, accept_by(spring_named)] = Field(
+    law: Annotated[Text, accept_by(find_spring)] = Field(
         "linear", description="the spring's law", json_schema_extra={"enum": list(SPRINGS)}
     )
     stiffness: Positive | None = Field(

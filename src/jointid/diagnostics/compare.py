@@ -254,7 +254,7 @@ def _rigid(solved: Solved, record: Record, loop: ClosedLoop, tolerance: float, h
             continue
         sides = [name for side in ("motor", "load") if (name := f"{side}_{p.name}") in known]
         sums[p.name] = of_whole(p, values)
-        own.append(p if any(known[name].free for name in sides) else p.fixed(sums[p.name]))
+        own.append(p if any(known[name].free for name in sides) else p.fix(sums[p.name]))
     beside = problem.parameters[len(flexible.parameters) :]
     rigid = torque_problem(record, replace(loop, joint=flexible.rigid), problem.filtering, tuple(own), beside)
     return history.solve(rigid, least_squares(rigid, tolerance), rigid.vector(values | sums))

@@ -25,7 +25,7 @@ from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.registry import Method, methods
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.parts import EstimatedParameter
-from jointid.models.friction import friction_named
+from jointid.models.friction import find_friction
 from jointid.models.joints import ClosedLoop, Joint
 from jointid.records.checks import check_record
 from jointid.records.record import Record
@@ -178,7 +178,7 @@ def _list_methods(model: ClosedLoop | Joint, didim: DIDIM | None) -> Iterator[tu
         yield label, model, method
     if joint.gravity is not None and joint.gravity.load == "constant":  # not identifiable beside the other law
         return
-    other = friction_named(joint.friction.contrast)
+    other = find_friction(joint.friction.contrast)
     turned = replace(joint, friction=other)
     variant = ClosedLoop(turned, model.controller) if isinstance(model, ClosedLoop) else turned
     for (label, method), *_ in runs:

@@ -37,7 +37,7 @@ from jointid.estimation.result.estimate import (
 from jointid.estimation.starts.rigid_joint import fit_initial_state
 from jointid.models.disturbances import effect_parameters
 from jointid.models.joints import ClosedLoop
-from jointid.models.motion import Motion
+from jointid.models.position_forces import Motion
 from jointid.records.checks import check_record
 from jointid.records.record import Record, Resampled
 from jointid.simulation.closed_loop import Initial, Simulation
@@ -266,7 +266,7 @@ def _validate_inverse_model(identified: IdentifiedJoint, record: Record) -> Vali
 def _validate_simulation(identified: IdentifiedJoint, loop: ClosedLoop, record: Record) -> Validation:
     assert record.torque is not None
     record.require(loop.channels, "Validation of a DIDIM estimate")
-    fixed = tuple(p.fixed(identified.values[p.name]) for p in loop.joint.parameters)
+    fixed = tuple(p.fix(identified.values[p.name]) for p in loop.joint.parameters)
     experiment = prepare(loop, record)
     measured = record.torque.values[: experiment.samples]
     around = with_torque(INITIAL_STATE, experiment, measured)

@@ -118,7 +118,7 @@ def reproduce(seed: int = 1, progress: Progress = ignore_progress) -> Reproducti
     second = _reproduce_experiment(heavy, others[1], "Tables 4 and 5, with 10 kg on the load", progress)
     progress("The test of F12")
     damping = next(p for p in axis.loop.joint.parameters if p.name == "damping")
-    fixed = {"damping": damping.fixed(0.0)}
+    fixed = {"damping": damping.fix(0.0)}
     without_damping = identify(keep_torque_only(axis), axis.loop, DIDIM(), parameters=fixed, checks=False)
     return Reproduction(seed, rigid, first, second, without_damping)
 

@@ -172,7 +172,7 @@ def _read_estimate(estimate: Estimate, record: Record | None, noise: Noise | Non
         "values": estimate.values,
         "noise": noise or Noise.of(estimate, record),
         "covariance": estimate.params.covariance[np.ix_(own, own)],
-        "parameters": {p.name: p.fixed(estimate.values[p.name]) for p in loop.joint.parameters if p.name not in free},
+        "parameters": {p.name: p.fix(estimate.values[p.name]) for p in loop.joint.parameters if p.name not in free},
         "tap": record.tap,
         "filtering": estimate.settings.filtering,
         "name": estimate.data.record,

@@ -229,7 +229,13 @@ def convert(
     table = _read_columns(source, columns, reading or {})
     names = _choose_names(list(table.columns), writer)
     notes = [f'Renamed for {writer.name}: "{show(old)}" is "{show(new)}".' for old, new in names.items() if old != new]
-    write_table(target, _fit_table(_rename_columns(table, names), writer, notes), **(writing or {}))
+    table = replace(
+        table,
+        columns={names[name]: values for name, values in table.columns.items()},
+        units={names[name]: unit for name, unit in table.units.items()},
+        clocks={names[name]: names[time] for name, time in table.clocks.items() if {name, time} <= names.keys()},
+    )
+    write_table(target, _fit_table(table, writer, notes), **(writing or {}))
     return Conversion(source.name, target.name, (format_of(source).name, writer.name), names, tuple(notes))
 
 
@@ -295,13 +301,6 @@ def _fit_table(table: Table, writer: Format, notes: list[str]) -> Table:
         )
     notes += [f"Not read: {show(name)} ({show(why)})." for name, why in table.passed.items()]
     return table
-
-
-def _rename_columns(table: Table, names: Mapping[str, str]) -> Table:
-    columns = {names[name]: values for name, values in table.columns.items()}
-    units = {names[name]: unit for name, unit in table.units.items()}
-    clocks = {names[name]: names[time] for name, time in table.clocks.items() if {name, time} <= names.keys()}
-    return replace(table, columns=columns, units=units, clocks=clocks)
 
 
 def _list_names(texts: list[str]) -> str:

@@ -17,7 +17,7 @@ from jointid.common.errors import MethodError
 from jointid.common.parallel import threads
 from jointid.models.controllers import POSITION, REFERENCE
 from jointid.models.joints import ClosedLoop
-from jointid.models.motion import Motion
+from jointid.models.position_forces import Motion
 from jointid.models.smooth import SmoothLaws
 from jointid.simulation.loop_input import LoopInput, seen_torque, to_log
 from jointid.simulation.simulated import FINISHED
@@ -153,7 +153,7 @@ class ClosedLoopRun:
 
     @property
     def trace(self) -> Trace:
-        """What the run left, as the kernels filled it."""
+        """The kernels' output arrays."""
         from jointid.simulation.kernels.drive import Trace
 
         return Trace(

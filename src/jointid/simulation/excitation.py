@@ -47,7 +47,8 @@ def trapezoids(
             "Trapezoids need positive speeds, acceleration, travel and sample time, and a rest of 0 or more; received "
             f"{list(speeds)}, {acceleration}, {travel}, {sample_time} and {rest}."
         )
-    ways = [_way(speed, acceleration, travel) for speed in speeds for _ in range(2)]
+    peaks = [min(speed, math.sqrt(acceleration * travel)) for speed in speeds for _ in range(2)]
+    ways = [(peak, peak / acceleration, peak / acceleration + travel / peak) for peak in peaks]
     lengths = np.array([rest + length for _, _, length in ways])
     total = float(lengths.sum())
     samples = math.floor((duration or total) / sample_time + 1e-9)
@@ -66,13 +67,6 @@ def trapezoids(
         )
         position[chosen] = moved if i % 2 == 0 else travel - moved
     return position
-
-
-def _way(speed: float, acceleration: float, travel: float) -> tuple[float, float, float]:
-    """Return the speed reached on one way, and how long its ramp and the whole take."""
-    peak = min(speed, math.sqrt(acceleration * travel))
-    ramp = peak / acceleration
-    return peak, ramp, ramp + travel / peak
 
 
 def pulses(samples: int, sample_time: float, height: float, width: float, every: float, seed: int) -> FloatArray:
@@ -177,7 +171,7 @@ def multisine(
     phases = -2 * math.pi * np.cumsum(np.cumsum(shares) - shares) if harmonics.size > 1 else np.zeros(1)
     time = np.arange(samples) * sample_time
     signal = np.sin(2 * math.pi * np.outer(time, frequencies) + phases) @ sizes
-    signal = (signal - signal[0]) * _fade(samples, min(1 / lowest, 0.1 * length) / sample_time)
+    signal = (signal - signal[0]) * _ramp_ends(samples, min(1 / lowest, 0.1 * length) / sample_time)
     largest = float(np.max(np.abs(signal)))
     return np.asarray(amplitude * signal / largest) if largest > 0 else signal
 
@@ -199,7 +193,7 @@ def sines(samples: int, sample_time: float, frequencies: Sequence[float], amplit
     shares = sizes**2 / np.sum(sizes**2)
     phases = -2 * math.pi * np.cumsum(np.cumsum(shares) - shares)
     time = np.arange(samples) * sample_time
-    faded = _fade(samples, 1 / (float(f.min()) * sample_time))
+    faded = _ramp_ends(samples, 1 / (float(f.min()) * sample_time))
     return np.asarray(faded * (np.sin(2 * math.pi * np.outer(time, f) + phases) @ sizes))
 
 
@@ -245,7 +239,7 @@ def smooth(reference: FloatArray, sample_time: float, seconds: float) -> FloatAr
     return np.asarray((summed[width:] - summed[:-width]) / width)
 
 
-def _fade(samples: int, over: float) -> FloatArray:
+def _ramp_ends(samples: int, over: float) -> FloatArray:
     """Factor that fades in and out over `over` samples."""
     at = np.arange(samples, dtype=np.float64)
     ramp = np.minimum(np.clip(at / over, 0.0, 1.0), np.clip(at[::-1] / over, 0.0, 1.0))

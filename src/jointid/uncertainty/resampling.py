@@ -71,7 +71,7 @@ class Sums:
         square, size, rows = self.square + other.square, self.size + other.size, self.rows + other.rows
         return Sums(self.A + other.A, self.b + other.b, square, size, rows)
 
-    def moved(self, step: FloatArray) -> Sums:
+    def shift(self, step: FloatArray) -> Sums:
         """Update the sums for a step of the parameters, to first order."""
         square = self.square + float(2 * self.b @ step + step @ self.A @ step)
         return Sums(self.A, self.b + self.A @ step, max(square, 0.0), self.size, self.rows)

@@ -157,7 +157,7 @@ def residual_verdicts(report: ResidualReport) -> tuple[Verdict, Verdict]:
         clause = "" if white.white else "the residual is not white within the pass band"
         noise = _judge(Subject.WHITENESS, white.white, code, str(white), values, clause)
     if repeats is None:
-        return noise, skip_test(Subject.REPEATABLE, "not looked at")
+        return noise, skip_test(Subject.REPEATABLE, "not examined")
     if repeats.p_value is None:
         return noise, _judge(Subject.REPEATABLE, None, Reason.NO_PLACE_REVISITED, str(repeats))
     code = Reason.RESIDUAL_REPEATS if repeats.significant else Reason.NOTHING_REPEATS
@@ -174,13 +174,13 @@ def identifiability_verdict(known: Identifiability) -> Verdict:
     """Verdict on whether the record determines every parameter."""
     if known.limitations:
         return Verdict(Subject.IDENTIFIABILITY, Status.FAILED, known.limitations)
-    said = "every parameter is told from 0 and from the others"
+    said = "every parameter is distinguished from 0 and from the others"
     return _judge(Subject.IDENTIFIABILITY, True, Reason.ALL_DETERMINED, said)
 
 
 def only_sums_verdict() -> Verdict:
     """Verdict for a refused stiffness: only sums of both sides are determined."""
-    said = "only the sums of both sides are told, not how they divide"
+    said = "only the sums of both sides are determined, not their division"
     return _judge(Subject.IDENTIFIABILITY, False, Reason.ONLY_SUMS, said)
 
 

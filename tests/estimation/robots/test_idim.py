@@ -17,7 +17,7 @@ from jointid.estimation.robots.consistent import consistent_robot
 from jointid.estimation.robots.idim import identify_robot
 from jointid.estimation.robots.instruments import robot_instruments
 from jointid.estimation.robots.regression import base_rows, motion_of_robot
-from jointid.models.ripple import PositionHarmonics
+from jointid.models.position_forces import PositionHarmonics
 from jointid.models.robots.base_parameters import base_parameters
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering

@@ -12,7 +12,7 @@ import pytest
 import jointid as ji
 from jointid.models.friction import FRICTIONS
 from jointid.models.joints import Joint
-from jointid.models.ripple import PositionHarmonics
+from jointid.models.position_forces import PositionHarmonics
 from jointid.models.springs import SPRINGS, Backlash, Spring, ThreePieceSpring
 from jointid.paper.twin import CONTROLLERS, TABLE_2
 from tests.geared import FLEXIBLE, LAW, RIGID, TURNED_SCREW

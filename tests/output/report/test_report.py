@@ -16,9 +16,8 @@ import pytest
 
 import jointid as ji
 from jointid.common.charts import decimate
-from jointid.common.document import inert
+from jointid.common.document import inert, typeset
 from jointid.common.messages import Message
-from jointid.common.typography import typeset
 from jointid.diagnostics.faults.findings import Finding
 from jointid.estimation.result.consequence import consequence
 from jointid.output.figures.bokeh_backend import plot

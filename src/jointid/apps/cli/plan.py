@@ -116,7 +116,7 @@ class Rough:
             covariance = np.diag(deviations**2)
         named = record is not None or file.source.file is not None
         present = file.record(record) if named else None
-        fixed = {p.name: p.fixed(values[p.name]) for p in loop.joint.parameters if p.name not in free}
+        fixed = {p.name: p.fix(values[p.name]) for p in loop.joint.parameters if p.name not in free}
         return design(
             loop, present, values=values, noise=Noise(log=self.noise_log, force=self.noise_force),
             covariance=covariance, sample_time=self.sample_time, filtering=file.filtering, parameters=fixed,

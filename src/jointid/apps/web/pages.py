@@ -28,10 +28,10 @@ from jointid.apps.web import fields
 from jointid.apps.web.folder import Folder, Limits, PageError, Run, read_json
 from jointid.apps.web.form import clean_entries, place_faults
 from jointid.apps.web.jobs import Jobs
+from jointid.common.document import typeset
 from jointid.common.messages import Message
 from jointid.common.settings import settings_of
 from jointid.common.text import format_signed, interval, number
-from jointid.common.typography import typeset
 from jointid.common.units import COUNTS, SHARE, units_of
 from jointid.estimation.problems.base import DRIVE_AND_LOG, INITIAL
 from jointid.estimation.result.answer import is_another_law, sum_changes

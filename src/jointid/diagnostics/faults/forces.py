@@ -19,7 +19,7 @@ from jointid.diagnostics.faults.trials import with_joint
 from jointid.estimation.problems.closed_loop import ClosedLoopProblem
 from jointid.models.controllers import with_numbers
 from jointid.models.joints import FlexibleJoint, Joint
-from jointid.models.ripple import PositionHarmonics
+from jointid.models.position_forces import PositionHarmonics
 from jointid.records.record import Record, Tap
 from jointid.simulation.closed_loop import in_threads
 from jointid.simulation.simulated import require_success

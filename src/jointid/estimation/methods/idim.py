@@ -51,8 +51,7 @@ from jointid.models.disturbances import (
     require_effects,
 )
 from jointid.models.joints import Joint, acts_on_whole
-from jointid.models.motion import Motion
-from jointid.models.ripple import PositionHarmonics
+from jointid.models.position_forces import Motion, PositionHarmonics
 from jointid.records.record import Record, Timing
 from jointid.records.signals.filtering import Filtering
 from jointid.uncertainty.covariance import band_words, words

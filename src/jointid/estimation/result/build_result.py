@@ -428,7 +428,7 @@ def find_at_bound(free: Sequence[Parameter], x: FloatArray, error: FloatArray, J
     """
     norms = np.linalg.norm(J, axis=0)
     size = np.maximum(np.abs(x), np.linalg.norm(error) / np.where(norms > 0, norms, np.inf))
-    held = Bounds.of(free).reached(x, _NEAR * size)
+    held = Bounds.of(free).find_active(x, _NEAR * size)
     return tuple(p.name for p, at in zip(free, held, strict=True) if at)
 
 

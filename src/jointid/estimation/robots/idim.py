@@ -42,7 +42,7 @@ from jointid.estimation.robots.regression import (
     require_reached,
 )
 from jointid.models.robots.base_parameters import BaseParameters, base_parameters
-from jointid.models.robots.friction_terms import Friction, friction_terms, joint_with_friction, offset_places
+from jointid.models.robots.friction_terms import Friction, friction_terms, joint_with_friction, offset_indices
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering
@@ -197,7 +197,7 @@ class RobotEstimate(Documented):
         friction = self.values[size:]
         of_standard = np.zeros((self.values.size, 11 * n))
         of_standard[:size] = self.base.grouping
-        of_standard[size + np.array(offset_places(prior))] = self.base.offsets
+        of_standard[size + np.array(offset_indices(prior))] = self.base.offsets
         of_others = np.vstack([np.zeros((size, friction.size)), np.eye(friction.size)])
         least = np.array([-np.inf if term.number is Friction.OFFSET else 0.0 for term in terms])
 
@@ -252,7 +252,7 @@ class RobotEstimate(Documented):
     @property
     def _formulas(self) -> tuple[str, ...]:
         friction = list(self.names[len(self.base) :])
-        for place, formula in zip(offset_places(self.robot), self.base.offset_formulas, strict=True):
+        for place, formula in zip(offset_indices(self.robot), self.base.offset_formulas, strict=True):
             friction[place] = formula
         return (*self.base.formulas, *friction)
 

@@ -34,7 +34,7 @@ from jointid.estimation.robots.numbers import RobotParameters, robot_parameters
 from jointid.estimation.robots.regression import base_rows, motion_of_robot, require_reached
 from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
 from jointid.models.robots.base_parameters import base_parameters, inverse_columns
-from jointid.models.robots.friction_terms import offset_places
+from jointid.models.robots.friction_terms import offset_indices
 from jointid.models.robots.inertial import SYMBOLS, is_consistent, mass_properties
 from jointid.models.robots.robot import Robot
 from jointid.records.record import Record
@@ -314,7 +314,7 @@ def payload_difference(empty: RobotEstimate, loaded: RobotEstimate) -> PayloadPa
             "A parameter is fixed, which a payload would change; expected estimates of all: leave it free."
         )
     n, size = len(empty.robot), len(empty.base)
-    offsets = size + np.array(offset_places(empty.robot))[np.any(empty.base.offsets, axis=1)]
+    offsets = size + np.array(offset_indices(empty.robot))[np.any(empty.base.offsets, axis=1)]
     read = np.concatenate([np.arange(size), offsets])  # a weight that is a constant torque is an offset's
     columns = np.vstack([empty.base.grouping, empty.base.offsets[np.any(empty.base.offsets, axis=1)]])
     columns = columns[:, 10 * (n - 1) : 10 * n]

@@ -20,10 +20,9 @@ from jointid.models.robots.robot import Robot, Tree
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, decimate_all
 from jointid.simulation.closed_loop import in_threads
-from jointid.simulation.robot_columns import columns_of
 from jointid.simulation.robot_drive_side import RobotDriveSideRun
 from jointid.simulation.robot_numbers import NumberPlace, RobotNumbers
-from jointid.simulation.robot_sensitivities import differentiate_torques
+from jointid.simulation.robot_sensitivities import columns_of, differentiate_torques
 from jointid.simulation.robots import (
     COARSE,
     FINE,

@@ -33,7 +33,7 @@ from jointid.common.parameters import POSITION_UNIT
 from jointid.common.text import number
 from jointid.diagnostics.validation import Validation
 from jointid.estimation.result.estimate import Estimate
-from jointid.models.motion import Motion
+from jointid.models.position_forces import Motion
 
 if TYPE_CHECKING:
     from jointid.diagnostics.intervals import Intervals

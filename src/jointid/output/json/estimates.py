@@ -17,7 +17,7 @@ from jointid.estimation.result.estimate import Estimate, law_fingerprint
 from jointid.estimation.result.parts import bounds_on_other_side, known_on_other_side, on_other_side
 from jointid.estimation.result.summary import describe_drift
 from jointid.models.disturbances import Drift, Effect, EncoderOffset
-from jointid.models.ripple import PositionHarmonics
+from jointid.models.position_forces import PositionHarmonics
 
 Json: TypeAlias = dict[str, Any]
 Shape: TypeAlias = "str | Callable[[Any], object] | Mapping[str, Shape]"

@@ -16,11 +16,10 @@ from typing import Any, Literal
 
 from jointid import __version__
 from jointid.common.charts import Cells, Chart
-from jointid.common.document import Block, Code, Document, Paragraph, Picture, dumps
+from jointid.common.document import Block, Code, Document, Paragraph, Picture, dumps, typeset_block
 from jointid.common.errors import RecordError
 from jointid.common.files import write_folder, write_whole
 from jointid.common.parallel import Aside
-from jointid.common.typography import typeset_block
 from jointid.output.figures.bokeh_backend import plot
 from jointid.output.figures.matplotlib_backend import png, svg
 from jointid.output.json import plain

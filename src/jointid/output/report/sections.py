@@ -14,9 +14,9 @@ from jointid.common.document import (
     Listing,
     Paragraph,
     Table,
+    p_value,
 )
 from jointid.common.text import join, number, sentence
-from jointid.common.typography import p_value
 from jointid.diagnostics.faults.fault import FaultTest, Measure
 from jointid.diagnostics.faults.findings import LoopCheck
 from jointid.diagnostics.report_data import ReportData
