@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from jointid.campaigns.cases import Case, Found, Outcome, Row, Simulated
-from jointid.campaigns.export import table_of
 from jointid.campaigns.folder import Results
-from jointid.campaigns.report import CampaignReport
+from jointid.campaigns.report import CampaignReport, table_of
 from jointid.campaigns.run_case import run_case
-from jointid.campaigns.truths import truth_csv
+from jointid.campaigns.run_groups import truth_csv
 from jointid.common.errors import RecordError
 from tests.campaigns.conftest import TRUTH
 from tests.campaigns.test_cases import campaign as cases_of

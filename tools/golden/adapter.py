@@ -29,9 +29,8 @@ import jointid as ji
 from jointid.apps.cli import main
 from jointid.apps.web import worker
 from jointid.campaigns.campaign_file import load_campaign
-from jointid.campaigns.export import export_rows
 from jointid.campaigns.folder import Results
-from jointid.campaigns.report import CampaignReport
+from jointid.campaigns.report import CampaignReport, export_rows
 from jointid.campaigns.run_case import run_case
 from jointid.config import load_joint
 from jointid.diagnostics.report_data import collect_report_data as collect

@@ -183,11 +183,6 @@ class EstimateComparison(Documented):
 def compare_estimates(before: ReportedEstimate, after: ReportedEstimate, level: float = LEVEL) -> EstimateComparison:
     """Compare two estimates of the same joint.
 
-    Args:
-        before: the first, from `jointid.output.json.read_report`.
-        after: the second.
-        level: of the tests of all quantities together.
-
     Raises:
         MethodError: they are not of the same model, on the same side and in the same units, or the level is no
             probability.

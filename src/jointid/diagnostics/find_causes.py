@@ -193,13 +193,7 @@ def find_causes(
 
 
 def list_hypotheses(record: Record, loop: ClosedLoop, filtering: Filtering) -> tuple[Hypothesis, ...]:
-    """Return the declared drive, and a hypothesis for every fault that this record and controller can have.
-
-    Args:
-        record: with torque and reference.
-        loop: as declared.
-        filtering: resolved.
-    """
+    """Return the declared drive, and a hypothesis for every fault that this record and controller can have."""
     declared = Hypothesis(None, record, (loop,), filtering)
     corrected = (replace(one, fault=f) for f in FAULTS if f.correct is not None for one in f.correct(declared))
     return (declared, *corrected)

@@ -165,12 +165,7 @@ def rebuild_problem(estimate: Estimate, record: Record, another: str) -> tuple[C
 
 
 def require_quantities(quantities: Sequence[str], loop: ClosedLoop) -> None:
-    """Raise a `MethodError` for a quantity that no estimate of this loop can have, free or not.
-
-    Args:
-        quantities: see `intervals`.
-        loop: joint and controller.
-    """
+    """Raise a `MethodError` for a quantity that no estimate of this loop can have, free or not."""
     known = [p.name for p in loop.joint.parameters]
     for quantity in quantities:
         if quantity == "compliance" and "stiffness" in known:

@@ -134,14 +134,6 @@ def compare_methods(
 ) -> MethodComparison:
     """Identify a joint by every method that the record and the model allow.
 
-    Args:
-        record: to identify from.
-        model: the loop (joint and controller), or the joint alone when the controller is not known.
-        filtering: of every method; see `Filtering`.
-        parameters: changes to the joint's parameters by name; with the other friction law, those that it has too.
-        didim: settings of DIDIM.
-        progress: called with each method's name.
-
     Raises:
         RecordError: the record contradicts its description; a method that lacks a channel is part of the result.
     """

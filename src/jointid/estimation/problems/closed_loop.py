@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ from jointid.estimation.problems.base import (
     of_law,
     surrounding,
 )
-from jointid.models.controllers import POSITION, REFERENCE, SampledLaw, number, with_numbers
+from jointid.models.controllers import POSITION, REFERENCE, Controller, SampledLaw, number, with_numbers
 from jointid.models.joints import ClosedLoop, Joint, RigidJoint
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, decimate_all
@@ -223,8 +224,8 @@ class ClosedLoopProblem(RecordProblem):
         numbers = {n: v for n, v in values.items() if n not in own and of_law(n)}
         loop, experiment = self.loop, self.experiment
         if any(v != number(loop.controller, n) for n, v in numbers.items()):
-            loop = replace(loop, controller=with_numbers(loop.controller, numbers))
-            experiment = experiment.with_law(experiment.law_of(loop.controller))
+            controller, experiment = _change_law(experiment, loop.controller, tuple(numbers.items()))
+            loop = replace(loop, controller=controller)
         joint = {n: values[n] / gain for n in own}
         return _Candidate(
             loop, experiment, joint, initial_of(values), gain, values.get("log_gain", 1.0), values.get("log_delay", 0.0)
@@ -244,6 +245,15 @@ class ClosedLoopProblem(RecordProblem):
         if c.log_delay == 0.0:  # between two samples the shown torque has one slope, on a sample the mean of two
             return c.log_gain * (_shifted(torque, 1) - _shifted(torque, -1)) / (2 * self.sample_time)
         return c.log_gain * (_shifted(torque, whole + 1) - _shifted(torque, whole)) / self.sample_time
+
+
+@lru_cache(maxsize=2)
+def _change_law(
+    experiment: LoopInput, controller: Controller, numbers: tuple[tuple[str, float], ...]
+) -> tuple[Controller, LoopInput]:
+    """Return a controller with other numbers, and its input: the same for many runs of a candidate."""
+    changed = with_numbers(controller, dict(numbers))
+    return changed, experiment.with_law(experiment.law_of(changed))
 
 
 def _shifted(signal: FloatArray, samples: int) -> FloatArray:
