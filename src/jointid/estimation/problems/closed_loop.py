@@ -26,7 +26,7 @@ from jointid.estimation.problems.base import (
     of_law,
     surrounding,
 )
-from jointid.models.controllers import POSITION, REFERENCE, Controller, SampledLaw, number, with_numbers
+from jointid.models.controllers import POSITION, REFERENCE, SampledLaw, number, with_numbers
 from jointid.models.joints import ClosedLoop, Joint, RigidJoint
 from jointid.records.record import Record
 from jointid.records.signals.filtering import Filtering, decimate_all
@@ -224,8 +224,7 @@ class ClosedLoopProblem(RecordProblem):
         numbers = {n: v for n, v in values.items() if n not in own and of_law(n)}
         loop, experiment = self.loop, self.experiment
         if any(v != number(loop.controller, n) for n, v in numbers.items()):
-            controller, experiment = _change_law(experiment, loop.controller, tuple(numbers.items()))
-            loop = replace(loop, controller=controller)
+            loop, experiment = _change_law(loop, experiment, tuple(numbers.items()))
         joint = {n: values[n] / gain for n in own}
         return _Candidate(
             loop, experiment, joint, initial_of(values), gain, values.get("log_gain", 1.0), values.get("log_delay", 0.0)
@@ -249,11 +248,11 @@ class ClosedLoopProblem(RecordProblem):
 
 @lru_cache(maxsize=2)
 def _change_law(
-    experiment: LoopInput, controller: Controller, numbers: tuple[tuple[str, float], ...]
-) -> tuple[Controller, LoopInput]:
-    """Return a controller with other numbers, and its input: the same for many runs of a candidate."""
-    changed = with_numbers(controller, dict(numbers))
-    return changed, experiment.with_law(experiment.law_of(changed))
+    loop: ClosedLoop, experiment: LoopInput, numbers: tuple[tuple[str, float], ...]
+) -> tuple[ClosedLoop, LoopInput]:
+    """Return a loop with other numbers of its controller, and its input, the same for many runs of a candidate."""
+    changed = replace(loop, controller=with_numbers(loop.controller, dict(numbers)))
+    return changed, experiment.with_law(experiment.law_of(changed.controller))
 
 
 def _shifted(signal: FloatArray, samples: int) -> FloatArray:
