@@ -586,7 +586,7 @@ def campaign(folder: Path, name: str, tables: Json) -> Json:
     write_toml(path, tables)
     rows = tuple(run_case(one) for one in load_campaign(path).cases())
     export_rows(rows, table)
-    report = CampaignReport(Results(name, len(rows), rows, ())).document(details=True)
+    report = CampaignReport(Results(name, len(rows), rows, ())).to_document(details=True)
     with table.open(encoding="utf-8", newline="") as file:
         return {"rows": [_campaign_row(row) for row in csv.DictReader(file)], "report": text(report.markdown())}
 

@@ -120,7 +120,7 @@ class CampaignReport(Documented):
         watched = len({one.series.joint for one in self.changes})
         return f"No stiffness and no friction drifted by more than its scatter ({pluralise(watched, 'joint')} watched)."
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """The report; with details all rows of every table."""
         most = None if details else _SHOWN
         results, counts = self.results, self.results.counts()

@@ -160,7 +160,7 @@ class EstimateComparison(Documented):
         keys = ("symbol", "before", "after", "difference", "std", "p_value", "unit", "reason")
         return data_frame({row.name: {key: getattr(row, key) for key in keys} for row in self.rows}, "quantity")
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return the table and the sentences; there are no further details."""
         del details
         header = ("quantity", "A", "B", "B - A", "2 sigma", "unit", "p", "")

@@ -127,7 +127,7 @@ class Causes(Documented):
     def _names(self) -> list[str]:
         return [one.fault.name for one in self.tried]
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return the causes, and the table of all that were tried; there are no further details."""
         del details
         rows = tuple((one.words, f"{number(100 * one.error, 2)} %") for one in self.tried)

@@ -54,11 +54,11 @@ class Intervals(Documented):
     transmission: Transmission | None = None
     parabolic: tuple[str, ...] = ()
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return profiles and bootstraps one after the other; there are no further details."""
         del details
         blocks = Facts(common_facts(None, self.transmission)), Listing(tuple(map(str, self.profiles)))
-        drawn = [one.document() for one in (self.over_time, self.over_place) if one is not None]
+        drawn = [one.to_document() for one in (self.over_time, self.over_place) if one is not None]
         parts = (block for each in drawn for block in (Heading(each.title), *each.blocks))
         return Document("Intervals, by other ways than the covariance", (*blocks, *parts))
 

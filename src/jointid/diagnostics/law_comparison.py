@@ -122,7 +122,7 @@ class LawComparison(Documented):
         """The answer as a sentence."""
         return f"{self.answer}."
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return the answer and the table of laws; there are no further details."""
         del details
         rows = []

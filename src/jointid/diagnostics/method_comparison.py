@@ -95,7 +95,7 @@ class MethodComparison(Documented):
                     rows.setdefault(p.name, {"unit": p.unit}).update({name: p.value, f"{name} stderr": p.stderr})
         return data_frame(rows, "parameter")
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return the table, the channels of each method, and the disagreements; there are no further details."""
         del details
         found = self.estimates

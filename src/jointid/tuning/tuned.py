@@ -156,7 +156,7 @@ class MinimumDetectableChange(Documented):
                 return change
         raise KeyError(name)
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Table of the changes."""
         del details
         rows = []
@@ -221,11 +221,11 @@ class Tuned(Charted, Documented):
         rows = {g.key: {"before": g.before, "after": g.after, "unit": g.unit, "formula": g.formula} for g in self.gains}
         return data_frame(rows, "gain")
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Tables before and after, with notes."""
         del details
         worst = ("worst case over", self.interval)
-        change = self.detectable.document()
+        change = self.detectable.to_document()
         blocks: list[Block] = [Facts((worst, *common_facts(None, self.transmission))), *self.proposal()]
         blocks.append(self._feedforward())
         units = [f.in_drive[-1] for f in self.feedforward] + [g.in_drive[-1] for g in self.gains]

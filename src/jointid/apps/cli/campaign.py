@@ -128,7 +128,7 @@ def report(
         require_extra(plots=False)
     found = report_of(results, false_alarm)
     table = None if csv is None else truth_csv(found.against_truth)
-    whole = found.document(details=True)
+    whole = found.to_document(details=True)
     show(found, details=details)
     if html is not None:
         write_whole(html, page(whole))

@@ -181,7 +181,7 @@ def plan(folder: Path) -> None:
     found = plan_from_estimate(estimate, record, progress=_print_progress, **asked)
     for name, content in {**found.files(), "test.png": png(found.chart())}.items():
         write_whole(folder / name, content)
-    table, facts = found.document().blocks
+    table, facts = found.to_document().blocks
     assert isinstance(table, Table)
     assert isinstance(facts, Facts)
     stated = {
