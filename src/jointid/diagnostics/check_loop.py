@@ -407,12 +407,6 @@ def _list_rates_left_open(
     """Return the faster laws that neither a fault nor another rate excludes.
 
     There are none if a rate was found that already shifts the requested parameter out of its interval.
-
-    Args:
-        faster: tests of the faster laws.
-        first: tests of the faults of the declared loop.
-        findings: faults found, of which one may be a faster law.
-        law: the first law that was found; it excludes a rate that is far less likely.
     """
     found = next((one for one in findings if one.test.fault is PERIOD), None)
     if found is not None and _size_of_change(found)[0] > _INTERVAL:

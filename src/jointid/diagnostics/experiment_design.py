@@ -124,7 +124,7 @@ class Advice(Documented):
             f"to +- {number(2 * after, 2)} {self.units[name]}"
         )
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return a table for sensors, one for tests, and a sentence each; there are no further details."""
         del details
         where = {

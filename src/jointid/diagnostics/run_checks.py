@@ -96,11 +96,6 @@ def widen_for_rest(problem: ClosedLoopProblem, x: FloatArray, rest: PredictedRes
     A part of the torque of that norm, with the shape that shifts a parameter most, shifts it by its norm times the
     deviation of the parameter under unit noise (the inequality of Cauchy and Schwarz). The part that the parameters
     have absorbed is assumed as large as the residual one.
-
-    Args:
-        problem: solved, with the faults that were found corrected.
-        x: (free,) its parameters.
-        rest: see `predict_residual`.
     """
     # The largest shift is two deviations.
     moved = worst_shift(problem, x, 0.5 * rest.share * problem.size)

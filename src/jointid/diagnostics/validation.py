@@ -179,7 +179,7 @@ class Validation(Documented):
         frame: DataFrame = pandas.DataFrame(columns, index=time)
         return frame
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return the answer, errors and whiteness as a document; there are no further details."""
         del details
         left_out = f"{self.borders[0]} + {self.borders[1]} samples at the ends left out"

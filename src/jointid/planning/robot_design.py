@@ -159,7 +159,7 @@ class RobotDesign(Charted, Documented):
         over = f" Beware: {'; '.join(self.passed)}." if self.passed else ""
         return f"{stated}.{over}"
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return what is told, the limits, and the intervals that are foretold; there are no further details."""
         del details
         header: tuple[str, ...] = ("parameter", "about", "2 sigma foretold", "of the present motion", "unit")

@@ -172,7 +172,7 @@ def test_the_answer_is_held_against_another_record() -> None:
     estimate = ji.identify(logged(twin), ji.robots.RobotDriveSide(heavier))
     assert np.all(estimate.joint_errors < 0.02)
     assert np.all(estimate.nominal_errors > 0.05)
-    text = estimate.document().text()
+    text = estimate.to_document().text()
     assert "drive side of a robot, from motor torques and motor positions" in text
     assert estimate.rows["log_delay"]["unit"] == "s"
     held = ji.validate(estimate, logged(twin, seed=4))
@@ -204,7 +204,7 @@ def test_a_robot_that_does_not_hold_is_not_praised() -> None:
     """Frequencies far off lead to a wrong place: what is left of the torques says so, first."""
     twin = two((12.0, 18.0))
     wrong = ji.DriveSideFit(frequencies={"joint1": 40.0, "joint2": 6.0}, evaluations=1)
-    text = ji.identify(logged(twin), ji.robots.RobotDriveSide(twin.robot), wrong).document().text()
+    text = ji.identify(logged(twin), ji.robots.RobotDriveSide(twin.robot), wrong).to_document().text()
     assert "More than a tenth of the torque of joint1" in " ".join(text.split())
 
 

@@ -270,7 +270,7 @@ class RobotDiagnosis(Documented):
         stated = sum(len(one.names(Told.TOLD)) for one in self.joints)
         return f"{first} {second} The record tells {stated} of {count} parameters to a tenth."
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return the answer, a table of the joints, and what to do.
 
         Args:

@@ -57,7 +57,7 @@ class RobotValidation(Documented):
         """True if the bodies near the nominal ones predict better than these over all joints."""
         return self.body_errors is not None and _rms(self.body_errors) < _rms(self.nominal_errors)
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return the verdict first, then the errors joint by joint; there are no further details."""
         del details
         mine, nominal = _percent(self.joint_errors), _percent(self.nominal_errors)

@@ -151,7 +151,7 @@ class Estimate(EstimateParts, Documented):
             data.record, data.fingerprint, law, settings.effects,
         )  # fmt: skip
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return the estimate as a document: table, combinations, errors, verdicts that did not pass, and warnings.
 
         Args:

@@ -211,7 +211,7 @@ class RobotEstimate(Documented):
 
         return Sums(self.values, self.covariance, of_standard, of_others, friction, least, made)
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return what is left of each joint's torque, and the parameters.
 
         Args:

@@ -130,7 +130,7 @@ class Payload(Documented):
         """True if a body can have the ten parameters as they were found."""
         return is_consistent(self.payload.inertial)
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return the verdict first, then each number both ways; there are no further details."""
         del details
         rows = self.rows

@@ -168,7 +168,7 @@ class RobotTorqueEstimate(Documented):
 
         return Sums(self.fit.values, self.fit.covariance, of_standard, both[:, apart], about, least, made)
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return the springs first, then what is left of each joint's torque, and the parameters.
 
         Args:
