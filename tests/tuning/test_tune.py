@@ -403,5 +403,5 @@ def test_a_model_or_a_loop_in_doubt_is_said_before_its_gains_are_used(estimate: 
 
 def test_a_ripple_that_is_left_out_is_said(estimate: Estimate) -> None:
     rippled = replace(estimate.settings.joint, ripple=PositionHarmonics(0.02))
-    said = tune(amended(estimate, settings={"joint": rippled}), Tuning(notch=False)).notes
+    said = tune(amended(estimate, settings={"system": rippled}), Tuning(notch=False)).notes
     assert "the ripple over the position is left out of the loop and of the feed-forward" in said

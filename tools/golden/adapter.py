@@ -552,7 +552,7 @@ def _robot(answer: Json) -> Json:
         _name(name): {"value": number(row["value"]), "std": number(row["std"]), "unit": row["unit"]}
         for name, row in answer["parameters"].items()
     }
-    left = {key: numbers(answer[key]) for key in ("left", "nominal_left")}
+    left = {key: numbers(answer["robot"][key]) for key in ("left", "nominal_left")}
     return {"parameters": rows, "converged": answer["converged"], **left}
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cache, lru_cache
 from importlib.metadata import version
@@ -20,11 +20,6 @@ from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError, RecordError
 from jointid.config import JointFile, loads, require_joint
 from jointid.config.robot_file import RobotFile
-from jointid.estimation.methods.idim import IDIM
-from jointid.estimation.result.answer import Trust
-from jointid.estimation.robots.idim import KNOWN, RobotEstimate
-from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
-from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.simulated import require_success
 from jointid.simulation.synthesis import simulate
 from jointid.uncertainty.covariance import bandwidth
@@ -186,45 +181,26 @@ def _identify_robot(case: Case, file: RobotFile, path: Path) -> dict[str, Any]:
         )
     records = file.record(path) if case.varied is None else _simulate_robot(file, file.driving(path), case.varied)
     estimate = file.identify(records)
-    if isinstance(estimate, RobotEstimate):
-        settled, made = estimate.converged, 1
-    else:
-        settled, made = estimate.fit.converged, estimate.fit.iterations
-    said: Mapping[str, Mapping[str, Any]] = estimate.rows
-    found = {name: Found(finite(row["value"]), finite(row["std"]) or None, row["unit"]) for name, row in said.items()}
-    known = [one for one in found.values() if one.value and one.std and one.std < KNOWN * abs(one.value)]
-    asked = len(found) - (len(file.method.fixed) if isinstance(file.method, IDIM) else 0)
-    left = 100 * estimate.joint_errors
-    worst = file.robot.names[int(np.argmax(left))]
-    objected = isinstance(estimate, RobotEstimate) and bool(estimate.objections)
-    trust = Trust.NOT_YET if objected or not settled else Trust.NOT_CHECKED
+    rows = estimate.params.rows
     return {
         "outcome": Outcome.IDENTIFIED,
-        "sentence": f"{len(known)} of {asked} parameters are known to a tenth; {max(left):.3g} % of the torque is "
-        f"left, of {worst}.",
-        "found": found,
-        "trust": str(trust),
-        "converged": bool(settled),
-        "error_percent": finite(float(np.sqrt(np.mean(left**2)))),
-        "simulations": int(made),
+        "sentence": estimate.sentence,
+        "found": {row.name: Found(finite(row.value), finite(row.stderr), row.unit) for row in rows},
+        "trust": str(estimate.answer.trust.code),
+        "converged": bool(estimate.fit.converged),
+        "error_percent": finite(100 * estimate.fit.filtered_error),
+        "simulations": int(estimate.fit.simulations),
         "truth": {} if case.varied is None else dict(_robot_truth(estimate)),
     }
 
 
-def _robot_truth(estimate: RobotEstimate | RobotTorqueEstimate) -> Iterator[tuple[str, float]]:
-    """Yield the true identified combinations of a simulated robot.
-
-    IDIM assumes rigid joints, so there is no truth where a joint has a spring.
-    """
-    robot = estimate.robot
-    if isinstance(estimate, RobotTorqueEstimate):
-        parameters = estimate.fit.parameters
-        values = map(float, parameters.group(RobotNumbers.of(robot)))
-        for name, place, value in zip(parameters.names, parameters.places, values, strict=True):
-            if not place.is_of_record:
-                yield name, value
-    elif not any(robot.flexible):
-        yield from zip(estimate.names, map(float, estimate.base.with_friction(robot)), strict=True)
+def _robot_truth(estimate: Estimate) -> Iterator[tuple[str, float]]:
+    """Yield the true identified combinations of a simulated robot; none where the method does not know them."""
+    part = estimate.require_robot()
+    values = part.parameters_of(part.model)
+    if values is not None:
+        named = zip(estimate.params.rows, map(float, values), strict=True)
+        yield from ((row.name, value) for row, value in named if row.of_joint)
 
 
 def _simulate_robot(file: RobotFile, driven: Sequence[Record], asked: Simulated) -> tuple[Record, ...]:

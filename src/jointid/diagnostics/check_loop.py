@@ -107,6 +107,7 @@ def check_loop(
         MethodError: the estimate did not simulate a loop, is of another record, or has a parameter that is not
             identifiable.
     """
+    estimate.require_joint()
     if estimate.settings.loop is None:
         raise MethodError("IDIM simulates no loop, so there is none to check; identify with DIDIM and the controller.")
     for p in estimate.params.rows:

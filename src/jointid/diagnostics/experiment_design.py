@@ -244,6 +244,7 @@ def rebuild_declared_problem(estimate: Estimate, record: Record) -> tuple[Closed
     Raises:
         MethodError: it is not of a simulated loop as it was declared, or of another record.
     """
+    estimate.require_joint()
     if estimate.settings.loop is None:
         raise MethodError("A prediction needs an estimate by DIDIM, which simulates its loop; this one is by IDIM.")
     another = (

@@ -14,8 +14,7 @@ from jointid.diagnostics.report_data import Spectra, estimate_spectra
 from jointid.diagnostics.robots.diagnose import FeedForwardName, RobotDiagnosis, diagnose_robot
 from jointid.diagnostics.robots.parameters import ParameterOfJoint, Told
 from jointid.diagnostics.robots.validation import RobotValidation
-from jointid.estimation.robots.idim import RobotEstimate
-from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
+from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Controller
 from jointid.models.robots.robot import Robot
 from jointid.output.figures.charts import AxisSignals, residual_chart, spectra_chart, torques_chart
@@ -38,7 +37,7 @@ class RobotReport(Pages):
         repetition: what it takes to do it again, where the files are known.
     """
 
-    estimate: RobotEstimate | RobotTorqueEstimate
+    estimate: Estimate
     diagnosis: RobotDiagnosis
     validation: RobotValidation | None = None
     repetition: Repetition = field(default_factory=Repetition)
@@ -46,7 +45,7 @@ class RobotReport(Pages):
     @classmethod
     def of(
         cls,
-        estimate: RobotEstimate | RobotTorqueEstimate,
+        estimate: Estimate,
         records: Sequence[Record],
         controllers: Sequence[Controller | None] = (),
         validation: RobotValidation | None = None,
@@ -73,7 +72,7 @@ class RobotReport(Pages):
     @property
     def robot(self) -> Robot:
         """The nominal robot."""
-        return self.estimate.robot
+        return self.estimate.require_robot().model
 
     @property
     def title(self) -> str:
@@ -134,7 +133,7 @@ class RobotReport(Pages):
         yield Paragraph("Numbers after ± are two standard deviations. All of them are behind the gears.")
 
     def _settings(self) -> Iterator[Block]:
-        estimate, filtering, repeated = self.estimate, self.estimate.filtering, self.repetition
+        estimate, filtering, repeated = self.estimate, self.estimate.settings.filtering, self.repetition
         yield from (b for b in estimate.to_document().blocks if isinstance(b, Facts))
         yield Facts(
             (
