@@ -27,7 +27,6 @@ from jointid.common.files import write_whole
 from jointid.estimation.descent import descend
 from jointid.estimation.problems.closed_loop import torque_problem
 from jointid.paper.twin import SAMPLE_TIME, twin
-from jointid.planning.design import plan_from_estimate
 from jointid.planning.limits import find_excess, find_maxima
 from jointid.simulation.loop_input import prepare
 from studies.seeds import judge_seeds
@@ -71,7 +70,7 @@ def propose(loop: LoopName, noise: NoiseName, goal: str, seconds: float) -> Prop
     record = axis.record.without("motor_position", "load_position")
     estimate = ji.identify(record, axis.loop, filtering=ji.Filtering(cutoff=60.0), checks=False)
     known = ji.Noise(log=axis.noise) if noise == "white" else ji.Noise(force=axis.noise)
-    design = plan_from_estimate(estimate, record, noise=known, goal=goal, seconds=seconds)
+    design = ji.design(estimate, record, noise=known, goal=goal, seconds=seconds)
     assert design.present is not None
     told = design.proposed
     own = [p.name for p in axis.loop.joint.parameters]

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from jointid import Cascade, MethodError
+from jointid import MethodError
 from jointid.config import load
 from jointid.config.robot_file import RobotFile
+from jointid.controller import Cascade
 from jointid.diagnostics.robots.diagnose import diagnose_robot
 from jointid.diagnostics.validation import validate
 from jointid.estimation.robots.consistent import mass_matrix_at

@@ -122,7 +122,7 @@ def test_searches_from_many_starts_end_alike(place: Path) -> None:
 
 def noisy(path: Path, seed: int) -> None:
     """Write the run with noise on its torque."""
-    loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0))
+    loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0))
     reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
     noise = 2.0 * np.random.default_rng(seed).standard_normal(reference.size)
     ji.write(ji.simulated_record(loop, reference, TRUTH, sample_time=1e-3, torque_noise=noise), path)

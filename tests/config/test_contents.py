@@ -288,17 +288,17 @@ def test_gravity() -> None:
     assert file.joint == RigidJoint("revolute", gravity=Gravity("link", Counterbalance(cos=0.2, rate=1e-3), 0.01))
     assert file.parameters["gravity_sin"].start == 0.5
     loaded = loads(FLEXIBLE + '[gravity]\nload = "constant"').joint
-    assert loaded == FlexibleJoint(gravity=Gravity("constant"))
+    assert loaded == FlexibleJoint("prismatic", gravity=Gravity("constant"))
     assert [p.name for p in loaded.parameters[-2:]] == ["offset", "gravity_constant"]
     assert [p.free for p in loaded.parameters[-2:]] == [False, True]
 
 
 def test_ripple() -> None:
     file = loads(FLEXIBLE + '[ripple]\nperiod = 0.005\nside = "load"\n[parameters]\nload_harmonic_1_sine = 0.5')
-    assert file.joint == FlexibleJoint(ripple=PositionHarmonics(0.005, side="load"))
+    assert file.joint == FlexibleJoint("prismatic", ripple=PositionHarmonics(0.005, side="load"))
     assert file.parameters["load_harmonic_1_sine"].start == 0.5
     assert [p.name for p in file.joint.parameters[-2:]] == ["load_harmonic_1_cosine", "load_harmonic_1_sine"]
-    assert file.joint.rigid == RigidJoint(ripple=PositionHarmonics(0.005))
+    assert file.joint.rigid == RigidJoint("prismatic", ripple=PositionHarmonics(0.005))
 
 
 def test_a_state_space_law() -> None:

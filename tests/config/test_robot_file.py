@@ -18,7 +18,7 @@ from jointid.models.friction import FRICTIONS
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
 from jointid.models.springs import SPRINGS
 from jointid.output.export.robot_model import robot_mjcf
-from jointid.planning.robots.motions import JointLimits
+from jointid.planning.limits import AxisLimits
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation.closed_loop import Initial
@@ -380,7 +380,7 @@ def test_a_robot_file_of_one_joint_is_simulated_as_its_joint_file(tmp_path: Path
         ("parameters = { inertai = 3 }", "joint0: parameters.inertai is not known for a rigid joint"),
         ("parameters = { inertia = { start = 3, lower = 4 } }", r"joint0: parameters\.inertia\.start is 3"),
         ("spring = { damping = 1.0 }", r"joints\.1\.spring\.stiffness is missing; expected a positive number"),
-        ("limits = { lower = 1.0, upper = -1.0 }", r"joints\.1\.limits: The upper position is above the lower"),
+        ("limits = { lower = 1.0, upper = -1.0 }", r"joints\.1\.limits\.upper: The upper position is above the lower"),
     ],
 )
 def test_a_joint_is_checked_as_in_a_joint_file(folder: Path, said: str, fault: str) -> None:
@@ -409,7 +409,9 @@ def test_a_method_and_a_friction_are_chosen_as_of_a_joint_file(folder: Path) -> 
 
 def test_a_limit_that_a_plan_does_not_keep_is_said_where_a_test_is_planned(folder: Path) -> None:
     limits = "limits = { lower = -1.0, upper = 1.0, speed = 2.0 }"
-    assert loads(TEXT.replace("viscous = 3.0", limits), folder).limits[0] == JointLimits(-1.0, 1.0, 2.0)
+    assert loads(TEXT.replace("viscous = 3.0", limits), folder).limits[0] == AxisLimits(
+        lower=-1.0, upper=1.0, speed=2.0
+    )
     file = loads(TEXT.replace("viscous = 3.0", "limits = { jerk = 5.0 }"), folder)
     with pytest.raises(MethodError, match=r"joints\.1\.limits\.jerk is not kept by the plan of a robot's motion"):
         file.limits  # noqa: B018

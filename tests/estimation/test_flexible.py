@@ -307,4 +307,4 @@ def test_settings_that_make_no_sense_are_refused() -> None:
         DIDIM(frequency=-3.0)
     axis = twin(noise="none")
     with pytest.raises(MethodError, match=r"DIDIM\.frequency is for a flexible joint, and this is a rigid joint"):
-        identify(axis.record, ClosedLoop(RigidJoint(), axis.loop.controller), DIDIM(frequency=30.0))
+        identify(axis.record, ClosedLoop(RigidJoint("prismatic"), axis.loop.controller), DIDIM(frequency=30.0))

@@ -42,7 +42,7 @@ GEARED_TRUTH = {
 SAG = -0.5 / (40.0 * 0.226)  # where a proportional loop carries the load at the first sample
 
 LIFT = ClosedLoop(
-    FlexibleJoint(gravity=Gravity("constant", Counterbalance(constant=100.0))),
+    FlexibleJoint("prismatic", gravity=Gravity("constant", Counterbalance(constant=100.0))),
     Cascade(position_gain=160.18, velocity_gain=243.45, velocity_filter=(0.5, 0.5), gain=35.15, limit=1e3),
 )
 LIFT_TRUTH = {
@@ -203,11 +203,11 @@ def test_a_counterbalance_without_a_spring_is_no_lost_spring() -> None:
 
 def test_what_gravity_cannot_be_is_refused() -> None:
     with pytest.raises(MethodError, match="A prismatic joint does not turn its load"):
-        RigidJoint(gravity=Gravity("link"))
+        RigidJoint("prismatic", gravity=Gravity("link"))
     with pytest.raises(MethodError, match="A prismatic joint does not turn its load"):
-        FlexibleJoint(gravity=Gravity("constant", Counterbalance(sin=1.0)))
+        FlexibleJoint("prismatic", gravity=Gravity("constant", Counterbalance(sin=1.0)))
     with pytest.raises(MethodError, match="cannot be told apart from asymmetric friction"):
-        FlexibleJoint(friction=AsymmetricFriction(), gravity=Gravity("constant"))
+        FlexibleJoint("prismatic", friction=AsymmetricFriction(), gravity=Gravity("constant"))
     with pytest.raises(MethodError, match='load is "arm"; expected "constant" or "link"'):
         Gravity("arm")  # type: ignore[arg-type]
     with pytest.raises(MethodError, match=r"angle is 0\.0; expected a number other than 0"):

@@ -22,7 +22,7 @@ from tests.estimation.motions import NAMES, columns, field, motion
 POSITION, VELOCITY, ACCELERATION = motion()
 W = columns(VELOCITY, ACCELERATION)
 WHERE = cells(POSITION, VELOCITY)
-LOOP = ClosedLoop(RigidJoint(), CONTROLLER)
+LOOP = ClosedLoop(RigidJoint("prismatic"), CONTROLLER)
 
 
 def coloured(random: np.random.Generator, size: int) -> np.ndarray:

@@ -26,7 +26,7 @@ from tests.estimates import amended, identify
 from tests.estimation.conftest import CONTROLLER
 from tests.text import unwrapped
 
-RIGID = ClosedLoop(RigidJoint(), CONTROLLER)
+RIGID = ClosedLoop(RigidJoint("prismatic"), CONTROLLER)
 BRIEF = trapezoids((0.083, 0.125), 0.83, 0.2, 1e-3, duration=8.4)
 
 
@@ -119,7 +119,7 @@ def test_a_parameter_of_the_first_record_alone_that_the_others_share() -> None:
 
 def test_a_torque_constant_from_a_known_mass() -> None:
     """A torque in ampere: the joint comes in kilograms, and the drive's gain in newtons per ampere."""
-    joint = RigidJoint(torque_unit="A")
+    joint = RigidJoint("prismatic", torque_unit="A")
     loop = ClosedLoop(joint, replace(CONTROLLER, gain=1.0))
     truth = {"inertia": 95.0, "viscous": 207.0, "coulomb": 20.0, "offset": -3.0}
     records = [
@@ -239,7 +239,11 @@ def test_the_intervals_of_the_two_emps_records_hold_what_their_model_lacks(
     emps: Record, emps_pulses: Record, friction: str
 ) -> None:
     """Least squares gives 95.4 and 94.1 kg, the solutions by the regressor lie between; every interval holds both."""
-    loop = RIGID if friction == "symmetric" else ClosedLoop(RigidJoint(friction=AsymmetricFriction()), CONTROLLER)
+    loop = (
+        RIGID
+        if friction == "symmetric"
+        else ClosedLoop(RigidJoint("prismatic", friction=AsymmetricFriction()), CONTROLLER)
+    )
     assert emps_pulses.injected is not None
     pulses = replace(emps_pulses, injected=replace(emps_pulses.injected, at=InjectionPoint.BEFORE_LIMIT))
     found = identify([emps.without("motor_position"), pulses.without("motor_position")], loop)

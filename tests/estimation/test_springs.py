@@ -48,7 +48,7 @@ def test_the_search_goes_on_from_the_best_start_of_the_law(monkeypatch: pytest.M
     monkeypatch.setattr(History, "solve", watch)
     monkeypatch.setattr(History, "finish", stop)
     with pytest.raises(MethodError, match="enough"):
-        identify(record, case.loop, ji.FlexibleDIDIM(frequency=case.mode))
+        identify(record, case.loop, ji.DIDIM(frequency=case.mode))
 
 
 def test_a_gap_is_found_with_the_stiffness_behind_it(gapped: tuple[ji.Estimate, dict[str, float]]) -> None:
@@ -122,7 +122,7 @@ def test_the_joint_file_refuses_what_no_joint_has() -> None:
 
 def test_what_takes_the_spring_for_linear_refuses_another(gapped: tuple[ji.Estimate, dict[str, float]]) -> None:
     found, _ = gapped
-    joint = FlexibleJoint(spring=TwoPieceSpring())
+    joint = FlexibleJoint("prismatic", spring=TwoPieceSpring())
     with pytest.raises(MethodError, match="The drive side takes the spring for linear"):
         DriveSide(joint)
     record = prismatic(0).clean

@@ -150,7 +150,7 @@ def test_what_cannot_be_is_refused(axis: Twin) -> None:
         several(problems, [(), ("load_inertia",)], ADDED)
     reference = axis.record.reference
     assert reference is not None
-    rigid = ClosedLoop(RigidJoint(), axis.loop.controller)
+    rigid = ClosedLoop(RigidJoint("prismatic"), axis.loop.controller)
     other = torque_problem(axis.record, rigid, Filtering(), rigid.joint.parameters)
     with pytest.raises(MethodError, match="one model of joint"):
         several([problems[0], other])

@@ -36,7 +36,7 @@ ELSEWHERE = {"jointid.common.charts.Band", "jointid.records.drives.Profile"}
 CASCADE = Cascade(position_gain=1.0, velocity_gain=1.0)
 REAL = {
     Controller: CASCADE,
-    ClosedLoop: ClosedLoop(RigidJoint(), CASCADE),
+    ClosedLoop: ClosedLoop(RigidJoint("prismatic"), CASCADE),
     Effect: PositionHarmonics(1.0),
 }
 """Objects instead of specimens, where a shape asks a function for the keys."""

@@ -36,7 +36,7 @@ from jointid.paper.recomputed import (
 from jointid.paper.twin import TABLE_2, TABLE_4
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "paper-errata.md"
-NAMES = [p.name for p in FlexibleJoint().parameters][:-1]
+NAMES = [p.name for p in FlexibleJoint("prismatic").parameters][:-1]
 
 
 def by_symbol(column: dict[str, Decimal]) -> dict[str, float]:
@@ -248,7 +248,7 @@ def test_the_regressor_is_that_of_the_joint_and_print_has_two_other_entries() ->
         signals[f"sign({symbol})"] = np.sign(signals[symbol])
     for symbol in ("q2", "v2"):
         signals[f"-{symbol}"] = -signals[symbol]
-    expected = FlexibleJoint().regressor(motor, load)[:, :, :-1]  # the paper has no offset
+    expected = FlexibleJoint("prismatic").regressor(motor, load)[:, :, :-1]  # the paper has no offset
     assert np.array_equal([np.column_stack([signals[entry] for entry in row]) for row in REGRESSOR_OF_2], expected)
     printed = np.array([np.column_stack([signals[entry] for entry in row]) for row in REGRESSOR])
     assert sorted(set(np.nonzero(printed != expected)[2] + 1)) == [1, 6]

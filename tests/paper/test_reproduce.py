@@ -10,6 +10,7 @@ import pytest
 import jointid as ji
 from jointid.common.document import Document, Heading, Paragraph, Picture, Table
 from jointid.common.errors import RecordError
+from jointid.diagnostics.validation import Validation
 from jointid.output.figures import torque_chart
 from jointid.output.figures.matplotlib_backend import png
 from jointid.output.report.page import page as html
@@ -75,7 +76,7 @@ def test_the_relative_errors_have_both_denominators(run: Reproduction) -> None:
     assert by_idim["motor_viscous"] == pytest.approx(100 * abs(idim - didim) / idim)
 
 
-def torque_png(answer: ji.Estimate | ji.Validation) -> bytes:
+def torque_png(answer: ji.Estimate | Validation) -> bytes:
     """The figures of the page, as `jointid reproduce` has them."""
     return png(torque_chart(answer), 100)
 

@@ -23,7 +23,9 @@ from jointid.records.signals.filtering import Filtering
 from jointid.simulation import excitation
 from jointid.simulation.synthesis import simulated_record
 
-LOOP = ClosedLoop(RigidJoint("revolute"), ji.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0))
+LOOP = ClosedLoop(
+    RigidJoint("revolute"), ji.controller.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0)
+)
 TRUTH = {"inertia": 0.04, "viscous": 0.05, "coulomb": 0.1, "offset": 0.02}
 T = 1e-3
 REFERENCE = excitation.trapezoids((0.5, 1.0, 2.0), 8.0, 2.0, T, duration=6.0)

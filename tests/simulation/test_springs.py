@@ -164,7 +164,7 @@ def test_what_a_spring_in_pieces_cannot_be_is_refused() -> None:
     with pytest.raises(MethodError, match="gravity that follows the position"):
         FlexibleJoint("revolute", gravity=Gravity("link"), spring=TwoPieceSpring())
     with pytest.raises(MethodError, match="takes the spring for linear"):
-        FlexibleJoint(spring=Backlash()).regressor(None)  # type: ignore[arg-type]
+        FlexibleJoint("prismatic", spring=Backlash()).regressor(None)  # type: ignore[arg-type]
     with pytest.raises(MethodError, match="use linear, two-piece"):
         find_spring("quintic")
     assert [find_spring(name).name for name in SPRINGS] == list(SPRINGS)

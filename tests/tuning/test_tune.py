@@ -58,7 +58,7 @@ def tuned(estimate: Estimate) -> Tuned:
 
 def rigid(controller: Cascade | PD | StateSpaceController, joint: RigidJoint | None = None) -> Estimate:
     """A rigid joint identified under a controller, with a little noise."""
-    loop = ClosedLoop(joint or RigidJoint(), controller)
+    loop = ClosedLoop(joint or RigidJoint("prismatic"), controller)
     force = 2.0 * np.random.default_rng(1).standard_normal(REFERENCE.size)
     record = simulated_record(loop, REFERENCE, RIGID, sample_time=PERIOD, disturbance=force)
     return identify(record.without("motor_position", "load_position"), loop)
@@ -88,7 +88,7 @@ def test_a_twin_bears_what_is_stated_of_it(tuned: Tuned) -> None:
     for loop in (tuned.present, tuned.proposed):
         assert loop is not None
         law = loop.controller.law(PERIOD)
-        true = joint_set(FlexibleJoint(), [truth], law).margins(law)[0]
+        true = joint_set(FlexibleJoint("prismatic"), [truth], law).margins(law)[0]
         assert np.all(true >= np.array([getattr(loop.worst, name) for name in NAMES]))
 
 
@@ -221,7 +221,7 @@ def test_feed_forward_leaves_nothing_to_the_feedback(ratio: float) -> None:
     proposed = {f.key: f.after for f in found.feedforward}
     errors = []
     for one in (controller, replace(controller, **proposed)):
-        run = simulated_record(ClosedLoop(RigidJoint(), one), REFERENCE, RIGID, sample_time=PERIOD)
+        run = simulated_record(ClosedLoop(RigidJoint("prismatic"), one), REFERENCE, RIGID, sample_time=PERIOD)
         assert run.motor_position is not None
         errors.append(float(np.std(run.motor_position.values - REFERENCE)))
     assert errors[1] < 0.1 * errors[0]
@@ -232,7 +232,7 @@ def test_feed_forward_is_told_in_the_drives_units() -> None:
     controller = Cascade(
         position_gain=20.0, velocity_gain=2000.0 / gear.torque("motor") ** 2, ratio=gear.torque("motor")
     )
-    estimate = rigid(controller, RigidJoint(transmission=gear))
+    estimate = rigid(controller, RigidJoint("prismatic", transmission=gear))
     found = {f.key: f for f in tune(estimate, drive=Drive(rated_torque=2.0, counts_per_turn=4096)).feedforward}
     motor = gear.torque("motor")  # N of the load per N m of the motor
     coulomb, inertia = found["coulomb_feedforward"], found["acceleration_feedforward"]
@@ -246,7 +246,7 @@ def test_feed_forward_is_told_in_the_drives_units() -> None:
 
 
 def test_of_friction_that_differs_the_mean_is_fed_forward() -> None:
-    joint = RigidJoint(friction=AsymmetricFriction())
+    joint = RigidJoint("prismatic", friction=AsymmetricFriction())
     values = {"inertia": 100.0, "viscous_forwards": 100.0, "viscous_backwards": 200.0, "offset": 0.0}
     values |= {"coulomb_forwards": 30.0, "coulomb_backwards": 20.0}
     loop = ClosedLoop(joint, Cascade(position_gain=20.0, velocity_gain=2000.0))
@@ -280,10 +280,10 @@ def test_of_a_state_space_law_only_margins_are_told() -> None:
 
 @pytest.mark.slow
 def test_what_cannot_be_tuned_is_refused_in_a_sentence(estimate: Estimate) -> None:
-    loop = ClosedLoop(RigidJoint(), Cascade(position_gain=20.0, velocity_gain=2000.0))
+    loop = ClosedLoop(RigidJoint("prismatic"), Cascade(position_gain=20.0, velocity_gain=2000.0))
     record = simulated_record(loop, REFERENCE, RIGID, sample_time=PERIOD)
     with pytest.raises(MethodError, match=r"the controller of .* is not known"):
-        tune(identify(record, RigidJoint(), IDIM()))
+        tune(identify(record, RigidJoint("prismatic"), IDIM()))
     with pytest.raises(MethodError, match="need the deviations"):
         tune(amended(estimate, params={"correlation": np.zeros((0, 0))}))
     with pytest.raises(MethodError, match=r"received gain_margin = 0\.5, confidence = 1"):

@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 from pydantic import ValidationError
 
-from jointid import DIDIM, JointFile
+from jointid import DIDIM
 from jointid.campaigns.campaign_tables import BootstrapTable, CampaignTable, MultistartTable
 from jointid.campaigns.cases import Case, Redrawn, Simulated, Started
 from jointid.campaigns.fleet import FleetRecords, Logged, named_record
 from jointid.common.errors import JointFileError
 from jointid.common.text import join as in_a_row
-from jointid.config import loads
+from jointid.config import JointFile, loads
 from jointid.config.loading import parse_toml, read_text
 from jointid.config.table import faults_of
 

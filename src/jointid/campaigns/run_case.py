@@ -13,13 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from jointid import Estimate, JointFile, Record, RobotFile, __version__, simulated_record
+from jointid import Estimate, Record, __version__, simulated_record
 from jointid.campaigns.addresses import digest, fetch
 from jointid.campaigns.cases import Case, Found, Outcome, Redrawn, Row, Simulated, Started, finite
 from jointid.campaigns.robot_cases import identify_robot_case
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import JointidError, MethodError, RecordError
-from jointid.config import loads, require_joint
+from jointid.config import JointFile, loads, require_joint
+from jointid.config.robot_file import RobotFile
 from jointid.uncertainty.covariance import bandwidth
 from jointid.uncertainty.identifiability import Kind, Known
 from jointid.uncertainty.resampling import BANDWIDTHS

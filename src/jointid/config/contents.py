@@ -66,7 +66,7 @@ class JointFile:
         name: what reports call the joint.
         runs: records that are identified together.
         together: how they are; see `jointid.SeveralRecords`.
-        limits: of the axis in a test that is planned; see `jointid.design_test`.
+        limits: of the axis in a test that is planned; see `jointid.design`.
         path: of the joint file; a text is taken to stand in `joint.toml`.
         stated: numbers that were given with a unit, by the path of their key; a file that is written has them so.
         said: keys of [controller] that the file gives, and the gains that they say in other words.

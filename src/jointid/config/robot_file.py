@@ -40,7 +40,7 @@ from jointid.config.schema import (
     keys_of,
 )
 from jointid.config.schema_record import ChannelsTable, ChannelTable, DriveTable, RecordTable, Source
-from jointid.config.table import Number, Positive, Table, Text, accept_by, fault_at, faults_of, keys_from, refusal
+from jointid.config.table import Number, Positive, Table, Text, accept_by, fault_at, faults_of, keys_from
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.methods.idim import IDIM
 from jointid.estimation.methods.prescribed import DriveSideFit
@@ -53,7 +53,7 @@ from jointid.estimation.robots.torque_estimate import (
 from jointid.models.joints import FlexibleJoint
 from jointid.models.robots.robot import JointSpring, Robot, RobotJoint
 from jointid.models.springs import SPRINGS, ElasticLoad, find_spring
-from jointid.planning.robots.motions import JointLimits
+from jointid.planning.limits import ROBOT_LIMITS, AxisLimits
 from jointid.records.formats import Table as RecordedTable
 from jointid.records.formats import read_table
 from jointid.records.record import Record
@@ -107,21 +107,6 @@ class JointSpringTable(Table):
             yield "stiffness", self.lacks("stiffness")
 
 
-@keys_from(JointLimits, without=("speed", "acceleration", "torque"))
-class JointLimitsTable(LimitsTable):
-    """joints.limits: what the joint may do in a test that is planned, behind its gear."""
-
-    def limits(self) -> JointLimits:
-        """Return what the plan of a robot's motion keeps."""
-        given = self.settings()
-        return JointLimits(**{one.name: given.get(one.name) for one in settings_of(JointLimits)})
-
-    def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield that there is no room between the limits."""
-        if refused := refusal(self.limits):
-            yield "", refused
-
-
 class _OneOfJoints(JointTable):
     """One of [[joints]] as [joint] of a joint file."""
 
@@ -150,7 +135,7 @@ class RobotJointTable(JointTable):
         default_factory=dict, description="what is known of its parameters, as [parameters] of a joint file"
     )
     channels: ChannelsTable | None = Field(None, description="its channels, where they are not as [record.channels]")
-    limits: JointLimitsTable | None = Field(None, description="what it may do in a test that is planned")
+    limits: LimitsTable | None = Field(None, description="what it may do in a test that is planned")
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield nothing: what a joint may not be is seen beside what the model says of it."""
@@ -243,14 +228,13 @@ class RobotFileTable(Table):
         axis = {} if self.drive.profile is None or "axis" in self.drive.model_fields_set else {"axis": number + 1}
         # What a joint of a robot is identified by is not its own method, but says which channels must be there.
         method = "didim" if self.method_name == "didim" else "drive_side" if own.flexible else "idim"
-        limits = {} if own.limits is None else own.limits.given()
         return FileTable.model_construct(
             joint=own.table(kind),
             record=record,
             drive=self.drive.model_copy(update=axis),
             method=MethodTable.model_construct(name=method),
             filtering=self.filtering,
-            limits=LimitsTable(**{name: limit for name, limit in limits.items() if name in LimitsTable.model_fields}),
+            limits=own.limits or LimitsTable(),
             **{name: getattr(own, name) for name in _OF_JOINT_FILE if name in own.model_fields_set},
         )
 
@@ -290,7 +274,7 @@ class RobotFile:
     filtering: Filtering
     method: RobotMethod
     feed_forward: FeedForward
-    stated_limits: tuple[JointLimitsTable, ...]
+    stated_limits: tuple[LimitsTable, ...]
     in_motion: bool
     unmodelled: tuple[str, ...]
     path: Path
@@ -324,7 +308,7 @@ class RobotFile:
             said.filtering.build(),
             method,
             said.robot.feed_forward,
-            tuple(one.limits or JointLimitsTable() for one in said.joints),
+            tuple(one.limits or LimitsTable() for one in said.joints),
             said.robot.in_motion,
             tuple(unmodelled),
             path,
@@ -343,20 +327,19 @@ class RobotFile:
         return self.model
 
     @property
-    def limits(self) -> tuple[JointLimits, ...]:
+    def limits(self) -> tuple[AxisLimits, ...]:
         """Limits of each joint in a test that is planned.
 
         Raises:
             MethodError: a limit is given that the plan of a robot's motion does not keep.
         """
-        kept = {one.name for one in settings_of(JointLimits)}
         for number, table in enumerate(self.stated_limits):
-            for name in table.model_fields_set - kept:
+            for name in table.model_fields_set - set(ROBOT_LIMITS):
                 raise MethodError(
                     f"joints.{number + 1}.limits.{name} is not kept by the plan of a robot's motion; expected "
-                    f"{', '.join(sorted(kept))}: leave it out."
+                    f"{', '.join(sorted(ROBOT_LIMITS))}: leave it out."
                 )
-        return tuple(table.limits() for table in self.stated_limits)
+        return tuple(table.build() for table in self.stated_limits)
 
     def joint_file(self, name: str) -> JointFile:
         """Return the joint file of one joint, identified alone, as if no other joint moved.

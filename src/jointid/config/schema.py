@@ -572,9 +572,9 @@ class LimitsTable(Table):
     """[limits]: what the axis may do in a test that is planned, on the side that is reported."""
 
     def faults(self) -> Iterator[tuple[str, str]]:
-        """Yield that the band of frequencies is none."""
+        """Yield that the band of frequencies is none, or that there is no room between the positions."""
         if refused := refusal(self.build):
-            yield "highest", refused
+            yield "highest" if "frequency" in refused else "upper", refused
 
 
 class FileTable(Table):

@@ -68,7 +68,7 @@ def diagnose(
         >>> import jointid as ji
         >>> axis = ji.twin(noise="white")
         >>> record = axis.record.without("motor_position", "load_position")
-        >>> estimate = ji.identify(record, axis.loop, ji.FlexibleDIDIM(frequency=30.0))
+        >>> estimate = ji.identify(record, axis.loop, ji.DIDIM(frequency=30.0))
         >>> ji.diagnose(estimate, record).as_declared
         True
     """

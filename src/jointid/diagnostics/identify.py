@@ -115,7 +115,8 @@ def identify(
 
     Example:
         >>> import jointid as ji
-        >>> loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0))
+        >>> law = ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0)
+        >>> loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), law)
         >>> reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
         >>> truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
         >>> record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)

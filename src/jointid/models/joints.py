@@ -48,7 +48,7 @@ class _JointBase:
     model: ClassVar[str]
     """Name of the model, as files say it."""
 
-    kind: Kind = "prismatic"
+    kind: Kind
     friction: Friction = field(default_factory=SymmetricFriction)
     torque_unit: str | None = None
     transmission: Transmission | None = None

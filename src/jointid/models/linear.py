@@ -253,7 +253,7 @@ def frequency_response(
         >>> import numpy as np, jointid as ji
         >>> from jointid.models.linear import frequency_response
         >>> values = {"inertia": 2.0, "viscous": 0.0, "coulomb": 1.0, "offset": 0.0}
-        >>> response = frequency_response(ji.RigidJoint(), values, np.array([1.0]))
+        >>> response = frequency_response(ji.RigidJoint("prismatic"), values, np.array([1.0]))
         >>> print(round(float(abs(response[0])), 6))  # 1 / (2 pi f J)
         0.079577
     """

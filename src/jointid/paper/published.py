@@ -22,7 +22,11 @@ Cell: TypeAlias = tuple[str, str]
 """The column and the parameter of a printed number."""
 
 SYMBOLS: Mapping[str, str] = MappingProxyType(
-    {parameter.name: parameter.symbol for joint in (RigidJoint(), FlexibleJoint()) for parameter in joint.parameters}
+    {
+        parameter.name: parameter.symbol
+        for joint in (RigidJoint("prismatic"), FlexibleJoint("prismatic"))
+        for parameter in joint.parameters
+    }
 )
 """The symbol of every parameter, as the tables below spell it."""
 

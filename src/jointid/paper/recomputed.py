@@ -31,7 +31,9 @@ REGRESSOR_OF_2 = (
 )
 """The regressor of (2), in the letters of `models.joints` and in the order of the parameters of Table 2."""
 
-_UNITS = {p.name: joint.unit(p) for joint in (RigidJoint(), FlexibleJoint()) for p in joint.parameters}
+_UNITS = {
+    p.name: joint.unit(p) for joint in (RigidJoint("prismatic"), FlexibleJoint("prismatic")) for p in joint.parameters
+}
 
 
 def sum_sides(table: PublishedTable) -> dict[str, float]:

@@ -23,13 +23,13 @@ from jointid import (
     FlexibleJoint,
     Record,
     RigidJoint,
-    Validation,
     identify,
     validate,
 )
 from jointid.common.document import Block, Document, Heading, Paragraph, Picture, Table
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.text import number
+from jointid.diagnostics.validation import Validation
 from jointid.paper.errata import ERRATA
 from jointid.paper.published import SYMBOLS, TABLES
 from jointid.paper.recomputed import DENOMINATORS, Denominator, compare_table
@@ -110,7 +110,7 @@ def reproduce(seed: int = 1, progress: Progress = ignore_progress) -> Reproducti
     axis, heavy = twin(seed=seed), twin(seed=seed + 1, added_mass=True)
     others = twin(seed=seed + 2, pulses_seed=1), twin(seed=seed + 3, added_mass=True, pulses_seed=1)
     progress("Table 1: the rigid joint, below 5 Hz")
-    rigid_loop = ClosedLoop(RigidJoint(), axis.loop.controller)
+    rigid_loop = ClosedLoop(RigidJoint("prismatic"), axis.loop.controller)
     rigid = identify(
         keep_torque_only(axis), rigid_loop, DIDIM("residual"), filtering=Filtering(cutoff=5.0), checks=False
     )

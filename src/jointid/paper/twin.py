@@ -20,9 +20,10 @@ from typing import Literal
 
 import numpy as np
 
-from jointid import Cascade, ClosedLoop, Filtering, FlexibleJoint, Record, excitation, simulated_record
+from jointid import ClosedLoop, Filtering, FlexibleJoint, Record, excitation, simulated_record
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
+from jointid.controller import Cascade
 from jointid.paper.published import TABLES
 
 SAMPLE_TIME = 1e-3
@@ -141,7 +142,7 @@ def twin(
         raise MethodError(f"A spring is made stiffer by a positive factor; received {stiffer}.")
     truth = dict(TABLE_4 if added_mass else TABLE_2)
     truth |= {"stiffness": stiffer * truth["stiffness"], "damping": math.sqrt(stiffer) * truth["damping"]}
-    closed = ClosedLoop(FlexibleJoint(), CONTROLLERS[loop])
+    closed = ClosedLoop(FlexibleJoint("prismatic"), CONTROLLERS[loop])
     reference = excitation.trapezoids((0.042, 0.083, 0.125), 0.83, 0.2, SAMPLE_TIME, duration=DURATION)
     known = excitation.pulses(reference.size, SAMPLE_TIME, height=150.0, width=0.02, every=0.4, seed=pulses_seed)
     white = np.random.default_rng(seed).standard_normal(reference.size)

@@ -122,7 +122,7 @@ def least_deviation(
             f"A torque of {power:g} does not move the joint against a friction of {friction:g}; allow more."
         )
     most, square = power**2 - friction**2, np.abs(P) ** 2
-    allowed = np.vstack([np.full(hertz.size, 1 / most), square / (0.5 * (limits.stroke or math.inf)) ** 2])
+    allowed = np.vstack([np.full(hertz.size, 1 / most), square / (0.5 * limits.given.get("stroke", math.inf)) ** 2])
     w = np.array([goal.weights.get(name, 0.0) for name in _PARAMETERS])
     variance, found = _least_variance(information, allowed, w)
     return Floor(math.sqrt(variance), hertz, found, np.abs(S))

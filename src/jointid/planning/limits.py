@@ -16,20 +16,26 @@ from jointid.common.text import number
 from jointid.models.joints import ClosedLoop
 from jointid.simulation.closed_loop import Simulation
 
+ROBOT_LIMITS = ("lower", "upper", "speed", "acceleration", "torque")
+"""Limits of each joint that a robot's test keeps."""
+
+_NO_SIZES = ("lower", "upper", "lowest", "highest")
 _SLACK = 1e-9  # relative: what rounding passes a limit by
 
 
 @add_settings_to_docstring
 @dataclass(frozen=True, slots=True)
 class AxisLimits:
-    """Axis limits of a test, on the joint's side; None is unlimited.
+    """Limits of one axis in a test, on the joint's side; None is unlimited.
 
-    A torque is in A or V where the joint is identified per ampere or volt.
+    A torque is in A or V where the joint is identified per ampere or volt. A robot's test keeps `ROBOT_LIMITS`.
 
     Raises:
-        MethodError: a limit is not positive.
+        MethodError: a limit is not positive, or there is no room between the positions or the frequencies.
     """
 
+    lower: float | None = setting(None, "position that the reference does not come below", unit="m or rad")
+    upper: float | None = setting(None, "position that the reference does not come above", unit="m or rad")
     stroke: float | None = setting(None, "of the position, from one end to the other", unit="m or rad", above=0)
     speed: float | None = setting(None, "largest, of motor and load", unit="m/s or rad/s", above=0)
     acceleration: float | None = setting(None, "largest of the reference", unit="m/s2 or rad/s2", above=0)
@@ -50,12 +56,24 @@ class AxisLimits:
             raise MethodError(
                 f"The highest frequency is above the lowest; received {self.highest:g} and {self.lowest:g} Hz."
             )
+        if self.lower is not None and self.upper is not None and self.upper <= self.lower:
+            raise MethodError(
+                f"The upper position is above the lower one; received {self.lower:g} and {self.upper:g}: exchange them."
+            )
 
     @property
     def given(self) -> dict[str, float]:
-        """Given limits by name."""
-        found = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("lowest", "highest")}
+        """Given limits of sizes by name; the stroke is at most the room between the positions."""
+        found = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in _NO_SIZES}
+        if self.lower is not None and self.upper is not None:
+            found["stroke"] = min(self.stroke or math.inf, self.upper - self.lower)
         return {name: value for name, value in found.items() if value is not None}
+
+    @property
+    def stated(self) -> dict[str, float]:
+        """Given limits of sizes and positions by name."""
+        positions = {"lower": self.lower, "upper": self.upper}
+        return {name: value for name, value in positions.items() if value is not None} | self.given
 
 
 def find_maxima(run: Simulation, reference: FloatArray, torque: FloatArray, sample_time: float) -> dict[str, float]:
@@ -87,8 +105,11 @@ def find_maxima(run: Simulation, reference: FloatArray, torque: FloatArray, samp
 
 
 def find_excess(limits: AxisLimits, found: Mapping[str, float]) -> dict[str, float]:
-    """Factors by which limits are exceeded."""
+    """Factors by which limits are exceeded; of a position 1 plus the distance beyond it."""
     over = {name: found[name] / limit for name, limit in limits.given.items() if name in found}
+    for name, sign in (("lower", -1.0), ("upper", 1.0)):
+        if name in limits.stated and name in found:
+            over[name] = 1.0 + sign * (found[name] - limits.stated[name])
     return {name: factor for name, factor in over.items() if factor > 1 + _SLACK}
 
 
@@ -96,7 +117,7 @@ def describe_excess(limits: AxisLimits, found: Mapping[str, float], units: Mappi
     """Yield a clause for each exceeded limit."""
     for name in find_excess(limits, found):
         unit = units.get(name, "")
-        allowed = number(limits.given[name], 3)
+        allowed = number(limits.stated[name], 3)
         yield f"it passes a limit, {name.replace('_', ' ')} {number(found[name], 3)} {unit} of {allowed} allowed"
 
 
@@ -104,6 +125,6 @@ def units_of_limits(loop: ClosedLoop) -> dict[str, str]:
     """Units of the limited quantities."""
     q, u = POSITION_UNIT[loop.joint.kind], loop.joint.force_unit
     return {
-        "stroke": q, "speed": f"{q}/s", "acceleration": f"{q}/s2", "jerk": f"{q}/s3", "torque": u, "rms_torque": u,
-        "windup": q,
+        "lower": q, "upper": q, "stroke": q, "speed": f"{q}/s", "acceleration": f"{q}/s2", "jerk": f"{q}/s3",
+        "torque": u, "rms_torque": u, "windup": q,
     }  # fmt: skip

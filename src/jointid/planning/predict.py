@@ -86,7 +86,7 @@ class Noise:
         if any(p.value is None or p.stderr is None for p in estimate.params.rows if p.free):
             raise MethodError(
                 "The noise of a first record is taken from an estimate that gives every parameter, and this record "
-                "does not identify all: jointid advise says which test would; design_test takes rough values."
+                "does not identify all: jointid advise says which test would; jointid.design takes rough values."
             )
         error, slopes = problem.linearise(x)
         alone = stationary(-slopes, -slopes, error).std
@@ -182,7 +182,7 @@ def predict_test(
     Args:
         loop: joint and controller.
         values: every parameter of the joint by name, roughly known.
-        test: see `planned_record`; a past record also serves, its torque is ignored.
+        test: a record without torque; a past record also serves, its torque is ignored.
         noise: disturbances of the test.
         filtering: of the identification; see `Filtering`.
         parameters: changes to the joint's parameters by name, as for `identify`: those that are fixed.

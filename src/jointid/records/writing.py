@@ -36,7 +36,7 @@ def write(
     time: str | None = None,
     time_unit: str | None = None,
     sample_time: float | None = None,
-    kind: str = "prismatic",
+    kind: str = "revolute",
     transmission: Transmission | None = None,
     **options: object,
 ) -> None:
@@ -53,7 +53,7 @@ def write(
         time: name of the time column; None is "t", or no column where the sample time is given.
         time_unit: unit of the time column; None takes the one in its name, or else s.
         sample_time: time between samples for reading [s].
-        kind: "prismatic" or "revolute".
+        kind: "revolute" or "prismatic".
         transmission: between motor and load; every channel is written on its own side.
         options: of the format's reader; see `jointid.records.formats.Csv`.
 
@@ -82,7 +82,7 @@ def columns_to_write(
     time: str | None = None,
     time_unit: str | None = None,
     sample_time: float | None = None,
-    kind: str = "prismatic",
+    kind: str = "revolute",
     transmission: Transmission | None = None,
 ) -> dict[str, FloatArray]:
     """Return the columns that `write` writes, by name; arguments as there."""

@@ -118,7 +118,7 @@ def test_rigid_joints(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert "Bodies near the nominal ones that fit the estimate predict better than these" in said
     run("export", joint, "--set", 'record.file="one.csv"', "--out", tmp_path / "found.xml")
     assert "the mass matrix is positive in 1000 random poses" in " ".join(capsys.readouterr().out.split())
-    found, true = (needed(ji.load_robot(tmp_path / "found.xml")), needed(two().robot))
+    found, true = (needed(ji.robots.load_robot(tmp_path / "found.xml")), needed(two().robot))
     assert np.all(np.linalg.norm(found - true, axis=0) < 0.02 * np.linalg.norm(true, axis=0))
 
 

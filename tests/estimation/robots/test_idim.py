@@ -232,14 +232,14 @@ def test_the_printed_estimate() -> None:
 def test_a_robot_is_identified_by_the_verb_of_a_joint() -> None:
     records = records_of(ARM, 1)
     found, direct = ji.identify(records, ARM, IDIM("ols")), identify_robot(ARM, records, IDIM("ols"))
-    assert isinstance(found, ji.RobotEstimate)
+    assert isinstance(found, ji.robots.RobotEstimate)
     assert np.array_equal(found.values, direct.values)
     with pytest.raises(MethodError, match="DIDIM is not for a Robot; use IDIM"):
         ji.identify(records, ARM, ji.DIDIM())
     with pytest.raises(MethodError, match="without parameters, SeveralRecords or windows"):
         ji.identify(records[0], ARM)  # type: ignore[call-overload]
     with pytest.raises(MethodError, match=r"IDIM\.fixed is for a robot, and this is a rigid joint"):
-        ji.identify(records[0], ji.RigidJoint(), IDIM(fixed={"Fv": 1.0}))
+        ji.identify(records[0], ji.RigidJoint("prismatic"), IDIM(fixed={"Fv": 1.0}))
     with pytest.raises(MethodError, match=r"IDIM\.encoders is for a flexible joint, and this is a robot"):
         ji.identify(records, ARM, IDIM(encoders="same_zero"))
     with pytest.raises(MethodError, match=r"IDIM\.effects are of a joint, and this is a robot"):

@@ -169,7 +169,7 @@ def test_a_spring_that_the_record_does_not_show_is_refused() -> None:
 def test_the_answer_is_held_against_another_record() -> None:
     twin = replace(two((12.0, 18.0)), home=np.array([1.6, -2.3]))  # far from 0
     heavier = twin.robot.with_inertials(1.3 * np.array([link.inertial for link in twin.robot.links]))
-    estimate = ji.identify(logged(twin), ji.RobotDriveSide(heavier))
+    estimate = ji.identify(logged(twin), ji.robots.RobotDriveSide(heavier))
     assert np.all(estimate.joint_errors < 0.02)
     assert np.all(estimate.nominal_errors > 0.05)
     text = estimate.document().text()
@@ -192,7 +192,7 @@ def test_where_links_are_at_first_is_no_merit_of_an_estimate() -> None:
     """In a record that begins in motion: a robot that is right leaves as little, there and elsewhere."""
     twin = two((12.0, 18.0))
     begun = logged(twin, duration=8.0, first=1500)
-    estimate = ji.identify(begun, ji.RobotDriveSide(twin.robot), ji.DriveSideFit(frequencies=hertz(twin)))
+    estimate = ji.identify(begun, ji.robots.RobotDriveSide(twin.robot), ji.DriveSideFit(frequencies=hertz(twin)))
     assert "joint1.initial_link_velocity" in estimate.fit.names
     assert np.all(estimate.joint_errors < 0.015)
     assert np.all(estimate.nominal_errors < 1.1 * estimate.joint_errors)
@@ -204,7 +204,7 @@ def test_a_robot_that_does_not_hold_is_not_praised() -> None:
     """Frequencies far off lead to a wrong place: what is left of the torques says so, first."""
     twin = two((12.0, 18.0))
     wrong = ji.DriveSideFit(frequencies={"joint1": 40.0, "joint2": 6.0}, evaluations=1)
-    text = ji.identify(logged(twin), ji.RobotDriveSide(twin.robot), wrong).document().text()
+    text = ji.identify(logged(twin), ji.robots.RobotDriveSide(twin.robot), wrong).document().text()
     assert "More than a tenth of the torque of joint1" in " ".join(text.split())
 
 

@@ -227,9 +227,8 @@ def test_the_next_test_has_its_place() -> None:
     loop = estimate.settings.loop
     assert loop is not None
     limits = ji.AxisLimits(stroke=0.2, speed=0.3, acceleration=2.0, torque=100.0)
-    found = ji.design_test(
-        loop, estimate.values, ji.Noise(log=0.5), limits=limits, duration=4.0, sample_time=1e-3, seconds=0.1
-    )
+    asked = {"values": estimate.values, "noise": ji.Noise(log=0.5), "limits": limits, "seconds": 0.1}
+    found = ji.design(loop, duration=4.0, sample_time=1e-3, **asked)  # type: ignore[call-overload]
     planned = replace(told, design=found)
     text = planned.markdown()
     assert text.index("## The next test\n") < text.index("## Appendix") < text.index("## The next test in full\n")
@@ -448,8 +447,10 @@ def test_every_key_of_the_answer_is_documented() -> None:
 
 def test_side_and_direction_are_said_of_what_they_change() -> None:
     gear = ji.Transmission(load="revolute", ratio=10.0)
-    joint = ji.RigidJoint("revolute", ji.AsymmetricFriction(), transmission=gear)
-    loop = ji.ClosedLoop(joint, ji.Cascade(position_gain=40.0, velocity_gain=0.02, ratio=gear.torque("motor")))
+    joint = ji.RigidJoint("revolute", ji.friction.AsymmetricFriction(), transmission=gear)
+    loop = ji.ClosedLoop(
+        joint, ji.controller.Cascade(position_gain=40.0, velocity_gain=0.02, ratio=gear.torque("motor"))
+    )
     values = {"inertia": 0.04, "viscous_forwards": 0.05, "coulomb_forwards": 0.1, "offset": 0.0}
     values |= {"viscous_backwards": 0.08, "coulomb_backwards": 0.2}
     reference = ji.excitation.trapezoids([0.5, 1.0, 2.0], 8.0, 2.0, 1e-3, duration=6.0)

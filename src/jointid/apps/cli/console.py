@@ -21,9 +21,10 @@ from jointid.common.text import printable
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from jointid import Estimate, Record, RobotFile
+    from jointid import Estimate, Record
     from jointid.apps.cli.bars import Bars
     from jointid.config import JointFile
+    from jointid.config.robot_file import RobotFile
 
 Flag: TypeAlias = Annotated[bool, Parameter(negative=())]
 Quiet: TypeAlias = Annotated[bool, Parameter(name=["--quiet", "-q"], negative=())]

@@ -25,9 +25,10 @@ from jointid.common.text import wrap
 from jointid.estimation.methods.registry import MethodName
 
 if TYPE_CHECKING:
-    from jointid import Estimate, RobotEstimate, RobotTorqueEstimate, Windowing
+    from jointid import Estimate, Windowing
     from jointid.common.messages import Progress
     from jointid.config import JointFile
+    from jointid.robots import RobotEstimate, RobotTorqueEstimate
 
 
 FAULTY = 3
@@ -109,8 +110,8 @@ def identify(
         details: print every verdict with all its reasons, the method's tests, effort and settings.
         quiet: say nothing of the progress.
     """
-    from jointid import Estimate, JointFile, Windowing, figures
-    from jointid.config import require_joint
+    from jointid import Estimate, Windowing, figures
+    from jointid.config import JointFile, require_joint
 
     outputs = Outputs({"--json": json}, {"--figure": figure})
     records = record or []

@@ -15,12 +15,11 @@ from jointid.common.errors import MethodError, RecordError
 from jointid.common.files import write_whole
 
 if TYPE_CHECKING:
-    from jointid import AxisLimits, Record, RobotFile
+    from jointid import AxisLimits, Record
     from jointid.common.arrays import FloatArray
     from jointid.config import JointFile
-    from jointid.planning.design import Design
-
-_SAMPLE_TIME, _DURATION = 1e-3, 10.0  # s, of a robot's test where no file and no record says them
+    from jointid.config.robot_file import RobotFile
+    from jointid.planning.joint_design import Design
 
 
 @Parameter(name="*")
@@ -103,7 +102,7 @@ class Rough:
         """
         import numpy as np
 
-        from jointid import Noise, design_test
+        from jointid import Noise, design
 
         loop = file.loop
         if loop is None:
@@ -118,9 +117,10 @@ class Rough:
         named = record is not None or file.source.file is not None
         present = file.record(record) if named else None
         fixed = {p.name: p.fix(values[p.name]) for p in loop.joint.parameters if p.name not in free}
-        return design_test(
-            loop, values, Noise(log=self.noise_log, force=self.noise_force), present=present, covariance=covariance,
-            sample_time=self.sample_time, filtering=file.filtering, parameters=fixed, record=file.name or "", **asked,
+        return design(
+            loop, present, values=values, noise=Noise(log=self.noise_log, force=self.noise_force),
+            covariance=covariance, sample_time=self.sample_time, filtering=file.filtering, parameters=fixed,
+            name=file.name or "", **asked,
         )  # fmt: skip
 
     def _values(self, file: JointFile, free: Sequence[str]) -> tuple[dict[str, float], FloatArray | None]:
@@ -182,8 +182,9 @@ def design(
             its file reads references, and the page.
         figure: also save reference, torque and spectrum as PNG, SVG or PDF.
     """
-    from jointid import JointFile, figures
-    from jointid.planning.design import plan_from_estimate
+    from jointid import design as run
+    from jointid import figures
+    from jointid.config import JointFile
 
     outputs = Outputs({"--json": options.json}, {"--figure": figure}, {"--out": out})
     outputs.spare("--motion", motion)
@@ -212,7 +213,7 @@ def design(
         found = rough.plan(file, options.record, asked)
     else:
         record, estimate = options.identify(file, checks=False)
-        found = plan_from_estimate(estimate, record, **asked)
+        found = run(estimate, record, **asked)
     deliver(found, options.json, (figure, figures.draw))
     if out is not None:
         paths = found.write(out)
@@ -224,30 +225,23 @@ def _design_robot(
     figure: Path | None,
 ) -> None:  # fmt: skip
     """Plan the motion that tells most of a robot, beside that of a first record where there is one."""
-    import numpy as np
+    from jointid import IDIM, figures
+    from jointid import design as run
 
-    from jointid import IDIM, design_robot_test, figures
-    from jointid.planning.robots.first_record import first_record
-
-    first = own = None
-    sample_time = file.source.sample_time or _SAMPLE_TIME
+    loop = None if isinstance(file.method, IDIM) else file.loop
+    asked: dict[str, Any] = {
+        "limits": file.limits, "duration": duration, "filtering": file.filtering, "seconds": seconds,
+        # Of a motion that was never played nothing is logged: such a robot is predicted without.
+        "feed_forward": "none" if file.feed_forward == "logged" else file.feed_forward, "progress": options.progress,
+    }  # fmt: skip
+    complete = all({"lower", "upper", "speed"} <= one.stated.keys() for one in file.limits)
     if motion is not None:
-        given = [one.reference for one in file.driving(motion) if one.reference is not None]
-        own = np.column_stack([one.values for one in given]) @ np.linalg.inv(file.robot.coupling).T
-        sample_time = given[0].sample_time
-        duration = len(own) * sample_time
-    elif options.record is not None or not all(one.complete for one in file.limits):
+        found = run(loop or file.robot, motion=file.driving(motion), **asked)
+    elif options.record is None and complete:
+        found = run(loop or file.robot, sample_time=file.source.sample_time, **asked)
+    else:
         records = file.record(options.record)
-        first = first_record(file.identify(records, options.progress), records)
-        sample_time = first.sample_time
-    found = design_robot_test(
-        file.robot, file.limits, duration=duration or (_DURATION if first is None else first.duration),
-        sample_time=sample_time, loop=None if isinstance(file.method, IDIM) else file.loop,
-        # Of a motion that was never played nothing is logged: such a robot is foretold without.
-        feed_forward="none" if file.feed_forward == "logged" else file.feed_forward,
-        noise=None if first is None else first.noise, present=None if first is None else first.motion, motion=own,
-        filtering=file.filtering, seconds=seconds, progress=options.progress,
-    )  # fmt: skip
+        found = run(file.identify(records, options.progress), records, loop=loop, **asked)
     deliver(found, options.json, (figure, figures.draw))
     if out is not None:
         make_folder(out, "--out")

@@ -24,12 +24,10 @@ from jointid.common.parallel import Aside
 from jointid.estimation.methods.registry import MethodName
 
 if TYPE_CHECKING:
-    from jointid import (
-        JointFile,
-        Report,
-        RobotFile,
-        RobotReport,
-    )
+    from jointid import Report
+    from jointid.config import JointFile
+    from jointid.config.robot_file import RobotFile
+    from jointid.robots import RobotReport
 
 Language = Literal["joint-file", "state-space", "matlab", "mjcf", "urdf", "modelica"]
 
@@ -68,11 +66,11 @@ def report(
     """
     from numpy.linalg import LinAlgError
 
-    from jointid import JointFile, Report
+    from jointid import Report, design
+    from jointid.config import JointFile
     from jointid.output.report import repetition, tune_to_limit
     from jointid.output.report.page import require_extra
     from jointid.output.report.pages import require_page
-    from jointid.planning.design import plan_from_estimate
 
     page = html if html or markdown or figures else Path("report.html")
     outputs = Outputs({"--html": page, "--json": options.json}, folders={"--markdown": markdown, "--figures": figures})
@@ -110,7 +108,7 @@ def report(
         stated = replace(stated, tuned=tuned)
     if plan is not None:
         try:
-            found = plan_from_estimate(estimate, record, goal=plan, limits=file.limits, progress=options.progress)
+            found = design(estimate, record, goal=plan, limits=file.limits, progress=options.progress)
             stated = replace(stated, design=found)
         except (JointidError, LinAlgError) as error:
             stated.data.absent["design"] = str(error)
@@ -142,8 +140,9 @@ def _robot_report(
     file: RobotFile, options: Options, choices: dict[str, str | None], held_out: Path | None, html: str
 ) -> RobotReport:
     """Identify a robot, and report it, held against another record where one is given."""
-    from jointid import RobotReport, validate
+    from jointid import validate
     from jointid.output.report import repetition
+    from jointid.robots import RobotReport
 
     records = file.record(options.record, judged=True)
     estimate = file.identify(records, options.progress)
@@ -193,8 +192,9 @@ def validate(
         figure: also save measured, simulated and error torque as PNG, SVG or PDF.
         residuals: also save the error against velocity and position, and its autocorrelation, likewise.
     """
-    from jointid import JointFile, figures
+    from jointid import figures
     from jointid import validate as run
+    from jointid.config import JointFile
     from jointid.output import json as answers
 
     outputs = Outputs({"--json": options.json}, {"--figure": figure, "--residuals": residuals})
@@ -273,7 +273,7 @@ def export(
         delay: of a state space, in s, from a sample of the torque to its effect; without it as identified.
         timestep: of MJCF, in s.
     """
-    from jointid import JointFile
+    from jointid.config import JointFile
     from jointid.output import json as answers
     from jointid.output.export import export as run
     from jointid.output.export import find_language, read_estimated
@@ -307,8 +307,8 @@ def export(
 
 def _export_robot(file: RobotFile, out: Path) -> None:
     """Identify a robot, and write bodies that fit, as URDF or MJCF."""
-    from jointid import RobotEstimate, consistent_robot
     from jointid.output.export.robot_model import write_robot
+    from jointid.robots import RobotEstimate, consistent_robot
 
     estimate = file.identify(file.record())
     if not (estimate.converged if isinstance(estimate, RobotEstimate) else estimate.fit.converged):

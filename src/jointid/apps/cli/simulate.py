@@ -11,7 +11,9 @@ from jointid.apps.cli.places import Outputs
 from jointid.common.errors import MethodError, RecordError
 
 if TYPE_CHECKING:
-    from jointid import Estimate, JointFile, RobotFile
+    from jointid import Estimate
+    from jointid.config import JointFile
+    from jointid.config.robot_file import RobotFile
 
 Loop = Literal["L19", "L30"]
 Noise = Literal["disturbance", "white", "none"]
@@ -131,7 +133,7 @@ def simulate(
     elif joint is None:
         raise MethodError("A simulation needs a joint file; name one, or give --twin L19 for the paper's axis.")
     else:
-        from jointid import JointFile
+        from jointid.config import JointFile
         from jointid.output.json import read_friction
 
         file = options.load(joint, outputs, friction=None if estimate is None else read_friction(estimate))

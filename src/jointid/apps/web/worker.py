@@ -168,7 +168,7 @@ def plan(folder: Path) -> None:
     from jointid.common.document import Facts, Table
     from jointid.config import load_joint
     from jointid.output.figures.matplotlib_backend import png
-    from jointid.planning.design import plan_from_estimate
+    from jointid.planning.design import design
     from jointid.simulation.warm_up import warm_up
 
     work = _read_work(folder)
@@ -177,8 +177,7 @@ def plan(folder: Path) -> None:
     warm_up()
     _tell("identifying again")
     estimate = file.identify(record, _tell, checks=False)
-    asked = {"goal": work["goal"], "seconds": work["seconds"], "limits": file.limits}
-    found = plan_from_estimate(estimate, record, progress=_tell, **asked)
+    found = design(estimate, record, goal=work["goal"], seconds=work["seconds"], limits=file.limits, progress=_tell)
     for name, content in {**found.files(), "test.png": png(found.chart())}.items():
         write_whole(folder / name, content)
     table, facts = found.document().blocks

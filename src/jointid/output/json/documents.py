@@ -229,8 +229,8 @@ SHAPES: Mapping[str, Shape] = {
     "ParameterOfJoint": keys("value std unit nominal formula known at_least"),
     "RobotDesign": document(
         "jointid.robot_design/1",
-        "robot=robot.name joints=robot.names sentence sample_time parameters noise of_record limits reached passed "
-        "modes tried",
+        "robot=robot.name joints=robot.names sentence sample_time parameters noise of_record limits=allowed reached "
+        "passed modes tried",
         samples=lambda design: len(design.reference),
     ),
     "RobotSimulation": {
@@ -272,7 +272,8 @@ def to_dict(result: object) -> Json:
 
     Example:
         >>> import jointid as ji
-        >>> loop = ji.ClosedLoop(ji.RigidJoint(), ji.Cascade(position_gain=100.0, velocity_gain=2000.0))
+        >>> law = ji.controller.Cascade(position_gain=100.0, velocity_gain=2000.0)
+        >>> loop = ji.ClosedLoop(ji.RigidJoint("prismatic"), law)
         >>> reference = ji.excitation.trapezoids((0.1, 0.2), acceleration=2.0, travel=0.1, rest=0.1, sample_time=1e-3)
         >>> truth = {"inertia": 30.0, "viscous": 80.0, "coulomb": 15.0, "offset": 2.0}
         >>> record = ji.simulated_record(loop, reference, truth, sample_time=1e-3)

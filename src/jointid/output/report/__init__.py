@@ -22,7 +22,7 @@ from jointid.output.json.documents import REPORT_SCHEMA
 from jointid.output.report.pages import Pages, Repetition, repetition
 from jointid.output.report.sections import report_blocks
 from jointid.output.report.summary import report_title
-from jointid.planning.design import Design
+from jointid.planning.joint_design import Design
 from jointid.tuning.tuned import Tuned
 
 __all__ = ["Repetition", "Report", "repetition", "tune_to_limit"]

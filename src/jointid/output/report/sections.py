@@ -29,7 +29,7 @@ from jointid.estimation.result.summary import (
 )
 from jointid.output.report.pages import Repetition, pictures_of
 from jointid.output.report.summary import summary_blocks, verdicts_in_full
-from jointid.planning.design import Design
+from jointid.planning.joint_design import Design
 from jointid.tuning.tuned import Tuned
 
 

@@ -13,7 +13,7 @@ from jointid.estimation.result.answer import Trust, told_bounds
 from jointid.estimation.result.consequence import consequence
 from jointid.estimation.result.estimate import Estimate
 from jointid.estimation.result.summary import parameters_table
-from jointid.planning.design import Design
+from jointid.planning.joint_design import Design
 from jointid.tuning.tuned import Tuned
 
 _TONES: dict[Trust, Tone] = {

@@ -1,4 +1,4 @@
-"""The verb `design_robot_test`: the motion that tells most of a robot within its limits, before it is made.
+"""Design of the most informative motion of a robot within the limits of its joints.
 
 Of a motion q the columns W(q) of base parameters and friction say what a test will tell: with white noise of deviation
 s_k on the log of joint k's torque the deviations of all parameters are those of::
@@ -33,17 +33,22 @@ from jointid.common.document import Document, Documented, Facts, Paragraph, Tabl
 from jointid.common.errors import MethodError
 from jointid.common.messages import Progress, ignore_progress
 from jointid.common.text import join, number
+from jointid.diagnostics.robots.torques import torques_of
 from jointid.estimation.robots.consistent import mass_matrix_at
+from jointid.estimation.robots.idim import RobotEstimate
 from jointid.estimation.robots.numbers import robot_parameters
 from jointid.estimation.robots.problem import robot_problem
-from jointid.estimation.robots.torque_estimate import parameter_units
+from jointid.estimation.robots.regression import motion_of_robot
+from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate, parameter_units
 from jointid.models.robots.base_parameters import base_parameters, inverse_columns
 from jointid.models.robots.friction_terms import Friction, friction_columns, friction_terms
 from jointid.models.robots.robot import Robot
-from jointid.planning.robots.motions import JointLimits, Motions, complete
+from jointid.planning.limits import ROBOT_LIMITS, AxisLimits, find_excess
+from jointid.planning.robot_motions import Motions, complete
 from jointid.records.record import Channel, Record
 from jointid.records.signals.filtering import Filtering
 from jointid.simulation import excitation
+from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robot_numbers import RobotNumbers
 from jointid.simulation.robots import (
     RobotLoop,
@@ -106,11 +111,16 @@ class RobotDesign(Charted, Documented):
     present_std: FloatArray | None
     noise: FloatArray
     of_record: bool
-    limits: tuple[JointLimits, ...]
-    reached: tuple[JointLimits, ...]
+    limits: tuple[AxisLimits, ...]
+    reached: tuple[Mapping[str, float], ...]
     passed: tuple[str, ...]
     modes: dict[str, float]
     tried: int
+
+    @property
+    def allowed(self) -> tuple[dict[str, float | None], ...]:
+        """Limits of each joint by name; None where there is none."""
+        return tuple({name: getattr(one, name) for name in ROBOT_LIMITS} for one in self.limits)
 
     @property
     def told(self) -> tuple[str, ...]:
@@ -162,9 +172,8 @@ class RobotDesign(Charted, Documented):
         joints: tuple[tuple[str, ...], ...] = tuple(
             (
                 name,
-                f"{number(reached.lower, 3)} to {number(reached.upper, 3)} {self.robot.position_unit(k)}",
-                *(_beside(getattr(reached, what), getattr(self.limits[k], what))
-                  for what in ("speed", "acceleration", "torque")),
+                f"{number(reached['lower'], 3)} to {number(reached['upper'], 3)} {self.robot.position_unit(k)}",
+                *(_beside(reached[what], getattr(self.limits[k], what)) for what in ROBOT_LIMITS[2:]),
             )
             for k, (name, reached) in enumerate(zip(self.robot.names, self.reached, strict=True))
         )  # fmt: skip
@@ -209,7 +218,7 @@ class RobotDesign(Charted, Documented):
 
 def design_robot_test(
     robot: Robot,
-    limits: Sequence[JointLimits],
+    limits: Sequence[AxisLimits],
     *,
     duration: float = 10.0,
     sample_time: float = 1e-3,
@@ -224,31 +233,24 @@ def design_robot_test(
     seed: int = 0,
     progress: Progress = ignore_progress,
 ) -> RobotDesign:
-    """Look for the motion that tells most of a robot's base parameters and friction within its joints' limits.
+    """Design the test of a robot that is roughly known; see `jointid.design`.
 
     Args:
-        robot: as it is roughly known: masses and friction say which torques a motion needs. Its geometry is exact.
+        robot: its nominal numbers; the geometry is exact.
         limits: of each joint. Positions and speed that are not given are those of the present motion.
         duration: of the test, s: one period of the series.
         sample_time: of the reference and the log, s.
-        loop: the robot under its controllers, for a test by DIDIM: intervals are then foretold by simulation. Needed
-            for springs.
-        feed_forward: that the drives are given beside the controllers' torque, see `add_feed_forward`.
-        noise: standard deviation of the white noise on each joint's logged torque, N m or N; without it `NOISE`.
+        loop: the robot under its controllers, for a test by DIDIM; needed for springs.
+        feed_forward: that the drives are given beside the controllers' torque.
+        noise: standard deviation of the white noise on each joint's logged torque; without it `NOISE`.
         present: positions, velocities and accelerations of the joints in a first record, (samples, n) each, at the
-            sample time; what it tells stands beside.
-        motion: (samples, n) positions of the joints in a motion of one's own, which is foretold instead of a search.
+            sample time.
+        motion: (samples, n) positions of the joints, which are predicted instead of a search.
         filtering: of a test by DIDIM.
         harmonics: of the series.
         seconds: that the search may take.
         seed: of the search.
-        progress: is told how it goes.
-
-    Raises:
-        MethodError: a limit is missing, the test is too short, the robot has springs and no controllers, or its
-            motion cannot be simulated.
-
-    Noise that is not white, or a model that lacks something, gives larger intervals than these.
+        progress: receives messages.
     """
     if any(robot.flexible) and loop is None:
         raise MethodError(
@@ -298,16 +300,63 @@ def design_robot_test(
 
         names, units, values, std = foretold(reference)
         before = None if present is None else foretold(present[0] @ robot.coupling.T)[3]
-    reached = tuple(
-        JointLimits(*(float(f) for f in (q[:, k].min(), q[:, k].max() + 1e-12)),
-                    *(float(np.abs(one[:, k]).max()) + 1e-12 for one in (v, a, torque)))
-        for k in range(len(robot))
-    )  # fmt: skip
-    passed = tuple(_passed(robot, given, reached))
+    most = [q.min(axis=0), q.max(axis=0), *(np.abs(one).max(axis=0) for one in (v, a, torque))]
+    reached = tuple(dict(zip(ROBOT_LIMITS, map(float, of_joint), strict=True)) for of_joint in zip(*most, strict=True))
+    over = [list(find_excess(*one)) for one in zip(given, reached, strict=True)]
+    passed = tuple(
+        f"{name} passes its limit of {join(one)}" for name, one in zip(robot.names, over, strict=True) if one
+    )
     return RobotDesign(
         robot, sample_time, reference, torque, names, units, values, std, before, of_noise, noise is not None, given,
         reached, passed, modes, tried,
     )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FirstRecord:
+    """Noise and motion of a first record, as `design_robot_test` takes them.
+
+    Attributes:
+        noise: (n,) deviation of white noise on each joint's log that has as much in the band of the filter as the
+            estimate left.
+        motion: positions, velocities and accelerations of the joints, (samples, n) each; of a test by DIDIM those of
+            the references.
+        sample_time: s.
+    """
+
+    noise: FloatArray
+    motion: tuple[FloatArray, FloatArray, FloatArray]
+    sample_time: float
+
+    @property
+    def duration(self) -> float:
+        """Of the record, s."""
+        return len(self.motion[0]) * self.sample_time
+
+
+def first_record(estimate: RobotEstimate | RobotTorqueEstimate, records: Sequence[Record]) -> FirstRecord:
+    """Summarise a record and its estimate for the next test.
+
+    Args:
+        estimate: of the robot.
+        records: of each joint, that it was identified from.
+
+    Raises:
+        RecordError, MethodError: as of the identification.
+    """
+    torques = torques_of(estimate, records)
+    left = np.array([np.sqrt(np.mean(e[s] ** 2)) for e, s in zip(torques.error, torques.seen, strict=True)])
+    if isinstance(estimate, RobotEstimate) or isinstance(estimate.closing, RobotDriveSide):
+        found = motion_of_robot(estimate.robot, records, estimate.filtering)
+        motion, sample_time = (found.q, found.v, found.a), found.sample_time
+    else:
+        references = [record.reference for record in records if record.reference is not None]
+        sample_time = references[0].sample_time
+        q = np.column_stack([one.values for one in references]) @ np.linalg.inv(estimate.robot.coupling).T
+        v = np.gradient(q, sample_time, axis=0)
+        motion = q, v, np.gradient(v, sample_time, axis=0)
+    # White noise has in the band the share 2 cutoff / rate of its power.
+    return FirstRecord(left * np.sqrt(0.5 / (sample_time * torques.cutoff)), motion, sample_time)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -374,7 +423,7 @@ def _usual(model: _Regressor, motions: Motions, seed: int) -> FloatArray:
 
 
 def _score(
-    model: _Regressor, motions: Motions, noise: FloatArray, limits: Sequence[JointLimits]
+    model: _Regressor, motions: Motions, noise: FloatArray, limits: Sequence[AxisLimits]
 ) -> Callable[[FloatArray], tuple[float, float]]:
     """Return what is the smaller, the better a motion: by how far torques pass their limits, then -log det M."""
     seen, whole = motions.bases(np.linspace(0.0, motions.period, _INSTANTS, endpoint=False)), motions.whole
@@ -456,7 +505,7 @@ def _modes(robot: Robot, q: FloatArray) -> dict[str, float]:
 
 
 def _multisines(
-    robot: Robot, modes: dict[str, float], limits: Sequence[JointLimits], samples: int, sample_time: float
+    robot: Robot, modes: dict[str, float], limits: Sequence[AxisLimits], samples: int, sample_time: float
 ) -> FloatArray:
     """Return what is added to each flexible joint's motion about its mode, (samples, n), within what was kept for it.
 
@@ -515,22 +564,6 @@ def _by_simulation(
     units = parameter_units(loop.robot, parameters)
     names = parameters.names
     return names, tuple(units[name] for name in names), values, _deviations(J * weights[:, np.newaxis])
-
-
-def _passed(robot: Robot, limits: Sequence[JointLimits], reached: Sequence[JointLimits]) -> list[str]:
-    """Return a clause for each limit that a motion passes."""
-    found = []
-    for name, allowed, one in zip(robot.names, limits, reached, strict=True):
-        over = [
-            what
-            for what in ("upper", "speed", "acceleration", "torque")
-            if (most := getattr(allowed, what)) is not None and getattr(one, what) > most + 1e-9 * abs(most)
-        ]
-        if allowed.lower is not None and one.lower is not None and one.lower < allowed.lower - 1e-9:
-            over.append("lower")
-        if over:
-            found.append(f"{name} passes its limit of {join(over)}")
-    return found
 
 
 def _sigma(std: float) -> str:

@@ -20,11 +20,11 @@ from jointid.models.joints import ClosedLoop, FlexibleJoint, RigidJoint
 from jointid.output.json.documents import to_dict
 from jointid.output.json.reading import read_covariance
 from jointid.paper.twin import JOINT_FILE, SAMPLE_TIME, twin
-from jointid.planning import design as design_module
+from jointid.planning import joint_design as design_module
 from jointid.planning import search as search_module
 from jointid.planning.bound import least_deviation
-from jointid.planning.design import Design, design_test
 from jointid.planning.goals import parse_goal
+from jointid.planning.joint_design import Design, design_joint_test
 from jointid.planning.limits import AxisLimits, find_excess, find_maxima
 from jointid.planning.plans import (
     Family,
@@ -72,7 +72,7 @@ def designed() -> Design:
     covariance = np.diag([(0.01 * AXIS.truth[p.name]) ** 2 for p in AXIS.loop.joint.parameters])
     with pytest.MonkeyPatch.context() as patched:
         count_trials(patched)
-        return design_test(
+        return design_joint_test(
             AXIS.loop, AXIS.truth, NOISE, goal="stiffness", present=short_record(), covariance=covariance, seconds=250.0
         )
 
@@ -105,7 +105,9 @@ def test_it_is_told_in_words_numbers_and_files(designed: Design, tmp_path: Path)
     assert answer["tests"]["proposed"]["std"]["stiffness"] == designed.proposed.std["stiffness"]
     paths = designed.write(tmp_path / "next")
     assert sorted(path.name for path in paths) == ["how-to-run.md", "test.csv", "test.mat"]
-    table = ji.read(tmp_path / "next" / "test.csv", {"reference": ji.Column("reference", "m")}, time="t")
+    table = ji.read(
+        tmp_path / "next" / "test.csv", {"reference": ji.Column("reference", "m")}, time="t", kind="prismatic"
+    )
     assert table.reference is not None
     assert table.reference.values == pytest.approx(designed.proposed.reference, abs=1e-12)
     assert "jointid examine" in (tmp_path / "next" / "how-to-run.md").read_text()
@@ -120,9 +122,9 @@ def test_ctrl_c_keeps_the_best_there_is(monkeypatch: pytest.MonkeyPatch) -> None
         raise KeyboardInterrupt
 
     monkeypatch.setattr(design_module, "search", interrupted)
-    designed = design_test(AXIS.loop, AXIS.truth, NOISE, goal="stiffness", present=short_record(), seconds=60.0)
+    designed = design_joint_test(AXIS.loop, AXIS.truth, NOISE, goal="stiffness", present=short_record(), seconds=60.0)
     assert designed.interrupted
-    forced = design_test(
+    forced = design_joint_test(
         AXIS.loop, AXIS.truth, Noise(force=AXIS.noise), goal="stiffness", present=short_record(), seconds=60.0
     )
     assert forced.with_motor_encoder is None  # what a force does the torque shows, too
@@ -132,10 +134,12 @@ def test_ctrl_c_keeps_the_best_there_is(monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_a_test_is_designed_without_a_record_from_limits_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     count_trials(monkeypatch)
-    loop = ClosedLoop(RigidJoint("revolute"), ji.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0))
+    loop = ClosedLoop(
+        RigidJoint("revolute"), ji.controller.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0)
+    )
     values = {"inertia": 0.04, "viscous": 0.05, "coulomb": 0.1, "offset": 0.02}
     limits = AxisLimits(stroke=2.0, speed=3.0, acceleration=20.0, jerk=400.0, torque=2.0)
-    found = design_test(
+    found = design_joint_test(
         loop, values, Noise(log=0.02), limits=limits, duration=4.0, sample_time=1e-3, seconds=60.0, goal="weakest"
     )
     assert found.present is None and found.with_encoder is None and found.floor is None
@@ -143,7 +147,7 @@ def test_a_test_is_designed_without_a_record_from_limits_alone(monkeypatch: pyte
     jerk = np.max(np.abs(np.diff(found.proposed.reference, 3))) / 1e-9
     assert jerk < 400.0 * 1.05
     with pytest.raises(MethodError, match="stroke, torque are missing"):
-        design_test(
+        design_joint_test(
             loop,
             values,
             Noise(log=0.02),
@@ -152,9 +156,37 @@ def test_a_test_is_designed_without_a_record_from_limits_alone(monkeypatch: pyte
             sample_time=1e-3,
         )
     with pytest.raises(MethodError, match="a duration and a sample time"):
-        design_test(loop, values, Noise(log=0.02))
+        design_joint_test(loop, values, Noise(log=0.02))
     with pytest.raises(MethodError, match="names stiffness, which is no free parameter"):
-        design_test(loop, values, Noise(log=0.02), goal="stiffness", limits=limits, duration=4.0, sample_time=1e-3)
+        design_joint_test(
+            loop, values, Noise(log=0.02), goal="stiffness", limits=limits, duration=4.0, sample_time=1e-3
+        )
+
+
+def test_a_reference_stays_between_the_positions_that_are_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
+    count_trials(monkeypatch)
+    loop = ClosedLoop(RigidJoint("revolute"), ji.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0))
+    values = {"inertia": 0.04, "viscous": 0.05, "coulomb": 0.1, "offset": 0.02}
+    limits = AxisLimits(lower=1.0, upper=2.5, speed=3.0, acceleration=20.0, torque=2.0)
+    asked = {"values": values, "noise": Noise(log=0.02), "duration": 4.0, "sample_time": 1e-3, "limits": limits}
+    found = ji.design(loop, seconds=30.0, **asked)  # type: ignore[call-overload]
+    assert found.reached["lower"] >= 1.0 and found.reached["upper"] <= 2.5
+    assert found.limits["stroke"] == 1.5 and not found.passed
+    outside = planned_record(loop, 0.8 + 0.5 * (1.0 - np.cos(np.arange(4000) * 4e-3)), 1e-3)
+    told = ji.design(loop, motion=outside, **asked)  # type: ignore[call-overload]
+    assert "it passes a limit, lower 0.800 rad of 1.00 allowed" in told.passed
+
+
+def test_what_is_of_a_joint_is_not_of_a_robot() -> None:
+    robot, one = ji.Robot((ji.Link("l", -1),), (ji.RobotJoint("j"),)), short_record()
+    for model, given, said in (
+        (AXIS.loop, {"limits": [AxisLimits()]}, "The test of a joint has one record"),
+        (AXIS.loop, {}, "has values and a noise"),
+        (robot, {"record": one}, 'The test of a robot has the goal "all"'),
+        (robot, {"record": [one]}, "The records of a robot are read with its estimate"),
+    ):
+        with pytest.raises(MethodError, match=said):
+            ji.design(model, **given)  # type: ignore[call-overload]
 
 
 def test_no_plan_comes_below_the_floor() -> None:
@@ -389,7 +421,9 @@ def test_the_command_plans_from_rough_values_without_a_record(
 
 
 def test_an_earlier_answer_says_what_is_roughly_known(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    loop = ClosedLoop(RigidJoint("revolute"), ji.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0))
+    loop = ClosedLoop(
+        RigidJoint("revolute"), ji.controller.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0)
+    )
     truth = {"inertia": 0.04, "viscous": 0.05, "coulomb": 0.1, "offset": 0.02}
     reference = excitation.trapezoids((0.5, 1.0, 2.0), 8.0, 2.0, 1e-3, duration=6.0)
     noise = 0.02 * np.random.default_rng(5).standard_normal(reference.size)
@@ -451,7 +485,7 @@ def test_a_test_stays_where_the_present_one_is_and_begins_at_rest(monkeypatch: p
     count_trials(monkeypatch)
     loop = ClosedLoop(
         RigidJoint("revolute", gravity=ji.Gravity("constant")),
-        ji.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0),
+        ji.controller.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0),
     )
     values = {"inertia": 0.04, "viscous": 0.05, "coulomb": 0.1, "offset": 0.0, "gravity_constant": -0.8}
     values = {p.name: values.get(p.name, -0.8) for p in loop.joint.parameters}
@@ -460,7 +494,7 @@ def test_a_test_stays_where_the_present_one_is_and_begins_at_rest(monkeypatch: p
     present = replace(planned_record(loop, slow, 4e-3), torque=torque)
     free = [p for p in loop.joint.parameters if p.free]
     covariance = np.diag([(0.02 * abs(values[p.name]) + 1e-4) ** 2 for p in free])
-    found = design_test(loop, values, Noise(log=0.01), present=present, covariance=covariance, seconds=250.0)
+    found = design_joint_test(loop, values, Noise(log=0.01), present=present, covariance=covariance, seconds=250.0)
     assert not found.passed
     assert found.proposed.reference.min() > 1.19
     assert found.proposed.reference.max() < 2.21
@@ -481,12 +515,12 @@ def test_bad_input_is_refused_in_a_sentence() -> None:
     ):
         given = {"duration": 4.0, "sample_time": 1e-3, "limits": limits, "goal": "stiffness"} | wrong
         with pytest.raises(MethodError, match=said):
-            design_test(AXIS.loop, AXIS.truth, NOISE, **given)  # type: ignore[arg-type]
+            design_joint_test(AXIS.loop, AXIS.truth, NOISE, **given)  # type: ignore[arg-type]
     with pytest.raises(MethodError, match="The highest frequency is above the lowest"):
         AxisLimits(lowest=200.0, highest=30.0)
     one_way = planned_record(AXIS.loop, np.arange(4000) * 2e-5, 1e-3)
     with pytest.raises(MethodError, match="does not tell"):
-        design_test(AXIS.loop, AXIS.truth, NOISE, present=short_record(), motion=one_way)
+        design_joint_test(AXIS.loop, AXIS.truth, NOISE, present=short_record(), motion=one_way)
 
 
 def test_a_record_of_another_rate_is_predicted_as_it_was_logged(tmp_path: Path) -> None:
@@ -496,7 +530,7 @@ def test_a_record_of_another_rate_is_predicted_as_it_was_logged(tmp_path: Path) 
     torque = ji.Channel(np.zeros(6000), "N", 1e-3)
     coarse = replace(planned_record(AXIS.loop, reference, 4e-3), torque=torque)
     told, same = (
-        design_test(AXIS.loop, AXIS.truth, NOISE, present=short_record(), motion=motion)
+        design_joint_test(AXIS.loop, AXIS.truth, NOISE, present=short_record(), motion=motion)
         for motion in (coarse, planned_record(AXIS.loop, fine, 1e-3))
     )
     assert told.longer is None and told.floor is None
@@ -513,7 +547,7 @@ def test_a_record_of_another_rate_is_predicted_as_it_was_logged(tmp_path: Path) 
 def test_a_present_test_beyond_the_limits_or_that_tells_little_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     count_trials(monkeypatch)
     limits = AxisLimits(stroke=0.05)
-    found = design_test(
+    found = design_joint_test(
         AXIS.loop, AXIS.truth, NOISE, present=short_record(), limits=limits, goal="weakest", seconds=60.0
     )
     assert not found.passed
@@ -523,20 +557,20 @@ def test_a_present_test_beyond_the_limits_or_that_tells_little_is_said(monkeypat
     assert "which the present test reaches" in str(found)
     one_way = planned_record(AXIS.loop, np.arange(4000) * 2e-5, 1e-3)
     wide = AxisLimits(stroke=0.2, speed=0.2, acceleration=2.0, torque=200.0)
-    found = design_test(AXIS.loop, AXIS.truth, NOISE, present=one_way, limits=wide, seconds=60.0)
+    found = design_joint_test(AXIS.loop, AXIS.truth, NOISE, present=one_way, limits=wide, seconds=60.0)
     assert found.present is None  # it does not tell everything, and what it reaches is known all the same
     assert found.proposed.std["stiffness"] > 0
 
 
 def test_behind_a_gear_the_page_says_whose_numbers_they_are(tmp_path: Path) -> None:
     gear = ji.Transmission(load="revolute", ratio=100.0)
-    law = ji.Cascade(position_gain=40.0, velocity_gain=2.0, ratio=gear.torque("motor"))
+    law = ji.controller.Cascade(position_gain=40.0, velocity_gain=2.0, ratio=gear.torque("motor"))
     loop = ClosedLoop(RigidJoint("revolute", transmission=gear), law)
     values = {"inertia": 400.0, "viscous": 500.0, "coulomb": 10.0, "offset": 2.0}
     reference = excitation.trapezoids((0.02, 0.05), 0.3, 0.02, T, duration=4.0)
     added = 5.0 * np.sign(np.sin(np.arange(4000) * 0.05))
     motion = planned_record(loop, reference, T, added)
-    found = design_test(loop, values, Noise(log=2.0), present=motion, motion=motion)
+    found = design_joint_test(loop, values, Noise(log=2.0), present=motion, motion=motion)
     found.write(tmp_path)
     page = (tmp_path / "how-to-run.md").read_text()
     assert "All numbers are of the load side: on the motor side positions are 100 times, torques 0.01 times" in page

@@ -21,7 +21,7 @@ import numpy as np
 
 from jointid.common.arrays import FloatArray
 from jointid.common.errors import MethodError
-from jointid.common.settings import add_settings_to_docstring, check_settings, setting
+from jointid.planning.limits import AxisLimits
 
 _INSIDE = 0.98  # of speed and acceleration: a motor passes where its reference turns round
 _MARGIN = 0.01  # of the room, at each end, likewise
@@ -31,34 +31,6 @@ _POINTS = 32  # of a period, for each harmonic, at which limits are held
 
 Bases: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
 """Of positions, velocities and accelerations."""
-
-
-@add_settings_to_docstring
-@dataclass(frozen=True, slots=True)
-class JointLimits:
-    """Limits of one robot joint behind its gear; missing ones come from the record.
-
-    Raises:
-        MethodError: a limit is not positive, or there is no room between the positions.
-    """
-
-    lower: float | None = setting(None, "position that it is not to come below", unit="rad or m")
-    upper: float | None = setting(None, "position that it is not to come above", unit="rad or m")
-    speed: float | None = setting(None, "largest", unit="rad/s or m/s", above=0)
-    acceleration: float | None = setting(None, "largest of the reference", unit="rad/s2 or m/s2", above=0)
-    torque: float | None = setting(None, "largest of the motor, behind its gear", unit="N m or N", above=0)
-
-    def __post_init__(self) -> None:
-        check_settings(self)
-        if self.lower is not None and self.upper is not None and self.upper <= self.lower:
-            raise MethodError(
-                f"The upper position is above the lower one; received {self.lower:g} and {self.upper:g}: exchange them."
-            )
-
-    @property
-    def complete(self) -> bool:
-        """Whether a motion can be planned within them."""
-        return None not in (self.lower, self.upper, self.speed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +44,7 @@ class Motions:
         share: of speed and acceleration that they may use; below 1 something is added, which has a margin of its own.
     """
 
-    limits: tuple[JointLimits, ...]
+    limits: tuple[AxisLimits, ...]
     period: float
     harmonics: int
     share: float = 1.0
@@ -147,8 +119,8 @@ def _squash(number: float) -> float:
 
 
 def complete(
-    limits: Sequence[JointLimits], positions: FloatArray | None, velocities: FloatArray | None, names: Sequence[str]
-) -> tuple[JointLimits, ...]:
+    limits: Sequence[AxisLimits], positions: FloatArray | None, velocities: FloatArray | None, names: Sequence[str]
+) -> tuple[AxisLimits, ...]:
     """Complete limits from a record.
 
     Args:
@@ -174,7 +146,7 @@ def complete(
         if lacking:
             missing.append(f"{names[k]} ({', '.join(lacking)})")
         else:
-            found.append(JointLimits(acceleration=one.acceleration, torque=one.torque, **given))
+            found.append(AxisLimits(acceleration=one.acceleration, torque=one.torque, **given))
     if missing:
         raise MethodError(
             f"A motion is planned within limits of position and speed, and some are missing: {'; '.join(missing)}. "

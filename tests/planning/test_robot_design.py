@@ -13,15 +13,18 @@ from jointid.estimation.robots.didim import identify_rigid_robot
 from jointid.estimation.robots.idim import identify_robot
 from jointid.models.robots.dynamics import inverse_dynamics
 from jointid.models.robots.robot import JointSpring, Link, Robot, RobotJoint
-from jointid.planning.robots.design import RobotDesign, _modes, design_robot_test
-from jointid.planning.robots.first_record import first_record
-from jointid.planning.robots.motions import JointLimits, Motions, complete
+from jointid.planning.limits import AxisLimits
+from jointid.planning.robot_design import RobotDesign, _modes, design_robot_test, first_record
+from jointid.planning.robot_motions import Motions, complete
 from jointid.records.record import Channel, Record
 from jointid.simulation.robots import RobotLoop, add_feed_forward
 from jointid.simulation.synthesis import simulate
 from tests.robots_plants import inertial, two
 
-LIMITS = (JointLimits(-0.8, 1.2, 1.5, 6.0, 60.0), JointLimits(-1.0, 1.0, 2.0, 8.0, 20.0))
+LIMITS = (
+    AxisLimits(lower=-0.8, upper=1.2, speed=1.5, acceleration=6.0, torque=60.0),
+    AxisLimits(lower=-1.0, upper=1.0, speed=2.0, acceleration=8.0, torque=20.0),
+)
 T = 2e-3
 
 
@@ -111,7 +114,7 @@ def test_a_first_record_says_its_noise_and_what_its_motion_tells() -> None:
     )  # fmt: skip
     assert found.ratio is not None and found.ratio < 0.5
     assert "of the present motion's on the geometric mean" in found.sentence
-    wide = (JointLimits(), JointLimits(speed=2.0))
+    wide = (AxisLimits(), AxisLimits(speed=2.0))
     taken = complete(wide, first.motion[0], first.motion[1], two().robot.names)
     assert taken[0].upper == pytest.approx(0.4, rel=0.01) and taken[1].speed == 2.0
 
@@ -139,9 +142,9 @@ def test_springs_are_told_by_what_is_added_about_their_modes() -> None:
 
 def test_what_is_refused() -> None:
     with pytest.raises(MethodError, match=r"some are missing: joint1 \(upper, speed\)\. Give them as limits = \{"):
-        design_robot_test(two().robot, (JointLimits(lower=0.0), LIMITS[1]))
+        design_robot_test(two().robot, (AxisLimits(lower=0.0), LIMITS[1]))
     with pytest.raises(MethodError, match="The upper position is above the lower one"):
-        JointLimits(1.0, 0.5)
+        AxisLimits(lower=1.0, upper=0.5)
     with pytest.raises(MethodError, match="foretold under the controllers, and there are none"):
         design_robot_test(two((9.0, None)).robot, LIMITS)
     with pytest.raises(MethodError, match="A test of 10 samples tells nothing"):
