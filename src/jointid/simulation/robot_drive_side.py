@@ -259,7 +259,6 @@ def _motion(prescribed: MotorMotion, numbers: RobotNumbers, tape: RobotTape) -> 
 
 
 def _torque(prescribed: MotorMotion, numbers: RobotNumbers, motion: MassMotion) -> FloatArray:
-    """Return the motors' torques along a motion, (parts, n)."""
     places = tuple(
         NumberPlace(of, int(row), int(column))
         for of in (NumberOf.LINK, NumberOf.MASS, NumberOf.SPRING)
