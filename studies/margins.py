@@ -29,8 +29,7 @@ from jointid.records.record import Record
 from jointid.simulation.excitation import pulses, trapezoids
 from jointid.simulation.synthesis import simulated_record
 from jointid.tuning.margins import NAMES, joint_set
-from jointid.tuning.minimum_detectable_change import compute_minimum_detectable_change
-from jointid.tuning.tune import tune
+from jointid.tuning.tune import compute_minimum_detectable_change, tune
 from jointid.tuning.tuned import LoopMargins
 
 _ROUNDING = 1e-3  # of a margin: how exactly it is computed

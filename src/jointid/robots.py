@@ -3,14 +3,12 @@
 from jointid.config.robot_model import load_robot
 from jointid.estimation.robots.consistent import consistent_robot
 from jointid.estimation.robots.drive_gains import identify_drive_gains
-from jointid.estimation.robots.idim import RobotEstimate
-from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
 from jointid.models.robots.robot import JointSpring, Link, RobotJoint
 from jointid.output.report.robots import RobotReport
 from jointid.simulation.robot_drive_side import RobotDriveSide
 from jointid.simulation.robots import RobotLoop, add_feed_forward
 
 __all__ = [
-    "JointSpring", "Link", "RobotDriveSide", "RobotEstimate", "RobotJoint", "RobotLoop", "RobotReport",
-    "RobotTorqueEstimate", "add_feed_forward", "consistent_robot", "identify_drive_gains", "load_robot",
+    "JointSpring", "Link", "RobotDriveSide", "RobotJoint", "RobotLoop", "RobotReport", "add_feed_forward",
+    "consistent_robot", "identify_drive_gains", "load_robot",
 ]  # fmt: skip

@@ -21,8 +21,8 @@ from jointid.campaigns import addresses
 from jointid.campaigns.campaign_file import load_campaign
 from jointid.campaigns.cases import Case, Found, Outcome, Redrawn, Row, Simulated, Started
 from jointid.campaigns.engines import LocalProcesses
-from jointid.campaigns.export import export_rows, table_of
 from jointid.campaigns.folder import read_results
+from jointid.campaigns.report import export_rows, table_of
 from jointid.campaigns.run import _Waiting, run_cases
 from jointid.campaigns.run_case import run_case
 from jointid.campaigns.shards import Shard, open_shard

@@ -31,7 +31,7 @@ def identified() -> tuple[ji.Estimate, ji.Record]:
 
 def answer(record: ji.Record) -> tuple[str, str]:
     checked = ji.validate(identified()[0], record)
-    assert checked.document().title == checked.sentence
+    assert checked.to_document().title == checked.sentence
     return checked.answer.code, checked.sentence
 
 

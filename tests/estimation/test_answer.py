@@ -54,7 +54,7 @@ def flexible(stiffness: float | None, stderr: float | None = None, **more: float
     )
     found = replace(ESTIMATE, params=Params(rows, ("motor_inertia",), np.zeros((0, 0)), ""))
     joint = FlexibleJoint(kind="revolute")
-    return amended(found, settings={"joint": joint, "loop": ClosedLoop(joint, CONTROLLER)})
+    return amended(found, settings={"system": joint, "loop": ClosedLoop(joint, CONTROLLER)})
 
 
 def test_an_estimate_that_nothing_speaks_against() -> None:
@@ -229,7 +229,7 @@ def test_no_line_is_longer_than_80_characters() -> None:
     long = amended(
         judged(RIGID, coulomb=1.19),
         checks={"known": Identifiability((), (), (), 1.0, (pair,)), "warnings": ("word " * 60,)},
-        settings={"joint": RigidJoint("prismatic", transmission=Transmission(load="prismatic", lead=0.01))},
+        settings={"system": RigidJoint("prismatic", transmission=Transmission(load="prismatic", lead=0.01))},
     )
     for details in (False, True):
         assert max(map(len, long.summary(details=details).splitlines())) <= 80

@@ -75,7 +75,7 @@ ESTIMATE = Estimate(
     settings=Settings(
         method="didim",
         variant="DIDIM in residual form from an inversion start",
-        joint=LOOP.joint,
+        system=LOOP.joint,
         loop=LOOP,
         filtering=Filtering().resolve(1e-3),
     ),
@@ -114,7 +114,7 @@ def test_parameters_are_a_mapping_of_rows() -> None:
     assert "Fv" in ESTIMATE.params
     assert "stiffness" not in ESTIMATE.params
     assert (rows["viscous"].axis, rows["viscous"].side) == ("", None)
-    flexible = replace(rows["viscous"], name="elbow.load_viscous")
+    flexible = replace(rows["viscous"], name="elbow.load_viscous", axis="elbow")
     assert (flexible.axis, flexible.side) == ("elbow", "load")
 
 

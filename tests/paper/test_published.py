@@ -12,7 +12,7 @@ import pytest
 
 from jointid.models.joints import FlexibleJoint
 from jointid.models.position_forces import Motion
-from jointid.paper.errata import ERRATA, markdown
+from jointid.paper.errata import ERRATA, format_errata
 from jointid.paper.published import EXPERIMENT, REGRESSOR, SYMBOLS, TABLES, PublishedTable
 from jointid.paper.recomputed import (
     METHODS,
@@ -364,5 +364,5 @@ def test_there_is_one_erratum_for_every_finding() -> None:
 
 
 def test_the_page_is_the_list() -> None:
-    """Write it anew with `jointid.paper.errata.markdown()` after the mark when this fails."""
-    assert PAGE.read_text(encoding="utf-8").partition("<!-- errata -->\n\n")[2] == markdown()
+    """Write it anew with `jointid.paper.errata.format_errata()` after the mark when this fails."""
+    assert PAGE.read_text(encoding="utf-8").partition("<!-- errata -->\n\n")[2] == format_errata()

@@ -31,9 +31,8 @@ from jointid.simulation.excitation import trapezoids
 from jointid.simulation.synthesis import simulated_record
 from jointid.tuning.interval import ellipsoid_radius, lowest_mode, possible_joints
 from jointid.tuning.margins import NAMES, joint_set
-from jointid.tuning.minimum_detectable_change import compute_minimum_detectable_change
 from jointid.tuning.proposals import Tuning, with_gains
-from jointid.tuning.tune import tune
+from jointid.tuning.tune import compute_minimum_detectable_change, tune
 from jointid.tuning.tuned import Tuned
 from jointid.uncertainty.verdict import Reason, Status, StiffnessBound, Subject, Verdict
 from studies.margins import random_drive, true_margins
@@ -404,5 +403,5 @@ def test_a_model_or_a_loop_in_doubt_is_said_before_its_gains_are_used(estimate: 
 
 def test_a_ripple_that_is_left_out_is_said(estimate: Estimate) -> None:
     rippled = replace(estimate.settings.joint, ripple=PositionHarmonics(0.02))
-    said = tune(amended(estimate, settings={"joint": rippled}), Tuning(notch=False)).notes
+    said = tune(amended(estimate, settings={"system": rippled}), Tuning(notch=False)).notes
     assert "the ripple over the position is left out of the loop and of the feed-forward" in said

@@ -29,9 +29,8 @@ import jointid as ji
 from jointid.apps.cli import main
 from jointid.apps.web import worker
 from jointid.campaigns.campaign_file import load_campaign
-from jointid.campaigns.export import export_rows
 from jointid.campaigns.folder import Results
-from jointid.campaigns.report import CampaignReport
+from jointid.campaigns.report import CampaignReport, export_rows
 from jointid.campaigns.run_case import run_case
 from jointid.config import load_joint
 from jointid.diagnostics.report_data import collect_report_data as collect
@@ -553,7 +552,7 @@ def _robot(answer: Json) -> Json:
         _name(name): {"value": number(row["value"]), "std": number(row["std"]), "unit": row["unit"]}
         for name, row in answer["parameters"].items()
     }
-    left = {key: numbers(answer[key]) for key in ("left", "nominal_left")}
+    left = {key: numbers(answer["robot"][key]) for key in ("left", "nominal_left")}
     return {"parameters": rows, "converged": answer["converged"], **left}
 
 
@@ -589,7 +588,7 @@ def campaign(folder: Path, name: str, tables: Json) -> Json:
     write_toml(path, tables)
     rows = tuple(run_case(one) for one in load_campaign(path).cases())
     export_rows(rows, table)
-    report = CampaignReport(Results(name, len(rows), rows, ())).document(details=True)
+    report = CampaignReport(Results(name, len(rows), rows, ())).to_document(details=True)
     with table.open(encoding="utf-8", newline="") as file:
         return {"rows": [_campaign_row(row) for row in csv.DictReader(file)], "report": text(report.markdown())}
 

@@ -188,12 +188,12 @@ class Documented(ABC):
     __slots__ = ()
 
     @abstractmethod
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return the result as a document, with `details` on demand."""
 
     def summary(self, *, details: bool = False) -> str:
         """Return the document as text."""
-        return self.document(details=details).text()
+        return self.to_document(details=details).text()
 
     def __str__(self) -> str:
         """Summarise the result in the encoding of the standard output."""
@@ -206,7 +206,7 @@ class Documented(ABC):
 
     def _repr_html_(self) -> str:
         """Render the sentence and a shortened document for a notebook."""
-        return notebook_html(self.document(), self.sentence)
+        return notebook_html(self.to_document(), self.sentence)
 
 
 def notebook_html(document: Document, sentence: str = "") -> str:

@@ -95,7 +95,7 @@ class MethodComparison(Documented):
                     rows.setdefault(p.name, {"unit": p.unit}).update({name: p.value, f"{name} stderr": p.stderr})
         return data_frame(rows, "parameter")
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return the table, the channels of each method, and the disagreements; there are no further details."""
         del details
         found = self.estimates
@@ -133,14 +133,6 @@ def compare_methods(
     progress: Progress = ignore_progress,
 ) -> MethodComparison:
     """Identify a joint by every method that the record and the model allow.
-
-    Args:
-        record: to identify from.
-        model: the loop (joint and controller), or the joint alone when the controller is not known.
-        filtering: of every method; see `Filtering`.
-        parameters: changes to the joint's parameters by name; with the other friction law, those that it has too.
-        didim: settings of DIDIM.
-        progress: called with each method's name.
 
     Raises:
         RecordError: the record contradicts its description; a method that lacks a channel is part of the result.

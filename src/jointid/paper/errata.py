@@ -23,7 +23,7 @@ from jointid.paper.recomputed import (
     find_misprints,
     find_wrong_entries,
     format_as_print,
-    format_recomputed,
+    format_digits,
     recompute_cells,
     stops,
     sum_sides,
@@ -100,7 +100,7 @@ def _check_relative_errors() -> Erratum:
         )
 
     ways = "; ".join(
-        f"{words} {list_cells({cell: format_recomputed(values[way]) for cell, values in found.items()})} %"
+        f"{words} {list_cells({cell: format_digits(values[way]) for cell, values in found.items()})} %"
         for way, words in enumerate(DENOMINATORS.values())
     )
     first, second = zip(table.columns, ("motor_inertia", "motor_viscous"), strict=True)
@@ -141,7 +141,7 @@ def _check_relative_deviations() -> Erratum:
         f"A relative deviation beside every 2 sigma; {printed} % for {SYMBOLS[cell[1]]} of Table {table.number}.",
         f"Of {len(cells)}, {ways.count((True, True))} follow rounded and cut alike, {ways.count((True, False))} only "
         f"rounded, {ways.count((False, True))} only cut, and {ways.count((False, False))} neither way: 2 sigma = "
-        f"{two_sigma} of {value} is {format_recomputed(recompute_cells(table)[cell][0])} %; {printed} % would need "
+        f"{two_sigma} of {value} is {format_digits(recompute_cells(table)[cell][0])} %; {printed} % would need "
         f"2 sigma = {printed * value / 50:.2f}.",
         "Computes the percentage from the deviation.",
     )
@@ -284,7 +284,7 @@ ERRATA: tuple[Erratum, ...] = (
 """Every finding."""
 
 
-def markdown() -> str:
+def format_errata() -> str:
     """Format the findings as the sections of `docs/paper-errata.md`."""
 
     def section(place: int, erratum: Erratum) -> str:

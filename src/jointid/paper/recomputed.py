@@ -121,11 +121,11 @@ def find_misprints(table: PublishedTable) -> tuple[Cell, ...]:
     return tuple(
         (column, name)
         for (column, name), candidates in recompute_cells(table).items()
-        if not any(_follows(table.cell((column, name)), candidate) for candidate in candidates)
+        if not any(_matches_print(table.cell((column, name)), candidate) for candidate in candidates)
     )
 
 
-def _follows(printed: Decimal, recomputed: Decimal) -> bool:
+def _matches_print(printed: Decimal, recomputed: Decimal) -> bool:
     if agrees(printed, recomputed) or agrees(printed, recomputed, ROUND_DOWN):
         return True
     whole = printed.to_integral_value()
@@ -190,7 +190,7 @@ def format_as_print(value: Decimal) -> str:
     return f"{value:f}" if exponent <= 0 else f"{value.scaleb(-exponent - 1)}e{exponent + 1}"
 
 
-def format_recomputed(value: Decimal) -> str:
+def format_digits(value: Decimal) -> str:
     """Format a recomputed number with three significant digits."""
     return number(float(value), 3)
 
@@ -204,14 +204,12 @@ def compare_table(table: PublishedTable) -> TableComparison:
     elif table.number == 7:
         recomputed = tuple(f"{test}, {words}" for words in DENOMINATORS.values() for test in printed)
         texts = {
-            name: tuple(
-                format_recomputed(found[test, name][way]) for way in range(len(DENOMINATORS)) for test in printed
-            )
+            name: tuple(format_digits(found[test, name][way]) for way in range(len(DENOMINATORS)) for test in printed)
             for name in table.rows
         }
     else:
         printed, recomputed = ("value", "2 sigma", "%"), ("value", "%")
-        texts = {name: ("-", format_recomputed(found["relative_percent", name][0])) for name in table.rows}
+        texts = {name: ("-", format_digits(found["relative_percent", name][0])) for name in table.rows}
     units = dict.fromkeys(table.rows, "%") if table.number == 7 else _UNITS
     rows = tuple(
         ComparisonRow(name, f"{SYMBOLS[name]} ({units[name]})", _format_cells(numbers), texts[name])

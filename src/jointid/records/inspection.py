@@ -80,7 +80,7 @@ class Inspection(Charted, Documented):
     scalars: Mapping[str, float]
     passed: Mapping[str, str]
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Table of channels, scalars, skipped content and clocks.
 
         Only the first 1,000 channels are listed.

@@ -185,7 +185,7 @@ class Bootstrap(Documented):
         """Percentile intervals, (free, 2)."""
         return np.asarray(np.quantile(self.draws, [0.5 - 0.5 * self.level, 0.5 + 0.5 * self.level], axis=0).T)
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Table of the intervals."""
         del details
         rows = tuple(

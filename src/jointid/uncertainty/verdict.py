@@ -75,6 +75,7 @@ class Reason(StrEnum):
     ONLY_SUMS = "only_sums"
     NONE_AT_BOUND = "none_at_bound"
     AT_BOUND = "at_bound"
+    FRICTION_NEGATIVE = "friction_negative"
     STIFFNESS_SHOWN = "stiffness_shown"
     STIFFNESS_NOT_SHOWN = "stiffness_not_shown"
     LOOP_AS_DECLARED = "loop_as_declared"
@@ -191,6 +192,31 @@ def bounds_verdict(touched: Sequence[str]) -> Verdict:
     said = f"{', '.join(touched)} at a bound, where it does not follow the record"
     clause = f"{join(touched)} at {'its bound' if len(touched) == 1 else 'their bounds'}"
     return _judge(Subject.BOUNDS, False, Reason.AT_BOUND, said, {"parameters": list(touched)}, clause)
+
+
+def axes_verdict(errors: Mapping[str, float]) -> Verdict:
+    """Verdict on the share of each axis's torque that the model explains."""
+    worst = max(errors, key=lambda axis: errors[axis])
+    values = {"remaining": dict(errors)}
+    if errors[worst] <= POOR_FIT:
+        said = f"at most {100 * errors[worst]:.2f} % of the filtered torque of an axis remains, of {worst}"
+        return _judge(Subject.FIT, True, Reason.TORQUE_EXPLAINED, said, values)
+    bad = join([axis for axis, left in errors.items() if not left <= POOR_FIT])
+    said = f"more than {100 * POOR_FIT:.0f} % of the filtered torque of {bad} remains, more than a right model leaves"
+    return _judge(Subject.FIT, False, Reason.TORQUE_UNEXPLAINED, said, values)
+
+
+def friction_verdict(axes: Sequence[str]) -> Verdict:
+    """Verdict for axes whose friction is negative by more than its interval."""
+    said = f"the friction of {join(axes)} is negative: check the signs of torque, motor position and gear"
+    return _judge(Subject.BOUNDS, False, Reason.FRICTION_NEGATIVE, said, {"parameters": list(axes)})
+
+
+def springs_verdict(refused: Sequence[str]) -> Verdict:
+    """Verdict on the springs of a robot; `refused` has a sentence for each that the record does not show."""
+    if not refused:
+        return _judge(Subject.STIFFNESS, True, Reason.STIFFNESS_SHOWN, "the record shows every spring")
+    return _judge(Subject.STIFFNESS, False, Reason.STIFFNESS_NOT_SHOWN, "; ".join(refused))
 
 
 def skip_test(subject: Subject, why: str) -> Verdict:

@@ -61,9 +61,9 @@ def run(*words: str | Path) -> None:
 def test_identify(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run("identify", folder / "robot.toml", "--json", tmp_path / "found.json", "--details")
     printed = capsys.readouterr().out
-    assert printed.startswith("arm: 40 base parameters of 6 joints") and "Izz1 is Izz1 + " in printed
+    assert printed.startswith("arm: 58 parameters of 6 joints") and "Izz1 is Izz1 + " in printed
     answer = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
-    assert answer["schema"] == "jointid.robot_estimate/1" and len(answer["parameters"]) == 58
+    assert answer["schema"] == "jointid.estimate/1" and answer["model"] == "robot" and len(answer["parameters"]) == 58
     assert answer["parameters"]["Fv2"]["value"] == pytest.approx(8.0, rel=0.01)
     run("identify", folder / "robot.toml", "--record", folder / "two.csv", "--set", "method.estimator=ols")
     assert "ordinary least squares" in capsys.readouterr().out

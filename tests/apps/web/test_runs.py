@@ -152,7 +152,7 @@ def test_a_plan_that_is_refused_or_cancelled_leaves_the_answer(finished: tuple[A
     assert run.status["state"] == "done"
     assert 'value="initial_position"' not in asker.get(f"/runs/{run.number}")  # is no goal
     run.update(state="planning", before="done")
-    asker.folder.close_interrupted()  # an earlier page was killed
+    asker.folder.finish_interrupted_runs()  # an earlier page was killed
     assert run.status["state"] == "done"
 
 

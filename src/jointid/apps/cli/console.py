@@ -144,7 +144,7 @@ def show(result: object = "", *, details: bool = False) -> None:
     if isinstance(result, Documented) and sys.stdout.isatty():
         from jointid.apps.cli.terminal import print_document
 
-        print_document(result.document(details=details))
+        print_document(result.to_document(details=details))
         return
     text = result.summary(details=details) if isinstance(result, Documented) else str(result)
     print(printable(text))  # noqa: T201

@@ -246,7 +246,7 @@ def _design_robot(
     if out is not None:
         make_folder(out, "--out")
         file.write(found.records(), out / "motion.csv")
-        write_whole(out / "design.md", found.document().markdown())
+        write_whole(out / "design.md", found.to_document().markdown())
         show(f"\nWritten to {out}: motion.csv, design.md")
 
 

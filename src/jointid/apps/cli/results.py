@@ -308,10 +308,10 @@ def export(
 def _export_robot(file: RobotFile, out: Path) -> None:
     """Identify a robot, and write bodies that fit, as URDF or MJCF."""
     from jointid.output.export.robot_model import write_robot
-    from jointid.robots import RobotEstimate, consistent_robot
+    from jointid.robots import consistent_robot
 
     estimate = file.identify(file.record())
-    if not (estimate.converged if isinstance(estimate, RobotEstimate) else estimate.fit.converged):
+    if not estimate.fit.converged:
         raise MethodError(
             "The search did not settle, so there is nothing to export; identify the robot to see what it leaves, or "
             "allow more by method.iterations, of springs method.evaluations."

@@ -233,15 +233,15 @@ def reproduce(*, out: Path = Path("jointid-reproduction"), seed: int = 1, quiet:
     from jointid.output.figures import torque_chart
     from jointid.output.figures.matplotlib_backend import png
     from jointid.output.report.page import require_extra, save
+    from jointid.paper.reproduce import report_reproduction
     from jointid.paper.reproduce import reproduce as run
-    from jointid.paper.reproduce import reproduction_document
 
     require_extra(plots=False)
     Outputs(folders={"--out": out})
     with fresh_folder(out, "--out"):
         ready(listen(quiet))
         found = run(seed, listen(quiet))
-        written = save(reproduction_document(found, lambda answer: png(torque_chart(answer), 100)), out, "reproduction")
+        written = save(report_reproduction(found, lambda answer: png(torque_chart(answer), 100)), out, "reproduction")
     didim, best = found.first.didim, found.first.best
     for name in ("motor_inertia", "load_inertia", "stiffness"):
         value, std, truth = best.values[name], best[name].stderr or 0.0, found.first.axis.truth[name]

@@ -287,7 +287,7 @@ def build_closed_loop_result(
         settings=Settings(
             "didim",
             variant,
-            joint=problem.joint,
+            system=problem.joint,
             loop=problem.loop_at(x),
             filtering=problem.filtering,
             delay=values.get("delay", problem.experiment.law.delay),
@@ -386,7 +386,7 @@ def build_prescribed_result(
         fit=fit,
         checks=Checks(warnings=warnings),
         data=build_data(record, channels, problem.sample_time),
-        settings=Settings(*method, joint=problem.joint, loop=None, filtering=problem.filtering, delay=delay),
+        settings=Settings(*method, system=problem.joint, loop=None, filtering=problem.filtering, delay=delay),
     )
 
 

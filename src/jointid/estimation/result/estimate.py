@@ -129,7 +129,8 @@ class Estimate(EstimateParts, Documented):
 
     def __repr__(self) -> str:
         """Return model, method and answer: one line, or two."""
-        return f"<Estimate of a {self.settings.joint.model} joint by {self.settings.method}: {self.answer}>"
+        of = "robot" if self.robot is not None else f"{self.settings.joint.model} joint"
+        return f"<Estimate of a {of} by {self.settings.method}: {self.answer}>"
 
     @property
     def identified(self) -> IdentifiedJoint:
@@ -151,7 +152,7 @@ class Estimate(EstimateParts, Documented):
             data.record, data.fingerprint, law, settings.effects,
         )  # fmt: skip
 
-    def document(self, *, details: bool = False) -> Document:
+    def to_document(self, *, details: bool = False) -> Document:
         """Return the estimate as a document: table, combinations, errors, verdicts that did not pass, and warnings.
 
         Args:
@@ -207,16 +208,21 @@ class Estimate(EstimateParts, Documented):
 
         return jointid.figures.Plots(self)
 
-    def report(self, record: Record, *, name: str = "", profiles: Sequence[str] | None = None) -> jointid.Report:
-        """Return the report: one page with figures, see `jointid.Report.of`.
+    def report(
+        self, record: Record | Sequence[Record], *, name: str = "", profiles: Sequence[str] | None = None
+    ) -> jointid.Report | jointid.robots.RobotReport:
+        """Return the report: one page with figures, see `jointid.Report.of` and `jointid.robots.RobotReport.of`.
 
         Args:
-            record: that it was identified from.
+            record: that it was identified from; of a robot the record of each joint.
             name: of the joint, for the title.
             profiles: quantities whose criterion is followed; all free parameters when None, none when empty.
         """
         import jointid
 
+        if isinstance(record, Sequence):
+            return jointid.robots.RobotReport.of(self, record)
+        self.require_joint()
         return jointid.Report.of(self, record, name=name, profiles=profiles)
 
 

@@ -100,9 +100,9 @@ class RobotDriveSideProblem(RobotProblem[RobotDriveSideRun]):
         del keep
         return run_drive_side(self.prescribed, numbers)
 
-    def error(self, run: RobotDriveSideRun) -> FloatArray:
-        """Return the filtered error of a run, measured less predicted, (rows,), not weighted."""
-        return self.decimated(self.measured - self.seen(run, run.torque))
+    def predicted(self, run: RobotDriveSideRun) -> FloatArray:
+        """Return the torque of a run as the log shows it, (samples, n)."""
+        return self.seen(run, run.torque)
 
     def error_of(self, numbers: RobotNumbers) -> FloatArray | None:
         """Return the filtered error of a robot with these numbers, (rows,); None if it cannot be simulated.

@@ -82,8 +82,12 @@ class RobotProblem(ABC, Generic[Run]):
         """Simulate a robot, and keep what its derivatives need."""
 
     @abstractmethod
+    def predicted(self, run: Run) -> FloatArray:
+        """Return the torque of a run as the log shows it, (samples, n)."""
+
     def error(self, run: Run) -> FloatArray:
-        """Return the filtered error of a run, measured less simulated, (rows,), not weighted."""
+        """Return the filtered error of a run, measured less predicted, (rows,), not weighted."""
+        return self.decimated(self.measured - self.predicted(run))
 
     @abstractmethod
     def slopes(self, run: Run, x: FloatArray) -> FloatArray:
@@ -265,9 +269,9 @@ class RobotLoopProblem(RobotProblem[RobotRun]):
         """Return the problem simulated in steps twice as long."""
         return replace(self, stride=COARSE)
 
-    def error(self, run: RobotRun) -> FloatArray:
-        """Return the filtered error of a run, measured less simulated, (rows,), not weighted."""
-        return self.decimated(self.measured - run.torque)
+    def predicted(self, run: RobotRun) -> FloatArray:
+        """Return the torque of a run, (samples, n)."""
+        return run.torque
 
     def slopes(self, run: RobotRun, x: FloatArray) -> FloatArray:
         """Return the derivatives of a run's filtered torques by what is searched, (rows, free), not weighted."""

@@ -14,8 +14,7 @@ from jointid.diagnostics.report_data import Spectra, estimate_spectra
 from jointid.diagnostics.robots.diagnose import FeedForwardName, RobotDiagnosis, diagnose_robot
 from jointid.diagnostics.robots.parameters import ParameterOfJoint, Told
 from jointid.diagnostics.robots.validation import RobotValidation
-from jointid.estimation.robots.idim import RobotEstimate
-from jointid.estimation.robots.torque_estimate import RobotTorqueEstimate
+from jointid.estimation.result.estimate import Estimate
 from jointid.models.controllers import Controller
 from jointid.models.robots.robot import Robot
 from jointid.output.figures.charts import AxisSignals, residual_chart, spectra_chart, torques_chart
@@ -38,7 +37,7 @@ class RobotReport(Pages):
         repetition: what it takes to do it again, where the files are known.
     """
 
-    estimate: RobotEstimate | RobotTorqueEstimate
+    estimate: Estimate
     diagnosis: RobotDiagnosis
     validation: RobotValidation | None = None
     repetition: Repetition = field(default_factory=Repetition)
@@ -46,7 +45,7 @@ class RobotReport(Pages):
     @classmethod
     def of(
         cls,
-        estimate: RobotEstimate | RobotTorqueEstimate,
+        estimate: Estimate,
         records: Sequence[Record],
         controllers: Sequence[Controller | None] = (),
         validation: RobotValidation | None = None,
@@ -73,7 +72,7 @@ class RobotReport(Pages):
     @property
     def robot(self) -> Robot:
         """The nominal robot."""
-        return self.estimate.robot
+        return self.estimate.require_robot().model
 
     @property
     def title(self) -> str:
@@ -95,12 +94,12 @@ class RobotReport(Pages):
 
     def _blocks(self, *, interactive: bool) -> Iterable[Block]:
         picture = pictures_of(self.charts, interactive=interactive)
-        tests = () if self.validation is None else self.validation.document().blocks[1:]
+        tests = () if self.validation is None else self.validation.to_document().blocks[1:]
         return (
             Heading("Result"),
             *self._result(),
             Heading("Joints"),
-            *self.diagnosis.document().blocks[1:],
+            *self.diagnosis.to_document().blocks[1:],
             Heading("Parameters"),
             *_parameters(self.diagnosis),
             Heading("Torque"),
@@ -122,7 +121,7 @@ class RobotReport(Pages):
         """Yield the verdict, what it rests on, and how the robot was identified."""
         estimate, found = self.estimate, self.diagnosis
         if self.validation is not None:
-            yield self.validation.document().blocks[0]
+            yield self.validation.to_document().blocks[0]
             yield Paragraph(found.answer)
         else:
             yield Paragraph(found.answer, lead=True, tone="open" if found.explained else "bad")
@@ -130,12 +129,12 @@ class RobotReport(Pages):
                 "It was not held against a record that it has not seen, so nothing says yet that it predicts better "
                 "than the model did: --held-out RECORD does it."
             )
-        yield from (b for b in estimate.document().blocks if isinstance(b, Paragraph))
+        yield from (b for b in estimate.to_document().blocks if isinstance(b, Paragraph))
         yield Paragraph("Numbers after ± are two standard deviations. All of them are behind the gears.")
 
     def _settings(self) -> Iterator[Block]:
-        estimate, filtering, repeated = self.estimate, self.estimate.filtering, self.repetition
-        yield from (b for b in estimate.document().blocks if isinstance(b, Facts))
+        estimate, filtering, repeated = self.estimate, self.estimate.settings.filtering, self.repetition
+        yield from (b for b in estimate.to_document().blocks if isinstance(b, Facts))
         yield Facts(
             (
                 ("filter", f"up to {number(filtering.cutoff, 4)} Hz, one sample in {filtering.decimation} kept"),

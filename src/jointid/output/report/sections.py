@@ -61,7 +61,7 @@ def report_blocks(
         *(
             []
             if design is None
-            else [Heading("The next test in full"), *design.document().blocks[1:], *picture("test")]
+            else [Heading("The next test in full"), *design.to_document().blocks[1:], *picture("test")]
         ),
         *_settings(given, repetition),
     )
@@ -113,7 +113,7 @@ def _settings(given: ReportData, repetition: Repetition) -> list[Block]:
 
 def _tuning(tuned: Tuned, picture: Callable[[str], list[Block]]) -> list[Block]:
     """Return margins, gains, feed-forward and notes, all of them, and the responses."""
-    blocks = (replace(block, level=3) if isinstance(block, Heading) else block for block in tuned.document().blocks)
+    blocks = (replace(block, level=3) if isinstance(block, Heading) else block for block in tuned.to_document().blocks)
     return [Heading("Tuning in full"), *blocks, *picture("tuning")]
 
 

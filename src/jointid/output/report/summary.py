@@ -64,7 +64,7 @@ def summary_blocks(
     if design is not None:
         yield Heading("The next test")
         yield Paragraph(design.sentence)
-        yield design.document().blocks[0]
+        yield design.to_document().blocks[0]
 
 
 def _source(estimate: Estimate) -> str:
