@@ -13,8 +13,8 @@ from jointid.controller_id.columns import coefficient_columns, columns
 from jointid.controller_id.fitting import Task
 from jointid.controller_id.loop_record import prepare_loop_record
 from jointid.controller_id.noise import position_error, position_response
+from jointid.controller_id.ranking import start_law
 from jointid.controller_id.regression import RegressionFit, initial_weighting, law_numbers, regression
-from jointid.controller_id.screening import start_law
 from jointid.controller_id.structure_moves import canonical, list_laws, list_neighbours, list_simpler
 from jointid.controller_id.structures import LATE, RATES, SLOWER, Structure
 from jointid.models.controllers import INPUTS, PD, POSITION, Cascade, FirstOrder, SecondOrder, run

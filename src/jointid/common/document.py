@@ -276,7 +276,6 @@ def _verdict_text(asked: str, good: bool | None, reasons: Sequence[str], width: 
 
 
 def _table_text(block: Table, width: int) -> str:
-    """Render a table; wide rows continue below, indented."""
     table = [block.header, *block.rows]
     widths = [max(len(row[i]) for row in table) for i in range(len(block.header))]
     parts, taken = [[0]], widths[0]

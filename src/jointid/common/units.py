@@ -85,7 +85,6 @@ def unit(name: str) -> Unit:
 
 
 def _known_instead(name: str) -> str:
-    """List known units as alternatives."""
     meant = nearest(name, _UNITS)
     return f"expected one of {', '.join(_UNITS)}" if meant is None else f'write "{meant}" if that is meant'
 

@@ -104,7 +104,6 @@ def _check_residual(task: Task, best: FittedLaw, most: float) -> None:
 
 
 def _require_significant(task: Task, best: FittedLaw, known: Covariance) -> None:
-    """Refuse insignificant gains and filter constants."""
     open_ones = [
         f"{name} {value:.3g} +- {2 * std:.2g}"
         for (name, value), std in zip(best.numbers.items(), known.std, strict=True)

@@ -122,7 +122,6 @@ class LoopRecord:
 
 
 def _delay_samples(signals: FloatArray, samples: int) -> FloatArray:
-    """Delay signals, (samples, ...), holding their first value."""
     return np.concatenate([np.repeat(signals[:1], samples, axis=0), signals[: len(signals) - samples]])
 
 

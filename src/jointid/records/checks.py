@@ -143,7 +143,6 @@ def scale_faults(record: Record, ratio: float = 1.0) -> list[str]:
 
 
 def _magnitude_faults(name: str, channel: Channel) -> list[str]:
-    """Faults of values or times of implausible magnitude."""
     largest = float(np.max(np.abs(channel.values), initial=0.0))
     time = channel.sample_time
     if largest and not _NUMBERS[0] <= largest <= _NUMBERS[1]:
@@ -160,7 +159,6 @@ def _magnitude_faults(name: str, channel: Channel) -> list[str]:
 
 
 def _size_faults(name: str, position: Channel) -> list[str]:
-    """Faults of a position that moves too fast or too far."""
     if len(position) < 2:
         return []
     steps = np.abs(np.diff(position.values))
@@ -176,7 +174,6 @@ def _size_faults(name: str, position: Channel) -> list[str]:
 
 
 def _ratio_faults(name: str, channel: Channel, other_name: str, other: Channel, gear: float = 1.0) -> list[str]:
-    """Faults of two related signals that differ in sign or scale."""
     x, y = np.interp(channel.time, other.time, other.values), channel.values
     if np.ptp(x) == 0 or np.ptp(y) == 0:
         return []

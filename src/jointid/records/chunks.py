@@ -169,7 +169,6 @@ class InMemory:
 
 
 def _require_one_rate(record: Record) -> float:
-    """Return the sample time of all channels of a record."""
     times = {name: channel.sample_time for name, channel in record.items()}
     first = next(iter(times.values()))
     if not all(is_same_rate(time, first) for time in times.values()):

@@ -134,7 +134,6 @@ class RecordReader:
         return record
 
     def _clocks(self, table: Table, found: Mapping[str, Column], faults: list[str]) -> Clocks:
-        """Determine the clocks of the columns, and append faults."""
         time = self.time
         if time is None and self.sample_time is None and self.drive.traces is not None:
             time = self.drive.traces.time_column(table.columns)

@@ -171,7 +171,6 @@ def _find_beginning(first: float, held: list[Stamped], T: float) -> float:
 
 
 def _interpolate(one: Stamped, grid: FloatArray, method: str, T: float) -> FloatArray:
-    """Interpolate a channel at the instants of the grid."""
     stamps, values = one.stamps, one.channel.values
     if method == "hold":
         behind = np.searchsorted(stamps, grid + _ONE_INSTANT * T, side="right") - 1

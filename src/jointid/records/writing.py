@@ -255,7 +255,6 @@ def _read_columns(source: Path, columns: Sequence[str] | None, options: Mapping[
 
 
 def _choose_names(names: list[str], writer: Format) -> dict[str, str]:
-    """Choose unique legal names for all columns."""
     made = {name: name for name in names if writer.legal_name(name, names) == name}
     taken = set(made)
     for name in names:

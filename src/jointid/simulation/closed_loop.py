@@ -427,11 +427,10 @@ def simulate_many(
     loop: ClosedLoop,
     experiment: LoopInput,
     candidates: Sequence[Mapping[str, float]],
-    initial: Initial | None = None,
     workers: int | None = None,
 ) -> list[Response]:
     """Simulate many candidates in parallel threads, in order."""
-    return in_threads(lambda values: simulate_torque(loop, experiment, values, initial), candidates, workers)
+    return in_threads(lambda values: simulate_torque(loop, experiment, values), candidates, workers)
 
 
 def in_threads(function: Callable[[T], R], items: Sequence[T], workers: int | None = None) -> list[R]:

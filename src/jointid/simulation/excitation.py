@@ -95,9 +95,7 @@ def pulses(samples: int, sample_time: float, height: float, width: float, every:
     return signal
 
 
-def chirp(
-    samples: int, sample_time: float, amplitude: float, lowest: float, highest: float, *, rest: float = 0.0
-) -> FloatArray:
+def chirp(samples: int, sample_time: float, amplitude: float, lowest: float, highest: float) -> FloatArray:
     """Sine with logarithmic frequency sweep, which begins and ends at 0.
 
     Args:
@@ -106,7 +104,6 @@ def chirp(
         amplitude: of the sine.
         lowest: frequency at the beginning, Hz.
         highest: at the end, Hz.
-        rest: seconds without it at the beginning and at the end.
 
     Returns:
         Shape (samples,).
@@ -115,20 +112,17 @@ def chirp(
         MethodError: the frequencies are not positive and rising, or the highest is no signal of that sample time.
     """
     _require_band(lowest, highest, sample_time)
-    signal, quiet = np.zeros(samples), round(rest / sample_time)
-    count = samples - 2 * quiet
-    if count < 2:
-        return signal
-    time, length = np.arange(count) * sample_time, count * sample_time
+    if samples < 2:
+        return np.zeros(samples)
+    time, length = np.arange(samples) * sample_time, samples * sample_time
     grows = math.log(highest / lowest) or 1e-12
     turns = lowest * length / grows * np.expm1(grows * time / length)
     # It fades in and out over a period each, so that no step rings the joint.
     into, out = (
         np.clip(at * sample_time * f, 0.0, 1.0)
-        for at, f in ((np.arange(count), lowest), (np.arange(count)[::-1], highest))
+        for at, f in ((np.arange(samples), lowest), (np.arange(samples)[::-1], highest))
     )
-    signal[quiet : quiet + count] = amplitude * into * out * np.sin(2 * math.pi * turns)
-    return signal
+    return np.asarray(amplitude * into * out * np.sin(2 * math.pi * turns))
 
 
 def multisine(
@@ -140,9 +134,8 @@ def multisine(
     *,
     lines: int = 20,
     tilt: float = 0.0,
-    period: float | None = None,
 ) -> FloatArray:
-    """Sum of sines at harmonics of one period, with Schroeder's phases.
+    """Sum of sines at harmonics of the whole length, with Schroeder's phases.
 
     Args:
         samples: how many.
@@ -153,7 +146,6 @@ def multisine(
         lines: how many frequencies at most, evenly apart on a logarithmic scale.
         tilt: exponent of the frequency by which the amplitudes of the sines fall: 0 all alike, 2 those of a position
             whose accelerations are alike.
-        period: seconds after which it repeats; the whole length when None.
 
     Returns:
         Shape (samples,), beginning and ending at 0.
@@ -162,15 +154,12 @@ def multisine(
         MethodError: see `chirp`.
     """
     _require_band(lowest, highest, sample_time)
-    length = period or samples * sample_time
+    length = samples * sample_time
     wanted = np.geomspace(max(lowest, 1 / length), highest, max(lines, 1))
     harmonics = np.unique(np.maximum(np.round(wanted * length), 1.0))
     frequencies = harmonics / length
     sizes = frequencies**-tilt
-    shares = sizes**2 / np.sum(sizes**2)
-    phases = -2 * math.pi * np.cumsum(np.cumsum(shares) - shares) if harmonics.size > 1 else np.zeros(1)
-    time = np.arange(samples) * sample_time
-    signal = np.sin(2 * math.pi * np.outer(time, frequencies) + phases) @ sizes
+    signal = _sum_sines(samples, sample_time, frequencies, sizes)
     signal = (signal - signal[0]) * _ramp_ends(samples, min(1 / lowest, 0.1 * length) / sample_time)
     largest = float(np.max(np.abs(signal)))
     return np.asarray(amplitude * signal / largest) if largest > 0 else signal
@@ -190,11 +179,7 @@ def sines(samples: int, sample_time: float, frequencies: Sequence[float], amplit
     """
     f, sizes = np.asarray(frequencies, dtype=np.float64), np.asarray(amplitudes, dtype=np.float64)
     _require_band(float(f.min()), float(f.max()), sample_time)
-    shares = sizes**2 / np.sum(sizes**2)
-    phases = -2 * math.pi * np.cumsum(np.cumsum(shares) - shares)
-    time = np.arange(samples) * sample_time
-    faded = _ramp_ends(samples, 1 / (float(f.min()) * sample_time))
-    return np.asarray(faded * (np.sin(2 * math.pi * np.outer(time, f) + phases) @ sizes))
+    return _ramp_ends(samples, 1 / (float(f.min()) * sample_time)) * _sum_sines(samples, sample_time, f, sizes)
 
 
 def fourier_series(
@@ -237,6 +222,13 @@ def smooth(reference: FloatArray, sample_time: float, seconds: float) -> FloatAr
     padded = np.concatenate([np.full(width - 1, reference[0]), reference])
     summed = np.cumsum(np.concatenate([[0.0], padded]))
     return np.asarray((summed[width:] - summed[:-width]) / width)
+
+
+def _sum_sines(samples: int, sample_time: float, frequencies: FloatArray, sizes: FloatArray) -> FloatArray:
+    shares = sizes**2 / np.sum(sizes**2)
+    schroeder = -2 * math.pi * np.cumsum(np.cumsum(shares) - shares)
+    time = np.arange(samples) * sample_time
+    return np.asarray(np.sin(2 * math.pi * np.outer(time, frequencies) + schroeder) @ sizes)
 
 
 def _ramp_ends(samples: int, over: float) -> FloatArray:

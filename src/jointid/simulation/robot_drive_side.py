@@ -133,13 +133,10 @@ class RobotDriveSideRun:
     tape: RobotTape
 
 
-def run_drive_side(prescribed: MotorMotion, numbers: RobotNumbers, steps: int | None = None) -> RobotDriveSideRun:
+def run_drive_side(prescribed: MotorMotion, numbers: RobotNumbers) -> RobotDriveSideRun:
     """Simulate the links under a prescribed motion of the motors; never raises for a candidate's sake: see its outcome.
 
-    Args:
-        prescribed: the motors' motion.
-        numbers: of the candidate.
-        steps: of the integrator per part; None takes as many as keep the fastest motion below 0.5 rad a step.
+    The integrator takes as many steps as keep the fastest motion below 0.5 rad a step.
     """
     from jointid.simulation.kernels import robot_loop
 
@@ -149,7 +146,7 @@ def run_drive_side(prescribed: MotorMotion, numbers: RobotNumbers, steps: int | 
     outcome, tape = RobotOutcome.INVALID, RobotTape.empty(0, 0, moved.bodies)
     if numbers.possible:
         links = prescribed.position[:: max(len(prescribed.position) // 5, 1)]
-        taken = steps or choose_steps(prescribed.tree, links, prescribed.step, _with_heavy_motors(numbers, _HELD))
+        taken = choose_steps(prescribed.tree, links, prescribed.step, _with_heavy_motors(numbers, _HELD))
         outcome = RobotOutcome.FINISHED if taken <= _STEPS else RobotOutcome.TOO_STIFF
     if outcome is RobotOutcome.FINISHED:
         speeds, stiff = speeds_at_start(prescribed, numbers), np.full(n, -np.inf)
@@ -259,7 +256,6 @@ def _motion(prescribed: MotorMotion, numbers: RobotNumbers, tape: RobotTape) -> 
 
 
 def _torque(prescribed: MotorMotion, numbers: RobotNumbers, motion: MassMotion) -> FloatArray:
-    """Return the motors' torques along a motion, (parts, n)."""
     places = tuple(
         NumberPlace(of, int(row), int(column))
         for of in (NumberOf.LINK, NumberOf.MASS, NumberOf.SPRING)

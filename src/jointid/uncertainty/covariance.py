@@ -186,21 +186,17 @@ def by_spectrum(Z: FloatArray, J: FloatArray, error: FloatArray, series: Sequenc
     return covariance_of(matrix * np.outer(factor, factor), len(Z), norms)
 
 
-def stationary(Z: FloatArray, J: FloatArray, error: FloatArray, series: Sequence[int] | None = None) -> Covariance:
+def stationary(Z: FloatArray, J: FloatArray, error: FloatArray) -> Covariance:
     """Covariance that noise of the error's spectrum causes in given equations.
 
-    ``S = sum_f S(f) Z(f)' Z(f)*`` without correction for the fit. Arguments as for `sandwich`, in order of time. Each
-    series has its own periodogram, averaged over sqrt(rows) neighbours, without the mean.
+    ``S = sum_f S(f) Z(f)' Z(f)*`` without correction for the fit. Arguments as for `sandwich`, in order of time. The
+    periodogram is averaged over sqrt(rows) neighbours, without the mean.
     """
 
     def meat(Z: FloatArray, _: FloatArray, spread: FloatArray) -> FloatArray:
-        found = np.zeros_like(spread)
-        for part in _parts(len(Z), series):
-            columns = Z[part]
-            used = int(np.sum(np.any(columns != 0.0, axis=0)))
-            spectrum, both = smoothed_spectrum(error[part], max(len(columns) - used, 1))
-            found += sum_over_frequencies(columns, np.concatenate([spectrum[:1], both * spectrum])) / len(columns)
-        return found
+        used = int(np.sum(np.any(Z != 0.0, axis=0)))
+        spectrum, both = smoothed_spectrum(error, max(len(Z) - used, 1))
+        return sum_over_frequencies(Z, np.concatenate([spectrum[:1], both * spectrum])) / len(Z)
 
     return scaled_sandwich(Z, J, meat, len(Z))
 

@@ -332,7 +332,6 @@ def _dataset_columns(dataset: Member, name: str, matlab: bool) -> DatasetColumns
 
 
 def _unit(dataset: Member) -> str | None:
-    """Return the stated unit of a dataset."""
     for key in _UNITS:
         if key not in dataset.attrs or math.prod(dataset.attrs.get_id(key).shape or ()) != 1:
             continue

@@ -183,7 +183,6 @@ def _scan(contents: Contents) -> None:
 
 
 def _note_variable(contents: Contents, path: str, member: Member, deep: int) -> None:
-    """Note a variable, or all that is in a structure."""
     h5py = extra("h5py", "logs", "Reading MAT files of version 7.3")
     if isinstance(member, h5py.Dataset):
         if _matlab_class(member) in _NUMERIC_73 and "MATLAB_empty" not in member.attrs:
@@ -211,7 +210,6 @@ def _note_elements(contents: Contents, path: str, name: str, field: Member, deep
 
 
 def _matlab_class(member: Member) -> str:
-    """Return the class of a variable, "" without one."""
     key = "MATLAB_class"
     if key not in member.attrs or member.attrs.get_id(key).dtype.kind != "S":  # MATLAB's have a fixed length
         return ""

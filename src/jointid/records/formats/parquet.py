@@ -107,7 +107,6 @@ class Parquet:
 
 
 def _to_block(table: Table) -> Block:
-    """Wrap rows in memory as a block."""
     return Block(table.rows, partial(table.cut, 0))
 
 

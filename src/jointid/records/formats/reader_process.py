@@ -173,7 +173,6 @@ def _read_table(answers: IO[bytes], described: dict[str, Any]) -> Table:
 
 
 def _require_good(answer: dict[str, Any]) -> dict[str, Any]:
-    """Return an answer, or raise the error that it describes."""
     if (error := answer.get("error")) is None:
         return answer
     kind, faults = error["kind"], error["faults"]

@@ -161,7 +161,6 @@ def _bracket_unit(scope: Scope, column: int) -> str:
 
 
 def _check_step(file: str, time: FloatArray, stated: str, name: str) -> None:
-    """Check that a time column matches the channel's sample time."""
     try:
         expected = float(stated.replace(",", "."))
     except ValueError:
