@@ -229,19 +229,11 @@ def show_run(state: AppState, run: Run) -> Response:
     status = run.status
     answer = read_json(run.folder / "answer.json")
     texts = {name: run.folder / f"{name}.txt" for name in ("answer", "learned")}
-    checks = [
-        {
-            "question": Subject(verdict["subject"]).question,
-            "status": verdict["status"],
-            "reasons": [reason["words"] for reason in verdict["reasons"]],
-        }
-        for verdict in ([] if answer is None else answer["verdicts"])
-    ]
     return _render(
         "run", state, step=4 if answer is None else 5, run=run, status=status, lines=run.read_progress(), answer=answer,
         plan=read_json(run.folder / "plan.json"), goals=_list_goals(answer), no_goal=_say_no_goal(answer),
         elapsed=round(run.seconds), stamps=run.stamps, rows=[] if answer is None else _build_rows(answer),
-        checks=sorted(checks, key=lambda check: _ORDER.index(check["status"])),
+        checks=[] if answer is None else _build_checks(answer),
         runs=[(one, one.status) for one in state.folder.runs],
         texts={name: path.read_text(encoding="utf-8") if path.is_file() else "" for name, path in texts.items()},
     )  # fmt: skip
@@ -350,6 +342,19 @@ def _tell_value(p: Mapping[str, Any]) -> str:
     if p["std"] is None:
         return f"{number(p['value'])} {p['unit']}, {'-' if p['free'] else 'fixed'}"
     return f"{interval(p['value'], 2 * p['std'])} {p['unit']}"
+
+
+def _build_checks(answer: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the checks, those that did not pass first."""
+    checks = [
+        {
+            "question": Subject(verdict["subject"]).question,
+            "status": verdict["status"],
+            "reasons": [reason["words"] for reason in verdict["reasons"]],
+        }
+        for verdict in answer["verdicts"]
+    ]
+    return sorted(checks, key=lambda check: _ORDER.index(check["status"]))
 
 
 @cache
