@@ -165,7 +165,9 @@ def test_a_test_is_designed_without_a_record_from_limits_alone(monkeypatch: pyte
 
 def test_a_reference_stays_between_the_positions_that_are_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
     count_trials(monkeypatch)
-    loop = ClosedLoop(RigidJoint("revolute"), ji.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0))
+    loop = ClosedLoop(
+        RigidJoint("revolute"), ji.controller.Cascade(position_gain=40.0, velocity_gain=2.0, integral_gain=30.0)
+    )
     values = {"inertia": 0.04, "viscous": 0.05, "coulomb": 0.1, "offset": 0.02}
     limits = AxisLimits(lower=1.0, upper=2.5, speed=3.0, acceleration=20.0, torque=2.0)
     asked = {"values": values, "noise": Noise(log=0.02), "duration": 4.0, "sample_time": 1e-3, "limits": limits}
@@ -178,7 +180,7 @@ def test_a_reference_stays_between_the_positions_that_are_allowed(monkeypatch: p
 
 
 def test_what_is_of_a_joint_is_not_of_a_robot() -> None:
-    robot, one = ji.Robot((ji.Link("l", -1),), (ji.RobotJoint("j"),)), short_record()
+    robot, one = ji.Robot((ji.robots.Link("l", -1),), (ji.robots.RobotJoint("j"),)), short_record()
     for model, given, said in (
         (AXIS.loop, {"limits": [AxisLimits()]}, "The test of a joint has one record"),
         (AXIS.loop, {}, "has values and a noise"),
