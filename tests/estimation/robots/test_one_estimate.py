@@ -60,7 +60,7 @@ def test_checks_that_are_left_out_are_said() -> None:
 def test_a_controller_that_is_not_as_declared_speaks_against_a_robot() -> None:
     loop, records = logged()
     first, second = loop.controllers
-    wrong = replace(loop, controllers=(first, replace(second, torque_filters=(ji.filters.FirstOrder(0.02),))))
+    wrong = replace(loop, controllers=(first, replace(second, torque_filters=(ji.controller.FirstOrder(0.02),))))
     found = ji.identify(records, wrong)
     assert verdicts(found)[Subject.LOOP] is Status.FAILED
     assert found.answer.trust.code is Trust.NOT_YET
