@@ -102,7 +102,7 @@ def test_what_is_for_a_robot_refuses_a_joint_in_a_sentence() -> None:
     axis = ji.twin(noise="none")
     joint = ji.identify(axis.record, axis.loop.joint, checks=False)
     with pytest.raises(MethodError, match="needs the estimate of a robot"):
-        ji.consistent_robot(joint)
+        ji.robots.consistent_robot(joint)
 
 
 def test_a_robot_needs_a_record_of_each_joint() -> None:
