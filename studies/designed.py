@@ -134,8 +134,40 @@ def _test(path: str, sha256: str) -> ProposedTest:
 
 
 def judge(seed: int, loop: LoopName, noise: NoiseName, test: str, sha256: str) -> MadeTest:
+    """Make a kept test once, see `make_test`."""
+    return make_test(seed, loop, noise, _test(test, sha256))
+
+
+@dataclass(frozen=True, slots=True)
+class JudgedDesign:
+    """A designed test that was made once.
+
+    Attributes:
+        z: error of the goal, in predicted deviations.
+        share: predicted deviation of the goal, as a share of that by the first record.
+        over: by what the test passed a limit, as a share.
+    """
+
+    z: float
+    share: float
+    over: float
+
+
+def judge_design(seed: int, loop: LoopName, noise: NoiseName, goal: str, seconds: float) -> JudgedDesign:
+    """Design a test, once for each process, and make it once."""
+    test = _proposed(loop, noise, goal, seconds)
+    made = make_test(seed, loop, noise, test)
+    errors = dict(zip(test.values, made.errors, strict=True))
+    error = sum(weight * errors[name] for name, weight in test.weights.items())
+    return JudgedDesign(error / test.foretold, test.foretold / test.before, made.over)
+
+
+_proposed = lru_cache(maxsize=None)(propose)
+
+
+def make_test(seed: int, loop: LoopName, noise: NoiseName, asked: ProposedTest) -> MadeTest:
     """Make the test once, on a twin that is drawn from the first interval, and identify that by least squares."""
-    axis, asked = twin(loop, noise=noise), _test(test, sha256)
+    axis = twin(loop, noise=noise)
     reference, own = np.array(asked.reference), list(asked.values)
     rng = np.random.default_rng([seed, 20])
     drawn = rng.multivariate_normal(list(asked.values.values()), np.array(asked.covariance), method="eigh")

@@ -9,13 +9,16 @@ from jointid.paper.published import SYMBOLS
 from jointid.paper.twin import TABLE_2
 from jointid.tuning.margins import NAMES
 from studies.foretold import SUMS
+from studies.jitter import REMEDIES
 from studies.loop_faults import NOTHING
 from studies.margins import CHANGED, MarginRun
+from studies.mechanics import RIGHT
 from studies.random_plants import PlantRun
 from studies.refusals import FACTORS, INVISIBLE, PLAIN, StiffnessRun
 from studies.robots import Found
 from studies.stiffness_bounds import BoundRun
 from studies.study import Share, Study
+from studies.velocity_taps import TapsRun
 from tests.faults import FAULTS
 from tests.faults import PAIRS as FAULT_PAIRS
 from tests.mistakes import PAIRS, axis, mistakes_of, more_mistakes_of
@@ -124,6 +127,33 @@ def _mostly_within(z: Iterable[float]) -> bool:
     """Return whether at least 85 % of the parameters of a robot lie within two deviations."""
     inside = [abs(one) < 2 for one in z]
     return sum(inside) >= 0.85 * len(inside)
+
+
+def _silent(run: Any) -> bool:
+    """Return whether a stiffness may be relied on and is more than three deviations off."""
+    return run["z"] is not None and abs(run["z"]) > 3 and run["trust"].startswith("reliable")
+
+
+def _is_right(run: Any) -> bool:
+    """Return whether the fault is named first, or the stiffness holds in spite of it, or is refused."""
+    named = bool(run["named"]) and run["named"][0] in RIGHT[run["fault"]]
+    return named or run["z"] is None or abs(run["z"]) <= 2
+
+
+def _stiffness_within_2(run: Any) -> bool | None:
+    return None if run["z"] is None else abs(run["z"]) <= 2
+
+
+def _largest(name: str) -> Callable[[Any], float]:
+    return lambda run: max(map(abs, run[name].values()))
+
+
+def _remedied(run: Any) -> bool:
+    """Return whether a remedy does what the documentation says of it, for DIDIM and for IDIM."""
+    exact = run["remedy"] in ("taken as uniform", "cubic, reference held")
+    right = (run["remedy"] == "taken as uniform") == (run["late"] == "stamps")
+    didim, idim = _largest("didim")(run), _largest("idim")(run)
+    return (didim < 1e-6 if exact else 1e-3 < didim < 2e-2) and (idim < 1e-2 if right else idim > 5e-2)
 
 
 def _robots(kind: str, flexible: bool, seeds: range) -> Study:
@@ -436,6 +466,74 @@ STUDIES: tuple[Study, ...] = (
         range(10),
         (Share("the answer says that it moves", lambda run: all(run["moves"]), 0.97),),
         ({"moving": True},),
+    ),
+    Study(
+        "healthy",
+        "Flexible drives of wide variety, of up to 4 s, which are as declared.",
+        "studies.healthy:judge",
+        range(400, 412),
+        (
+            Share("a stiffness is stated", _is("given"), 0.9),
+            Share("K12 within 3 sigma", lambda run: abs(run["z"]["stiffness"]) <= 3 if run["given"] else None, 0.95),
+            Share("loop and log are not called faulty", lambda run: run["loop"] != "failed", 0.9),
+        ),
+        ({"longest": 4.0},),
+    ),
+    Study(
+        "mechanics",
+        "Drives whose mechanics are not the model, of up to 4 s, simulated by another hand.",
+        "studies.mechanics:judge",
+        range(102, 104),
+        (
+            Share("no wrong stiffness may be relied on", lambda run: not _silent(run), 0.95),
+            Share("the fault is named first, or the stiffness holds", _is_right, 0.8, tested=False),
+        ),
+        tuple(
+            {"fault": fault, "longest": 4.0}
+            for fault in ("backlash", "cubic spring", "second mode", "load-dependent friction", "cogging")
+        ),
+    ),
+    Study(
+        "own-law",
+        "The same drives, identified with the law that they have.",
+        "studies.mechanics:judge",
+        range(102, 104),
+        (Share("the stiffness within 2 sigma", _stiffness_within_2, 0.9),),
+        (
+            {"fault": "backlash", "spring": "backlash", "longest": 4.0},
+            {"fault": "cubic spring", "spring": "cubic", "longest": 4.0},
+            {"fault": "second mode", "spring": "elastic-load", "longest": 4.0},
+            {"fault": "presliding", "friction": "presliding", "longest": 4.0},
+        ),
+    ),
+    Study(
+        "designed",
+        "Tests for the stiffness, designed from a first record of the twin, and made.",
+        "studies.designed:judge_design",
+        range(10),
+        (
+            Share("K12 within 2 predicted deviations", _within("z"), 0.9),
+            Share("the test keeps the limits", lambda run: run["over"] <= 0, 0.98),
+            Share("the deviation is less than 60 % of the first record's", lambda run: run["share"] < 0.6, 0.95),
+        ),
+        tuple(
+            {"loop": "L19", "noise": noise, "goal": "stiffness", "seconds": 10.0} for noise in ("disturbance", "white")
+        ),
+    ),
+    Study(
+        "jitter",
+        "The twin, whose log is late by up to 30 % of the sample time.",
+        "studies.jitter:judge",
+        range(1, 3),
+        (Share("a remedy helps or harms as stated", _remedied, 0.98),),
+        tuple({"late": late, "share": 0.3, "remedy": remedy} for late in ("samples", "stamps") for remedy in REMEDIES),
+    ),
+    Study(
+        "velocity-taps",
+        "Controllers of random servos whose velocity is a weighted difference of up to eight positions.",
+        "studies.velocity_taps:judge",
+        range(130, 134),
+        (Share("the torque of the true law within 1 %, no feed-forward", lambda run: TapsRun(**run).right, 0.95),),
     ),
     _robots("rigid", False, range(12)),
     _robots("flexible", True, range(12)),

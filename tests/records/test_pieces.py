@@ -81,7 +81,7 @@ def test_a_row_that_is_no_cells_is_named_by_its_line(tmp_path: Path) -> None:
 
 
 def test_a_piece_is_a_cut_of_the_record(path: Path) -> None:
-    whole, log = read(path, CHANNELS, kind="prismatic"), Log(path, CHANNELS)
+    whole, log = read(path, CHANNELS), Log(path, CHANNELS)
     assert log.sample_time == pytest.approx(0.01)
     assert log.name == "day"
     pieces, same = list(log.chunks(20, 6)), list(InMemory(whole).chunks(20, 6))
@@ -107,7 +107,7 @@ def test_a_rest_that_is_in_the_piece_before_is_no_piece(tmp_path: Path, rows: in
     log = Log(made, CHANNELS, clock)
     for pieces in (
         list(log.chunks(20, overlap)),
-        list(InMemory(read(made, CHANNELS, kind="prismatic")).chunks(20, overlap)),
+        list(InMemory(read(made, CHANNELS)).chunks(20, overlap)),
     ):
         assert [p.last for p in pieces] == [False] * (count - 1) + [True]
         torque = pieces[-1].record.torque

@@ -15,6 +15,7 @@ from jointid.records.signals.filtering import (
     differentiate,
     differentiate_twice,
     lowpass,
+    settle,
     window_torque,
 )
 from jointid.simulation.excitation import pulses, trapezoids
@@ -169,6 +170,18 @@ def test_a_delayed_torque_acts_later(timing: Timing) -> None:
     }[timing]
     found = window_torque(Channel(stamped, "N", period, timing), delay)
     assert np.max(np.abs(found - torque(time - delay))[20:-20]) < 1e-5
+
+
+def test_a_filtered_axis_at_rest_has_no_direction() -> None:
+    """What the filter leaves of a motion is rounding after some hundred samples, of either sign."""
+    position = np.column_stack([np.minimum(np.arange(2000) * 1e-4, 0.03), np.zeros(2000)])
+    velocity = differentiate_twice(lowpass(position, 60.0, 1e-3), 1e-3)[0]
+    still = velocity[800:1600]
+    assert np.any(still > 0.0) and np.any(still < 0.0) and np.max(np.abs(still)) < 1e-9
+    settled = settle(velocity)
+    assert not np.any(settled[800:1600])
+    assert np.all(settled[10:250, 0] == velocity[10:250, 0])
+    assert np.all(np.isnan(settle(np.array([np.nan, 1.0]))) == [True, False])
 
 
 def test_trapezoids_move_as_they_say() -> None:

@@ -72,11 +72,12 @@ def list_addresses(pattern: str, folder: Path) -> dict[str, str]:
         system, place = fsspec.core.url_to_fs(pattern)
         there: Mapping[str, Any] = system.glob(place, detail=True)
         files = {name: about for name, about in sorted(there.items()) if about.get("type") == "file"}
-        return {
-            # A page that lists files says their names alone.
-            system.unstrip_protocol(name): _stamp(system.info(name) if about.get("size") is None else about)
-            for name, about in files.items()
-        }
+        stamps = {}
+        for name, listed in files.items():
+            about = system.info(name) if listed.get("size") is None else listed  # a page lists names alone
+            changed = next((about[key] for key in _CHANGED if key in about), "")
+            stamps[system.unstrip_protocol(name)] = f"{about.get('size')} {changed}"
+        return stamps
     except Exception as error:
         raise _refusal(pattern, error) from error
 
@@ -102,11 +103,6 @@ def digest(path: Path) -> str:
     except OSError as error:
         raise RecordError(f"{path} cannot be opened ({_reason(error)}); check the path.") from error
     return made.hexdigest()
-
-
-def _stamp(about: Mapping[str, Any]) -> str:
-    changed = next((about[key] for key in _CHANGED if key in about), "")
-    return f"{about.get('size')} {changed}"
 
 
 def _reason(error: OSError) -> str:

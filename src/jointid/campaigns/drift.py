@@ -222,18 +222,14 @@ def series_of(rows: Sequence[Row]) -> Iterator[Series]:
         runs.sort(key=lambda row: row.place)
         names = list(dict.fromkeys(name for row in runs for name in row.found))
         for quantity in select_quantities(names):
-            yield from _series(joint, changes, quantity, runs)
-
-
-def _series(joint: str, changes: tuple[str, ...], quantity: str, runs: Sequence[Row]) -> Iterator[Series]:
-    known = [(row, one) for row in runs if (one := row.found.get(quantity)) is not None and one.value is not None]
-    found = [(row, one.value, one.std, one.unit) for row, one in known if one.std]
-    if not found:
-        return
-    try:
-        days = [float(datetime.date.fromisoformat(row.day).toordinal()) for row, *_ in found]
-    except ValueError:  # a day is missing or invalid
-        days = [float(k) for k in range(len(found))]
-    values, stds = np.array([(value, std) for _, value, std, _ in found], np.float64).T
-    labels = tuple(row.day or row.record for row, *_ in found)
-    yield Series(joint, changes, quantity, found[0][3], np.array(days, np.float64), values, stds, labels)
+            known = [(row, one) for row in runs if (one := row.found.get(quantity)) is not None]
+            found = [(row, one.value, one.std, one.unit) for row, one in known if one.value is not None and one.std]
+            if not found:
+                continue
+            try:
+                days = [float(datetime.date.fromisoformat(row.day).toordinal()) for row, *_ in found]
+            except ValueError:  # a day is missing or invalid
+                days = [float(k) for k in range(len(found))]
+            values, stds = np.array([(value, std) for _, value, std, _ in found], np.float64).T
+            labels = tuple(row.day or row.record for row, *_ in found)
+            yield Series(joint, changes, quantity, found[0][3], np.array(days, np.float64), values, stds, labels)

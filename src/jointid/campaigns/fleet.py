@@ -166,25 +166,22 @@ class FleetRecords:
     def _match(self, pattern: str, folder: Path) -> Mapping[str, list[tuple[str, str, str]]]:
         """Address, stamp and day of matches, by joint."""
         if (pattern, folder) not in self._matched:
-            self._matched[pattern, folder] = dict[str, list[tuple[str, str, str]]]()
-            for joint, address, stamp, day in self._matches(pattern, folder):
-                self._matched[pattern, folder].setdefault(joint, []).append((address, stamp, day))
+            by_joint = self._matched[pattern, folder] = dict[str, list[tuple[str, str, str]]]()
+            plain = pattern if is_remote(pattern) else posixpath.normpath(pattern)
+            shape = re.compile(f"(?:^|/){_expression(re.sub(r'^([.][.]/)+|^/', '', plain))}$")
+            stars = PLACEHOLDER.sub(lambda one: one[0] if one[1] is None else "*", plain)
+            for address, stamp in list_addresses(stars, folder).items():
+                said = shape.search(address.replace(os.sep, "/"))
+                if said is None:
+                    self._undated.append(address)
+                    continue
+                parts = said.groupdict()
+                logged = address, stamp, _day(parts.get("day"), address, stamp)
+                by_joint.setdefault(parts.get("joint", "joint"), []).append(logged)
         matched = self._matched[pattern, folder]
         if not matched and self.asked.table is None:
             raise JointFileError(f'fleet.records is "{pattern}", and no file is of that form; correct the path.')
         return matched
-
-    def _matches(self, pattern: str, folder: Path) -> Iterator[tuple[str, str, str, str]]:
-        plain = pattern if is_remote(pattern) else posixpath.normpath(pattern)
-        shape = re.compile(f"(?:^|/){_expression(re.sub(r'^([.][.]/)+|^/', '', plain))}$")
-        stars = PLACEHOLDER.sub(lambda one: one[0] if one[1] is None else "*", plain)
-        for address, stamp in list_addresses(stars, folder).items():
-            said = shape.search(address.replace(os.sep, "/"))
-            if said is None:
-                self._undated.append(address)
-                continue
-            parts = said.groupdict()
-            yield parts.get("joint", "joint"), address, stamp, _day(parts.get("day"), address, stamp)
 
 
 def _embed_model(text: str, folder: Path) -> str:

@@ -92,7 +92,14 @@ class CampaignReport(Documented):
             return f"{said} {more}", good and true
         if kind == Started.kind:
             return summarise_ends(self.ends)
-        return self._drift_sentence, None if not self.changes else not self.drifted
+        if not self.changes:
+            return "Drift was not tested: no joint has eight runs.", None
+        joints = list(dict.fromkeys(one.series.joint for one in self.drifted))
+        if joints:
+            named = [*joints[:_SHOWN], *([f"{len(joints) - _SHOWN} more"] if len(joints) > _SHOWN else [])]
+            return f"{pluralise(len(joints), 'joint')} drifted: {join(named)}.", False
+        watched = pluralise(len({one.series.joint for one in self.changes}), "joint")
+        return f"No stiffness and no friction drifted by more than its scatter ({watched} watched).", True
 
     @cached_property
     def changes(self) -> tuple[Change, ...]:
@@ -108,17 +115,6 @@ class CampaignReport(Documented):
     def sentence(self) -> str:
         """The verdict in a line."""
         return self.verdict[0]
-
-    @property
-    def _drift_sentence(self) -> str:
-        joints = list(dict.fromkeys(one.series.joint for one in self.drifted))
-        if joints:
-            more = [*joints[:_SHOWN], *([f"{len(joints) - _SHOWN} more"] if len(joints) > _SHOWN else [])]
-            return f"{pluralise(len(joints), 'joint')} drifted: {join(more)}."
-        if not self.changes:
-            return "Drift was not tested: no joint has eight runs."
-        watched = len({one.series.joint for one in self.changes})
-        return f"No stiffness and no friction drifted by more than its scatter ({pluralise(watched, 'joint')} watched)."
 
     def to_document(self, *, details: bool = False) -> Document:
         """The report; with details all rows of every table."""

@@ -173,7 +173,12 @@ def _compare_laws(
                 end = _search(solved, record, other, wanted, tolerance, history)
             fitted, squares = judge(end, name, of_law, parts, line)
             line = (fitted, squares) if law == simple else line
-            found.append((fitted if law is None else replace(fitted, words=_describe(law, of_law, fitted)), squares))
+            if isinstance(law, Spring):
+                fitted = replace(fitted, words=law.describe(fitted.intervals))
+            elif law is not None:
+                words = ", ".join(f"{p.symbol} {fitted.intervals[p.name]}" for p in of_law)
+                fitted = replace(fitted, words=words)
+            found.append((fitted, squares))
         except (JointidError, np.linalg.LinAlgError) as error:
             why = str(error) if isinstance(error, JointidError) else "the search met a law without a solution"
             if law == simple:
@@ -218,12 +223,6 @@ def _parameters(joint: Joint, law: Spring | Friction) -> tuple[Parameter, ...]:
         return law.parameters
     sides = (("motor_", "1"), ("load_", "2")) if isinstance(joint, FlexibleJoint) else (("", ""),)
     return tuple(p for side in sides for p in law.parameters(*side))
-
-
-def _describe(law: Spring | Friction, of_law: tuple[Parameter, ...], fitted: JudgedLaw) -> str:
-    if isinstance(law, Spring):
-        return law.describe(fitted.intervals)
-    return ", ".join(f"{p.symbol} {fitted.intervals[p.name]}" for p in of_law)
 
 
 def _of_law(given: Mapping[str, Parameter], declared: Joint, joint: Joint) -> dict[str, Parameter]:

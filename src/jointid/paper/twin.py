@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from importlib.resources import files
 from types import MappingProxyType
 from typing import Literal
 
@@ -58,39 +59,7 @@ CONTROLLERS = MappingProxyType(
 """The two loops: L19 of the public benchmark, L30 as the paper describes its own."""
 
 
-JOINT_FILE = """\
-# The digital twin of the paper's flexible axis under its loop L19, identified from motor force and reference alone.
-# A record for it: jointid simulate --twin L19 --out record.csv
-
-[joint]
-kind = "prismatic"
-model = "flexible"               # or "rigid", with a cutoff of 5 Hz
-torque_constant = "35.15065188 N/V"   # of the twin's drive: the torque is logged in N, the controller speaks V
-
-[record]
-file = "record.csv"
-time = "t"
-
-[record.channels]
-torque = { column = "torque", unit = "N", timing = "held", tap = "command" }
-reference = { column = "reference", unit = "m" }
-motor_position = { column = "motor_position", unit = "m", optional = true }    # DIDIM does not read it
-load_position = { column = "load_position", unit = "m", optional = true }
-injected = { column = "injected", unit = "N", at = "after_limit", in_torque = true, optional = true }    # the pulses
-
-[controller]
-law = "cascade"                  # velocity_gain (position_gain (reference - position) - velocity)
-position_gain = "160.18 1/s"
-velocity_gain = "243.45 V s/m"
-velocity_filter = [0.5, 0.5]     # the velocity is the mean of two differences
-limit = "1000 V"                 # never reached
-
-[filtering]
-cutoff = 60.0                    # Hz, twice the resonance
-
-[method]
-frequency = 30.0                 # Hz, about the resonance; leave it out to have a grid of starts tried
-"""
+JOINT_FILE = files("jointid.paper").joinpath("twin.toml").read_text(encoding="utf-8")
 """The joint file that identifies a run of loop L19 from torque alone; `examples/twin/joint.toml` is the same."""
 
 

@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
+import jointid as ji
 from jointid.estimation.methods.didim import DIDIM
 from jointid.estimation.result.robot import SpringVerdict
-from jointid.output.report.robots import RobotReport
-from jointid.records.record import Record
+from jointid.output.report import Report
+from jointid.records.record import Channel, Record
 from jointid.simulation.synthesis import simulate
 from tests.estimation.robots.twin import arm, identified, records_of
 from tests.robots_plants import two
@@ -29,7 +30,7 @@ def test_what_is_refused_is_not_in_the_table() -> None:
         for row in found.params.rows
     )
     estimate = replace(found, robot=part, params=replace(found.params, rows=rows))
-    told = RobotReport.of(estimate, records)
+    told = Report.of(estimate, records)
     text = told.markdown()
     assert "at least 1234" in text.replace(" ", " ")
     assert "| joint1.stiffness | at least" in text
@@ -43,9 +44,21 @@ def test_what_is_refused_is_not_in_the_table() -> None:
     assert np.ptp(torque.y) > 0  # type: ignore[union-attr]
 
 
+def test_the_next_test_of_a_robot_has_its_place() -> None:
+    robot, records = arm(), records_of(arm(), 2, noise=0.2)
+    told = Report.of(identified(robot, records), records)
+    positions = np.cumsum(np.full((400, len(robot)), 1e-3), axis=0)
+    motion = [Record(reference=Channel(q, "rad", 1e-2)) for q in positions.T]
+    design = ji.design(robot, motion=motion)
+    text = replace(told, design=design).markdown()
+    assert "## The next test\n" not in told.markdown()
+    assert text.index("## The next test\n") < text.index("## Appendix") < text.index("## The next test in full\n")
+    assert "test.svg" in text and "intervals that are foretold" in text
+
+
 def test_the_lines_of_the_torques_break_where_nothing_is_compared() -> None:
     records = records_of(arm(), 2, noise=0.2)
-    chart = RobotReport.of(identified(arm(), records), records).charts["torque"]
+    chart = Report.of(identified(arm(), records), records).charts["torque"]
     assert "Lines break where a motor rests or turns round" in chart.caption
     for panel in chart.panels:
         for line in panel.items:

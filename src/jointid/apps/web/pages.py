@@ -345,6 +345,7 @@ def _tell_value(p: Mapping[str, Any]) -> str:
 
 
 def _build_checks(answer: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the checks, those that did not pass first."""
     checks = [
         {
             "question": Subject(verdict["subject"]).question,

@@ -114,9 +114,10 @@ def with_joint(problem: ClosedLoopProblem, joint: FlexibleJoint) -> ClosedLoopPr
 
 def list_trials(problem: ClosedLoopProblem, x: FloatArray, fault: Fault) -> list[Trial]:
     """Return the trials of a fault that change no fixed parameter."""
-    joint, run, values = problem.joint, problem.simulate(x), problem.values(x)
+    joint = problem.joint
     if not isinstance(joint, FlexibleJoint) or fault.try_mechanics is None:
         return []
+    run, values = problem.simulate(x), problem.values(x)
     held = {p.name for p in problem.parameters if not p.free}
     return [
         one

@@ -30,6 +30,7 @@ from jointid.records.signals.filtering import (
     differentiate,
     differentiate_twice,
     lowpass,
+    settle,
     thin_channel,
     window_torque,
 )
@@ -138,9 +139,11 @@ def _motion(position: FloatArray, sample_time: float, filtering: Filtering) -> M
     assert filtering.position_cutoff is not None
     smooth = lowpass(position, filtering.position_cutoff, sample_time)
     if filtering.timing == "respected":
-        return Motion(smooth, *differentiate_twice(smooth, sample_time))
-    velocity = differentiate(smooth, sample_time)
-    return Motion(smooth, velocity, differentiate(velocity, sample_time))
+        velocity, acceleration = differentiate_twice(smooth, sample_time)
+    else:
+        velocity = differentiate(smooth, sample_time)
+        acceleration = differentiate(velocity, sample_time)
+    return Motion(smooth, settle(velocity), acceleration)
 
 
 def motor_torque(record: Record) -> Channel:

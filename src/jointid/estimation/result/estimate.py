@@ -210,8 +210,8 @@ class Estimate(EstimateParts, Documented):
 
     def report(
         self, record: Record | Sequence[Record], *, name: str = "", profiles: Sequence[str] | None = None
-    ) -> jointid.Report | jointid.robots.RobotReport:
-        """Return the report: one page with figures, see `jointid.Report.of` and `jointid.robots.RobotReport.of`.
+    ) -> jointid.Report:
+        """Return the report: one page with figures, see `jointid.Report.of`.
 
         Args:
             record: that it was identified from; of a robot the record of each joint.
@@ -220,9 +220,6 @@ class Estimate(EstimateParts, Documented):
         """
         import jointid
 
-        if isinstance(record, Sequence):
-            return jointid.robots.RobotReport.of(self, record)
-        self.require_joint()
         return jointid.Report.of(self, record, name=name, profiles=profiles)
 
 

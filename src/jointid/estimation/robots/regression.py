@@ -31,6 +31,7 @@ from jointid.records.signals.filtering import (
     differentiate,
     differentiate_twice,
     lowpass,
+    settle,
     window_torque,
 )
 
@@ -150,6 +151,7 @@ def motion_of_robot(
         velocity = differentiate(smooth, sample_time)
         acceleration = differentiate(velocity, sample_time)
         torques = [channel.values[:size] for channel in channels]
+    velocity = settle(velocity)
     reach = math.ceil(smear / (filtering.position_cutoff * sample_time))
     moving = [moving_weights(each, max(_LONG, 4 * reach), reach) * turning_weights(each, reach) for each in velocity.T]
     joints = np.linalg.inv(robot.coupling).T

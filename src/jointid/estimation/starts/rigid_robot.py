@@ -19,7 +19,7 @@ from jointid.estimation.robots.problem import EXACT, RobotLoopProblem
 from jointid.estimation.starts.inverse_controller import command_of, reconstructed_position
 from jointid.models.joints import ClosedLoop, RigidJoint
 from jointid.records.record import Channel, Record, Timing
-from jointid.records.signals.filtering import apply_window, differentiate_twice, lowpass, window_torque
+from jointid.records.signals.filtering import apply_window, differentiate_twice, lowpass, settle, window_torque
 from jointid.simulation.robot_sensitivities import columns_of
 from jointid.simulation.robots import MassMotion, RobotLoop, RobotOutcome, RobotRun
 
@@ -84,7 +84,7 @@ def _regress(problem: RobotLoopProblem, torques: FloatArray, positions: FloatArr
     smooth = lowpass(positions, cutoff, sample_time)
     each = [differentiate_twice(column, sample_time) for column in smooth.T]
     velocity, acceleration = (np.column_stack([pair[i] for pair in each]) for i in range(2))
-    motion = MassMotion(smooth, velocity, acceleration, np.sign(velocity))
+    motion = MassMotion(smooth, velocity, acceleration, np.sign(settle(velocity)))
     parameters = problem.parameters
     rotors = parameters.base.rotors
     columns = columns_of(problem.tree, parameters.base, parameters.places, motion, rotors)

@@ -28,7 +28,7 @@ from jointid.estimation.result.summary import (
     settings_facts,
 )
 from jointid.output.report.pages import Repetition, pictures_of
-from jointid.output.report.summary import summary_blocks, verdicts_in_full
+from jointid.output.report.summary import next_test_in_full, summary_blocks, verdicts_in_full
 from jointid.planning.joint_design import Design
 from jointid.tuning.tuned import Tuned
 
@@ -58,11 +58,7 @@ def report_blocks(
         *_loop(given),
         *_tests(given),
         *([] if tuned is None else _tuning(tuned, picture)),
-        *(
-            []
-            if design is None
-            else [Heading("The next test in full"), *design.to_document().blocks[1:], *picture("test")]
-        ),
+        *next_test_in_full(design, picture),
         *_settings(given, repetition),
     )
 

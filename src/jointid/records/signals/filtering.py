@@ -28,6 +28,7 @@ _CUTOFFS = {"rigid": (0.1, 0.04), "flexible": (0.15, 0.06)}
 _ROOM = 0.8  # of the new Nyquist frequency is left to the pass band
 _RIPPLE = 0.05  # dB of the decimation filter
 _ORDER = 8  # of the decimation filter
+_AT_REST = 1e-8  # of the top speed: less is rounding, whose sign is no direction
 _POSITION_ORDER = 4  # of the position filter: for IDIM the highest derivative plus 2
 
 
@@ -243,6 +244,15 @@ def differentiate_twice(values: FloatArray, sample_time: float) -> tuple[FloatAr
     first = (p[:-4] - 8 * p[1:-3] + 8 * p[3:-1] - p[4:]) / (12 * sample_time)
     second = (-p[:-4] + 16 * p[1:-3] - 30 * p[2:-2] + 16 * p[3:-1] - p[4:]) / (12 * sample_time**2)
     return np.asarray(first), np.asarray(second)
+
+
+def settle(velocity: FloatArray) -> FloatArray:
+    """Replace the rounding of a filtered velocity at rest by 0, along the first axis.
+
+    Rounding has a sign there, which differs between processors, and friction would follow it.
+    """
+    speed = np.abs(velocity)
+    return np.where(speed <= _AT_REST * np.max(speed, axis=0), 0.0, velocity)
 
 
 def apply_window(columns: FloatArray) -> FloatArray:
